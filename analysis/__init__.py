@@ -1,0 +1,1 @@
+"""From shot to verdict: pure functions without I/O, clock or output."""

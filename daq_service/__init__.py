@@ -1,0 +1,1 @@
+"""Runs the rig: records, stores, analyses, serves and supervises."""

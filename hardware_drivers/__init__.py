@@ -1,0 +1,6 @@
+"""What a measurement is, and who can make one.
+
+`measurement` and `instruments` are the vocabulary that every other package speaks; `errors` is
+what an instrument may raise. Vendor drivers live in folders of their own and are imported only
+when a rig needs them.
+"""

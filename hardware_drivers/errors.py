@@ -1,0 +1,35 @@
+"""Errors an instrument may raise.
+
+::
+
+    InstrumentError
+    ├── ConfigurationError      stop and say it: the request can never succeed as written
+    ├── BusyError               somebody else owns the board or port: name the owner, back off
+    ├── AcquisitionTimeoutError no trigger within the deadline: a missed strike
+    └── ConnectionLostError     the instrument or its driver is gone: rebuild, bounded
+
+A vendor's own exception never crosses a driver's border: it is raised again as one of these with
+``raise ... from``. Each message names the value, the limit and the remedy.
+"""
+
+from __future__ import annotations
+
+
+class InstrumentError(Exception):
+    """Anything an instrument reports; catch the subclasses to decide what to do."""
+
+
+class ConfigurationError(InstrumentError):
+    """The request contradicts the hardware or itself; repeating it cannot help."""
+
+
+class BusyError(InstrumentError):
+    """Another owner holds the resource."""
+
+
+class AcquisitionTimeoutError(InstrumentError):
+    """No record arrived within the deadline: the strike was missed."""
+
+
+class ConnectionLostError(InstrumentError):
+    """The instrument stopped answering; a fresh connection may help."""

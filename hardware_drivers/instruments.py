@@ -1,0 +1,168 @@
+"""Who can make a measurement: small Protocols, and a Rig that is the set of them.
+
+Simulated, recorded and real instruments are siblings behind these Protocols and pass the same
+contract suites (``tests/contract``). Every blocking call is bounded by ``timeout_s``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Protocol, runtime_checkable
+
+from hardware_drivers.measurement import ShotKey, SupplyReading, Waveform
+
+
+@runtime_checkable
+class Clock(Protocol):
+    """The experiment's time. Driver deadlines use the monotonic clock of the machine instead."""
+
+    def utc_ns(self) -> int:
+        """Experiment time, ns since 1970-01-01T00:00Z."""
+        ...
+
+    def mono_ns(self) -> int:
+        """Monotonic experiment time in ns; never steps back within one ``boot_id``."""
+        ...
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        """Return True once ``utc_ns`` is reached, False as soon as ``idle()`` returns False.
+
+        ``idle`` is called at least every 0.2 s of wall time while waiting; it is where the caller
+        advances its heartbeat and notices a request to stop.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Acquired:
+    """What a digitizer or pulse-echo unit hands over."""
+
+    waveform: Waveform
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+
+@runtime_checkable
+class Digitizer(Protocol):
+    """Samples one transducer's sensor around a trigger."""
+
+    def arm(self, key: ShotKey) -> None:
+        """Start waiting for the trigger; the pre-trigger buffer is filling on return.
+
+        Raises
+        ------
+        ConfigurationError
+            Already armed, or no such position.
+        """
+        ...
+
+    def read(self, timeout_s: float) -> Acquired:
+        """Return the record of the armed shot and disarm.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            Nothing triggered in time; the digitizer is disarmed.
+        ConfigurationError
+            Not armed.
+        """
+        ...
+
+    def disarm(self) -> None:
+        """Stop waiting; harmless when not armed."""
+        ...
+
+
+@runtime_checkable
+class Striker(Protocol):
+    """Lifts and drops one striker by a pulse of bounded length."""
+
+    def strike(self, key: ShotKey) -> None:
+        """Pulse the coil once; on return it is off.
+
+        Raises
+        ------
+        ConfigurationError
+            No such position.
+        """
+        ...
+
+    def make_safe(self) -> None:
+        """De-energise every coil; harmless when already safe, allowed at any time."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Echo(Acquired):
+    """A pulse-echo record and the receiver settings it was taken with."""
+
+    gain_db: float = 0.0
+    offset_v: float = 0.0
+    averages: int = 1
+
+
+@runtime_checkable
+class PulseEchoUnit(Protocol):
+    """Fires an ultrasonic probe and returns one averaged record."""
+
+    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        """Fire, average, return.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            No record in time.
+        ConfigurationError
+            No such position.
+        """
+        ...
+
+
+@runtime_checkable
+class PowerSupply(Protocol):
+    """The electrochemical drive. There is no call that switches it on by itself after a fault."""
+
+    def read(self, timeout_s: float) -> SupplyReading:
+        """Measure voltage and current."""
+        ...
+
+    def make_safe(self) -> None:
+        """Switch the output off; harmless when off."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rig:
+    """The instruments of one experiment; a context manager that leaves everything safe.
+
+    Attributes
+    ----------
+    kind
+        ``simulated``, ``daqmx``, ``playback``: what the reader of a number should know of its origin.
+    identity
+        Serial numbers, driver versions and the like, stored with every set.
+    """
+
+    kind: str
+    clock: Clock
+    striker: Striker
+    digitizer: Digitizer
+    pulse_echo: PulseEchoUnit | None = None
+    supply: PowerSupply | None = None
+    identity: Mapping[str, str] = field(default_factory=dict)
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.make_safe()
+
+    def make_safe(self) -> None:
+        """De-energise strikers, then disarm; the coil comes first whatever the digitizer says."""
+        try:
+            self.striker.make_safe()
+        finally:
+            self.digitizer.disarm()

@@ -1,0 +1,199 @@
+"""What a measurement is: frozen records of raw counts with the calibration that turns them into volts.
+
+Counts are the truth, volts are derived. Arrays are copied once and made read-only, so a record can
+travel from the digitizer to the archive and the analysis without anyone changing it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Counts = NDArray[np.int16] | NDArray[np.int32]
+
+
+def _read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    copy = np.array(values, copy=True)
+    copy.flags.writeable = False
+    return copy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Calibration:
+    """How an ADC's counts become volts.
+
+    Attributes
+    ----------
+    coefficients_v
+        float64, shape (order + 1,): ``volts = sum(coefficients_v[k] * counts**k)``.
+    resolution_bits
+        ADC resolution; a code at either end of the range counts as clipped.
+    range_v
+        Full scale is ``-range_v .. +range_v``.
+    date
+        ISO date of the calibration, empty if unknown.
+    """
+
+    coefficients_v: NDArray[np.float64]
+    resolution_bits: int
+    range_v: float
+    date: str = ""
+
+    def __post_init__(self) -> None:
+        coefficients = np.atleast_1d(np.asarray(self.coefficients_v, dtype=np.float64))
+        if coefficients.ndim != 1 or coefficients.size < 2:
+            raise ValueError(
+                f"coefficients_v needs shape (order + 1,) with order >= 1, got {coefficients.shape}"
+            )
+        if not 2 <= self.resolution_bits <= 32:
+            raise ValueError(f"resolution_bits is {self.resolution_bits}; it must lie in 2..32")
+        if not self.range_v > 0.0:
+            raise ValueError(f"range_v is {self.range_v} V; it must be positive")
+        object.__setattr__(self, "coefficients_v", _read_only(coefficients))
+
+    def volts(self, counts: Counts) -> NDArray[np.float64]:
+        """Counts of any shape to volts of the same shape."""
+        scaled = np.polynomial.polynomial.polyval(counts.astype(np.float64), self.coefficients_v)
+        return np.asarray(scaled, dtype=np.float64)
+
+    @property
+    def full_scale_counts(self) -> tuple[int, int]:
+        """Lowest and highest code of the ADC."""
+        half = 1 << (self.resolution_bits - 1)
+        return -half, half - 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Waveform:
+    """One finite record of one channel.
+
+    Attributes
+    ----------
+    counts
+        int16 or int32, shape (n_samples,).
+    sample_rate_hz
+        The rate the hardware really used.
+    pretrigger_samples
+        Samples before the trigger; time zero is the trigger.
+    """
+
+    counts: Counts
+    sample_rate_hz: float
+    pretrigger_samples: int
+    calibration: Calibration
+
+    def __post_init__(self) -> None:
+        counts = np.asarray(self.counts)
+        if counts.dtype not in (np.dtype(np.int16), np.dtype(np.int32)) or counts.ndim != 1:
+            raise ValueError(
+                f"counts must be int16 or int32 of shape (n_samples,), got {counts.dtype} {counts.shape}"
+            )
+        if not self.sample_rate_hz > 0.0:
+            raise ValueError(f"sample_rate_hz is {self.sample_rate_hz}; it must be positive")
+        if not 0 <= self.pretrigger_samples <= counts.size:
+            raise ValueError(
+                f"pretrigger_samples is {self.pretrigger_samples}; it must lie in 0..{counts.size}"
+            )
+        object.__setattr__(self, "counts", _read_only(counts))
+
+    def volts(self) -> NDArray[np.float64]:
+        """Record in volts, shape (n_samples,)."""
+        return self.calibration.volts(self.counts)
+
+    def time_s(self) -> NDArray[np.float64]:
+        """Time of each sample from the trigger in s, shape (n_samples,)."""
+        index = np.arange(self.counts.size) - self.pretrigger_samples
+        return index / self.sample_rate_hz
+
+    @property
+    def clipped(self) -> bool:
+        """True if any sample sits at an end of the ADC's range."""
+        low, high = self.calibration.full_scale_counts
+        return bool(self.counts.size and (self.counts.min() <= low or self.counts.max() >= high))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotKey:
+    """Which shot is meant: the name a rig is asked for and the key of the twin's random numbers."""
+
+    position: str
+    set_index: int
+    shot_index: int
+    attempt: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("set_index", "shot_index", "attempt"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stamp:
+    """When something was recorded: experiment UTC, monotonic time and the boot it belongs to."""
+
+    utc_ns: int
+    mono_ns: int
+    boot_id: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shot:
+    """One strike of one transducer and the record it left.
+
+    Attributes
+    ----------
+    sequence
+        Strictly increasing in an archive: the order, whatever the clocks say.
+    truth
+        What a simulated rig knows about the shot (SI units in the names); empty on a real rig.
+    """
+
+    sequence: int
+    key: ShotKey
+    stamp: Stamp
+    waveform: Waveform
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PulseEchoRecord:
+    """One averaged ultrasonic record of one position.
+
+    Attributes
+    ----------
+    waveform
+        Time zero is the firing pulse; ``pretrigger_samples`` is 0.
+    gain_db, offset_v
+        Receiver settings the record was taken with.
+    averages
+        Number of records averaged.
+    """
+
+    sequence: int
+    key: ShotKey
+    stamp: Stamp
+    waveform: Waveform
+    gain_db: float
+    offset_v: float
+    averages: int
+    truth: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupplyReading:
+    """What the electrochemical supply measured."""
+
+    stamp: Stamp
+    voltage_v: float
+    current_a: float
+    output_on: bool

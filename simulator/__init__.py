@@ -1,0 +1,1 @@
+"""A numerical specimen behind the same instruments as a real rig."""
