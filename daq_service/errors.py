@@ -1,0 +1,47 @@
+"""Errors of the service and the one table of exit codes.
+
+::
+
+    SolimonError
+    ├── UsageError      exit 2   a command line or configuration that cannot work
+    ├── RigError        exit 3   an instrument failed beyond what the recorder can mend
+    ├── StorageError    exit 4   the data folder cannot be written, read or trusted
+    └── BusyError       exit 5   another recorder, process or port owner is in the way
+
+``0`` is success and ``130`` an interruption by the operator.
+"""
+
+from __future__ import annotations
+
+EXIT_OK = 0
+EXIT_INTERRUPTED = 130
+
+
+class SolimonError(Exception):
+    """An error whose message is written for the operator: value, limit, remedy."""
+
+    exit_code = 1
+
+
+class UsageError(SolimonError):
+    """The command line or the configuration cannot work as written."""
+
+    exit_code = 2
+
+
+class RigError(SolimonError):
+    """The rig failed beyond what the recorder can mend."""
+
+    exit_code = 3
+
+
+class StorageError(SolimonError):
+    """The data folder cannot be written, read or trusted."""
+
+    exit_code = 4
+
+
+class BusyError(SolimonError):
+    """Somebody else owns what is needed."""
+
+    exit_code = 5

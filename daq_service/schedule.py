@@ -1,0 +1,61 @@
+"""When each set of measurements is due: phases from the configuration turned into due times.
+
+The paper: every 30 min for the first 75 h, then every hour to 350 h: 425 sets, the first one an
+interval after the start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+NS_PER_H = 3_600_000_000_000
+
+
+class PhaseLike(Protocol):
+    """What a phase of the schedule must tell."""
+
+    @property
+    def until_h(self) -> float:
+        """Hour at which the phase ends; its last set is due then."""
+        ...
+
+    @property
+    def interval_h(self) -> float:
+        """Hours between two sets."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DueSet:
+    """One planned set."""
+
+    set_index: int
+    due_h: float
+    due_utc_ns: int
+
+
+def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> Iterator[float]:
+    """Yield the hours of all sets in order; ``end_h`` cuts the plan short (inclusive).
+
+    Each hour is counted from its phase's start, so no rounding error piles up.
+    """
+    start_h = 0.0
+    for phase in phases:
+        # Half a millionth of an interval forgives decimal fractions such as 0.1 h.
+        count = int((phase.until_h - start_h) / phase.interval_h + 5e-7)
+        for k in range(1, count + 1):
+            hour = start_h + k * phase.interval_h
+            if end_h is not None and hour > end_h:
+                return
+            yield hour
+        start_h = phase.until_h
+
+
+def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
+    """All sets of an experiment that starts at ``epoch_utc_ns``."""
+    return [
+        DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
+        for index, hour in enumerate(due_hours(phases, end_h=end_h))
+    ]
