@@ -1,0 +1,283 @@
+"""Parameters of the twin's experiment: what happens to wall, transducer and electronics, and when.
+
+`parameters.py` says what the specimen is; this module says how it corrodes, how shots scatter and
+how a force becomes counts. Where the paper gives a number it is named; everything else is marked
+"assumption". A file embeds these as ``[twin]`` with ``seed``, ``scatter``, ``drift``, ``noise``,
+``adc``, ``sensor``, ``echo`` and one ``thinning`` a position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Annotated, Any, ClassVar
+
+from annotated_types import Ge, Gt, Le, Lt
+
+from simulator.parameters import DEEPEST_PATCH_FRACTION, check_bounds
+
+_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThinningParameters:
+    """How one position loses its wall; the defaults are a pristine position."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which thinning begins."""
+    reference_h: Annotated[float, Gt(0.0), Le(1e6)] = 300.0
+    """Hour at which the mean depth is `depth_fraction`; the mean rate goes on beyond it."""
+    depth_fraction: Annotated[float, Ge(0.0), Le(DEEPEST_PATCH_FRACTION)] = 0.0
+    """Lost part of the thickness at `reference_h`, the mean over the patch; 0 stays pristine."""
+    unevenness: Annotated[float, Ge(0.0), Lt(1.0)] = 0.0
+    """Largest departure of the rate from its mean, as a fraction: below 1, so the wall never grows back."""
+    hole_h: float | None = None
+    """Hour at which a pit in the patch goes through (depth 0.95) and nothing is reflected; absent: never."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.reference_h <= self.onset_h:
+            raise ValueError(
+                f"reference_h is {self.reference_h} h; it must be later than onset_h ({self.onset_h} h)"
+            )
+        if self.hole_h is not None and not self.onset_h < self.hole_h <= 1e6:
+            raise ValueError(
+                f"hole_h is {self.hole_h} h; it must be later than onset_h ({self.onset_h} h) and at most "
+                "1e6 h, or left out for a position that stays tight"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScatterParameters:
+    """How one shot differs from the next although nothing has changed.
+
+    A set-level part (the chain settles anew before each set) and a part of each shot. All figures
+    are assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about
+    0.5 % in time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    scale: Annotated[float, Ge(0.0), Le(10.0)] = 1.0
+    """Multiplies the four standard deviations below: 1 as assumed, 0 off."""
+    set_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.045
+    """SD of a set's drop height, as a fraction of the nominal one (assumption)."""
+    shot_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
+    """SD of a shot's drop height about its set's, as a fraction of the nominal one (assumption)."""
+    mean_tilt_rad: Annotated[float, Ge(0.0), Le(0.1)] = 0.03
+    """Tilt about which the sensor disk scatters, on top of the chain's; kept at scale 0 (assumption)."""
+    set_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.005
+    """SD of a set's tilt (assumption)."""
+    shot_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.003
+    """SD of a shot's tilt about its set's (assumption)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriftParameters:
+    """Temperature of the room and the two ways it reaches a record.
+
+    It changes the height the striker really falls and the PZT's sensitivity, nothing else, so a
+    stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    enabled: bool = True
+    """Off: the temperature stays at `mean_temperature_c`."""
+    mean_temperature_c: Annotated[float, Ge(-50.0), Le(500.0)] = 21.0
+    """Mean temperature, at which nominal drop height and sensitivity hold (assumption: a laboratory)."""
+    diurnal_amplitude_k: Annotated[float, Ge(0.0), Le(50.0)] = 1.5
+    """Half the swing between night and day (assumption: an air-conditioned laboratory)."""
+    warmest_hour_h: Annotated[float, Ge(0.0), Lt(24.0)] = 15.0
+    """Hours after the experiment's start at which the day's cycle is warmest (assumption)."""
+    wander_sd_k: Annotated[float, Ge(0.0), Le(50.0)] = 1.0
+    """SD of the slow seeded wander: weather, heating (assumption)."""
+    shortest_wander_h: Annotated[float, Gt(0.0), Le(1e5)] = 36.0
+    """Shortest period of the wander (assumption: slower than a day)."""
+    longest_wander_h: Annotated[float, Gt(0.0), Le(1e5)] = 400.0
+    """Longest period of the wander (assumption: about the length of the test)."""
+    guide_length_m: Annotated[float, Ge(0.0), Le(10.0)] = 0.15
+    """Length of the striker's guide whose growth adds to the drop height (assumption: about the chain's)."""
+    guide_expansion_per_k: Annotated[float, Ge(0.0), Le(1e-3)] = 70e-6
+    """Thermal expansion of the guide (handbook value of acrylic, 70e-6/K; that it is acrylic: assumption)."""
+    sensitivity_per_k: Annotated[float, Ge(-0.05), Le(0.05)] = 2e-3
+    """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.longest_wander_h < self.shortest_wander_h:
+            raise ValueError(
+                f"longest_wander_h is {self.longest_wander_h} h; it must be at least shortest_wander_h "
+                f"({self.shortest_wander_h} h)"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseParameters:
+    """Electronic noise at the digitizer's input: white up to half the sampling rate."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    enabled: bool = True
+    """Off: counts are the rounded signal itself."""
+    rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.025
+    """RMS at the input (assumption: 40 dB below an incident wave of 2.5 V)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorParameters:
+    """PZT disk that turns the chain's dynamic force into volts; it does not see the static preload."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    sensitivity_v_per_n: Annotated[float, Gt(0.0), Le(100.0)] = 0.0166
+    """Sensitivity without tilt (assumption: the paper's incident wave of some 150 N fills half the range)."""
+    tilt_loss_per_rad: Annotated[float, Ge(0.0), Le(5.0)] = 5.0
+    """Relative loss of sensitivity a radian of tilt: the disk is pressed on one side (assumption)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdcParameters:
+    """Digitizer of the solitary-wave records, modelled on a 16-bit 14 MS/s PXI board."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    sample_rate_hz: Annotated[float, Gt(0.0), Le(1e9)] = 10e6
+    """Sampling rate (paper: 10 MHz)."""
+    range_v: Annotated[float, Gt(0.0), Le(1000.0)] = 5.0
+    """Input range -range_v .. +range_v (one of the usual four: 1, 2, 5, 10 V)."""
+    resolution_bits: Annotated[int, Ge(8), Le(24)] = 16
+    """Resolution; up to 16 bits give int16 records, more give int32."""
+    over_range_fraction: Annotated[float, Ge(0.0), Le(0.1)] = 0.02
+    """The codes reach this far beyond the range, as boards do to keep both ends usable (2 %)."""
+    offset_v: Annotated[float, Ge(-1.0), Le(1.0)] = 1.2e-3
+    """Constant term of the board's scaling polynomial (assumption)."""
+    gain_error_fraction: Annotated[float, Ge(-0.1), Le(0.1)] = 8e-4
+    """Departure of its linear term from the ideal one (assumption)."""
+    quadratic_fraction: Annotated[float, Ge(-0.01), Le(0.01)] = 3e-5
+    """Its quadratic term at the last code, as a fraction of the range (assumption)."""
+    cubic_fraction: Annotated[float, Ge(-0.01), Le(0.01)] = -2e-5
+    """Its cubic term at the last code, as a fraction of the range (assumption)."""
+    record_samples: Annotated[int, Ge(16), Le(100_000_000)] = 13_600
+    """Samples of a record: 0.1 ms before the trigger and 1.26 ms after it, so 1.2 ms after the peak."""
+    pretrigger_samples: Annotated[int, Ge(2), Le(100_000_000)] = 1_000
+    """Samples before the trigger: 100 us, of which 60 us are quiet."""
+    trigger_level_v: Annotated[float, Gt(0.0), Le(1000.0)] = 0.25
+    """Rising edge that triggers: a tenth of the incident wave, ten times the noise."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.pretrigger_samples >= self.record_samples:
+            raise ValueError(
+                f"pretrigger_samples is {self.pretrigger_samples}; it must be less than record_samples "
+                f"({self.record_samples})"
+            )
+        if self.trigger_level_v >= self.range_v:
+            raise ValueError(
+                f"trigger_level_v is {self.trigger_level_v} V; it must be below range_v ({self.range_v} V)"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EchoParameters:
+    """Dual-element ultrasonic probe and its receiver (paper: Olympus DHC713, 100 MHz sampling)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    sample_rate_hz: Annotated[float, Gt(0.0), Le(1e10)] = 100e6
+    """Sampling rate (paper: 100 MHz)."""
+    record_samples: Annotated[int, Ge(16), Le(10_000_000)] = 2_048
+    """Samples from the firing pulse on: 20.5 us hold five back-wall echoes of the pristine plate."""
+    centre_frequency_hz: Annotated[float, Gt(0.0), Le(1e9)] = 5e6
+    """Centre frequency of the pulse (assumption: a common one for probes of this kind)."""
+    bandwidth_fraction: Annotated[float, Gt(0.0), Le(1.5)] = 0.5
+    """-6 dB bandwidth over the centre frequency (assumption)."""
+    delay_s: Annotated[float, Ge(0.0), Le(1e-3)] = 8e-6
+    """Time inside the probe's delay lines, D of equation 17 (assumption: the paper gives none)."""
+    velocity_m_per_s: Annotated[float, Gt(0.0), Le(2e4)] = 5_900.0
+    """Longitudinal wave speed (handbook value of steel)."""
+    front_wall_v: Annotated[float, Ge(0.0), Le(100.0)] = 0.02
+    """Peak of the front-wall echo: cross-talk, small in a dual-element probe (assumption)."""
+    back_wall_v: Annotated[float, Gt(0.0), Le(100.0)] = 0.5
+    """Peak of the first back-wall echo of a wall without attenuation (assumption)."""
+    multiple_ratio: Annotated[float, Ge(0.0), Lt(1.0)] = 0.45
+    """Each further back-wall echo over the one before, attenuation apart (assumption)."""
+    attenuation_db_per_m: Annotated[float, Ge(0.0), Le(1e4)] = 50.0
+    """Attenuation along the path (assumption: structural steel at 5 MHz)."""
+    noise_rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.01
+    """RMS of one record before averaging, white (assumption); off with the other noise."""
+    averages: Annotated[int, Ge(1), Le(1_000_000)] = 16
+    """Records averaged by the receiver (assumption)."""
+    gain_db: Annotated[float, Ge(-60.0), Le(120.0)] = 30.0
+    """Receiver gain reported with a record; the volts above are behind it (assumption)."""
+    range_v: Annotated[float, Gt(0.0), Le(1000.0)] = 1.0
+    """Input range -range_v .. +range_v (assumption)."""
+    resolution_bits: Annotated[int, Ge(8), Le(24)] = 14
+    """Resolution of the receiver (that of the usual 100 MS/s PXI digitizer)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.centre_frequency_hz >= 0.5 * self.sample_rate_hz:
+            raise ValueError(
+                f"centre_frequency_hz is {self.centre_frequency_hz} Hz; it must be below half of "
+                f"sample_rate_hz ({self.sample_rate_hz} Hz)"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwinParameters:
+    """Everything the twin adds to the model of the specimen."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    seed: Annotated[int, Ge(0), Lt(2**32)] = 1
+    """The same seed gives the same numbers, whatever the order of the shots."""
+    update_interval_s: Annotated[float, Ge(1.0), Le(1e6)] = 600.0
+    """Depth and temperature hold for this long, so that a set has one of each (corrosion is slow)."""
+    scatter: ScatterParameters = field(default_factory=ScatterParameters)
+    """Differences between shots."""
+    drift: DriftParameters = field(default_factory=DriftParameters)
+    """Temperature."""
+    noise: NoiseParameters = field(default_factory=NoiseParameters)
+    """Electronic noise."""
+    sensor: SensorParameters = field(default_factory=SensorParameters)
+    """PZT disk."""
+    adc: AdcParameters = field(default_factory=AdcParameters)
+    """Digitizer of the solitary-wave records."""
+    echo: EchoParameters = field(default_factory=EchoParameters)
+    """Ultrasonic probe and receiver."""
+    thinning: Mapping[str, ThinningParameters] = field(default_factory=dict)
+    """Corrosion of each position by its name; a position without an entry stays pristine."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+
+PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
+    {
+        # 4.2 of 6.35 mm were left at 300 h, in an overall linear trend (paper, section 4, figure 15).
+        "A": ThinningParameters(onset_h=0.0, reference_h=300.0, depth_fraction=2.15 / 6.35),
+        # The holes came near 270 and 350 h with a time of flight only about 10 % longer: a pit in a
+        # less thinned patch. Onset, unevenness and mean depth are our choice; see docs.
+        "B": ThinningParameters(
+            onset_h=24.0, reference_h=270.0, depth_fraction=0.70, unevenness=0.3, hole_h=270.0
+        ),
+        "C": ThinningParameters(
+            onset_h=24.0, reference_h=347.0, depth_fraction=0.55, unevenness=0.3, hole_h=347.0
+        ),
+        "D": ThinningParameters(),
+    }
+)
+"""The paper's four positions (Table 1, sections 2 and 4)."""
