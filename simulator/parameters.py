@@ -46,7 +46,7 @@ class ChainParameters:
     """Radius of every sphere (paper: 19.05 mm spheres)."""
     mass_kg: Annotated[float, Gt(0.0), Le(1e3)] = 28.2e-3
     """Mass of every sphere (paper: 28.2 g)."""
-    youngs_modulus_pa: Annotated[float, Gt(0.0), Le(2e12)] = 200e9
+    youngs_modulus_pa: Annotated[float, Ge(1e5), Le(2e12)] = 200e9
     """Young's modulus of spheres and sensor disks (paper: 200 GPa)."""
     poisson_ratio: Annotated[float, Ge(0.0), Lt(0.5)] = 0.3
     """Poisson's ratio of spheres and disks (paper, section 3: 0.3; section 2 says 0.28)."""
@@ -71,6 +71,12 @@ class ChainParameters:
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        density_kg_per_m3 = self.mass_kg / (4.0 / 3.0 * math.pi * self.radius_m**3)
+        if not 1.0 <= density_kg_per_m3 <= 1e5:
+            raise ValueError(
+                f"mass_kg is {self.mass_kg} kg and radius_m {self.radius_m} m: a density of "
+                f"{density_kg_per_m3:.3g} kg/m3, outside 1..100000; check the units"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,11 +93,11 @@ class PlateParameters:
     """Edge along y (paper: 609.6 mm)."""
     thickness_m: Annotated[float, Gt(0.0), Le(1.0)] = 6.35e-3
     """Pristine thickness (paper: 6.35 mm)."""
-    youngs_modulus_pa: Annotated[float, Gt(0.0), Le(2e12)] = 200e9
+    youngs_modulus_pa: Annotated[float, Ge(1e5), Le(2e12)] = 200e9
     """Young's modulus of the plate (paper: 200 GPa)."""
     poisson_ratio: Annotated[float, Ge(0.0), Lt(0.5)] = 0.3
     """Poisson's ratio of the plate (paper: 0.3)."""
-    density_kg_per_m3: Annotated[float, Gt(0.0), Le(3e4)] = 7800.0
+    density_kg_per_m3: Annotated[float, Ge(10.0), Le(3e4)] = 7800.0
     """Density of the plate (paper: 7,800 kg/m3)."""
     support: Literal["simply_supported", "clamped"] = "simply_supported"
     """Edges: hard simple support (deflection and tangential rotation zero) or clamped."""

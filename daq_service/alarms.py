@@ -1,0 +1,131 @@
+"""Alarm states after ISA-18.2 as pure functions over plain rows; the caller stores the rows.
+
+::
+
+               condition true                    acknowledge
+    normal ───────────────────► unacknowledged ──────────────► acknowledged
+      ▲                             │  ▲                            │
+      │                condition    │  │ condition true             │ condition false
+      │                false        ▼  │                            ▼
+      └──────────── returned_unacknowledged                      normal
+        acknowledge
+
+A latched alarm (a hole does not heal) never leaves by its condition. Severity is kept at the
+highest reached until the alarm is acknowledged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+State = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+ACTIVE_STATES = ("unacknowledged", "acknowledged", "returned_unacknowledged")
+SEVERITIES = ("low", "medium", "high", "critical")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Condition:
+    """What one assessment says of one possible alarm."""
+
+    position: str | None
+    kind: str
+    family: Literal["damage", "device"]
+    severity: Literal["low", "medium", "high", "critical"]
+    present: bool
+    message: str
+    latched: bool = False
+    proof: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A row to store, and the event that tells of it."""
+
+    row: dict[str, Any]
+    event_kind: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """When an assessment was made, on the experiment's clock."""
+
+    utc_ns: int
+    due_h: float
+    set_index: int | None
+
+
+def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) -> Change | None:
+    """Carry an alarm over one assessment; None where nothing changes.
+
+    Parameters
+    ----------
+    row
+        The latest alarm of this position and kind, or None. A closed one (state normal) stays in
+        the history: its next appearance is a new alarm with a new row.
+    """
+    state: State = row["state"] if row is not None else "normal"
+    if condition.present and (row is None or state == "normal"):
+        return Change(row=_new_row(condition, moment), event_kind="alarm_raised")
+    if row is None:
+        return None
+    if condition.present:
+        if state == "returned_unacknowledged":
+            return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None)
+        if SEVERITIES.index(condition.severity) > SEVERITIES.index(row["severity"]):
+            return _to(row, "unacknowledged", moment, "alarm_worsened", severity=condition.severity, message=condition.message)
+        return None
+    if condition.latched:
+        return None
+    if state == "unacknowledged":
+        return _to(row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
+    if state == "acknowledged":
+        return _to(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
+    return None
+
+
+def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Change:
+    """An operator has seen the alarm.
+
+    Raises
+    ------
+    ValueError
+        The alarm is not waiting for an acknowledgement.
+    """
+    following: dict[str, State] = {"unacknowledged": "acknowledged", "returned_unacknowledged": "normal"}
+    if row["state"] not in following:
+        raise ValueError(f"alarm {row['id']} is {row['state']}: there is nothing to acknowledge")
+    return _to(
+        row,
+        following[row["state"]],
+        moment,
+        "alarm_acknowledged",
+        acknowledged_utc_ns=moment.utc_ns,
+        acknowledged_by=author,
+        note=note,
+    )
+
+
+def _new_row(condition: Condition, moment: Moment) -> dict[str, Any]:
+    return {
+        "position": condition.position,
+        "kind": condition.kind,
+        "family": condition.family,
+        "severity": condition.severity,
+        "state": "unacknowledged",
+        "raised_utc_ns": moment.utc_ns,
+        "raised_h": moment.due_h,
+        "raised_set_index": moment.set_index,
+        "changed_utc_ns": moment.utc_ns,
+        "cleared_utc_ns": None,
+        "acknowledged_utc_ns": None,
+        "acknowledged_by": None,
+        "note": None,
+        "message": condition.message,
+        "proof": dict(condition.proof),
+    }
+
+
+def _to(row: Mapping[str, Any], state: State, moment: Moment, event_kind: str, **values: Any) -> Change:
+    return Change(row={**row, **values, "state": state, "changed_utc_ns": moment.utc_ns}, event_kind=event_kind)

@@ -1,0 +1,145 @@
+"""The command ``solimon``: parses, then hands over; everything heavy is imported inside a command.
+
+Exit codes: 0 done, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.errors import EXIT_INTERRUPTED, SolimonError
+
+CONFIG = click.argument("config", required=False, type=click.Path(dir_okay=False, path_type=Path))
+DATA_DIR = click.option(
+    "--data-dir", type=click.Path(file_okay=False, path_type=Path), help="Data folder; default: the configuration's."
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
+SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="solimon")
+def cli() -> None:
+    """Acquire and monitor with highly nonlinear solitary waves.
+
+    Without hardware: `solimon demo` runs the paper's 350-hour corrosion test on the physics twin.
+    """
+
+
+@cli.command()
+@click.option("--hours", type=click.FloatRange(min=0.0, min_open=True), help="Stop the test at this hour; default: its end, 350 h.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+@click.option("--pace", type=click.FloatRange(min=0.0, min_open=True), help="Hours of test a second; default 5, with --exit as fast as it goes.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port of the dashboard; 0 takes a free one.")
+@click.option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done.")
+@click.option("--no-web", is_flag=True, help="Without dashboard.")
+@DATA_DIR
+@JSON
+def demo(**options: Any) -> None:
+    """Run the paper's experiment on the twin and show it live."""
+    from daq_service.demo import run_demo
+
+    sys.exit(run_demo(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--port", type=click.IntRange(0, 65535), help="Port of the dashboard; default: the configuration's.")
+@click.option("--no-web", is_flag=True, help="Without dashboard.")
+def run(**options: Any) -> None:
+    """Record and serve under a supervisor that restarts what fails."""
+    from daq_service.run import run_supervised
+
+    sys.exit(run_supervised(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--restarted-because", default="", hidden=True)
+@SUPERVISED
+def record(**options: Any) -> None:
+    """Record only: own the rig and the data folder, follow the schedule."""
+    from daq_service.run import record_alone
+
+    sys.exit(record_alone(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--port", type=click.IntRange(0, 65535), help="Port; 0 takes a free one.")
+@click.option("--restarted-because", default="", hidden=True)
+@SUPERVISED
+def serve(**options: Any) -> None:
+    """Serve a data folder only: REST, stream and dashboard."""
+    from daq_service.run import serve_alone
+
+    sys.exit(serve_alone(**options))
+
+
+@cli.command("check-config")
+@CONFIG
+@DATA_DIR
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of the configuration and stop.")
+@JSON
+def check_config(**options: Any) -> None:
+    """Read a configuration and say what it will do: sets, shots, bytes, end, free disk."""
+    from daq_service.inspection import print_configuration
+
+    print_configuration(**options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@JSON
+def status(**options: Any) -> None:
+    """Say how a test stands: recorder, last sets, features, alarms."""
+    from daq_service.inspection import print_status
+
+    print_status(**options)
+
+
+@cli.command()
+@CONFIG
+@click.option("--position", help="Use this position's chain, plate and footprint.")
+@click.option("--depth", "depth_fraction", type=float, help="Lost part of the thickness, 0 to 0.95.")
+@click.option("--drop-height-m", type=float, help="Drop height of the striker in m.")
+@click.option("--tilt-rad", type=float, help="Tilt of the sensor disk in rad.")
+@click.option("--depths", help="Sweep: depths as first:last:count, for example 0:0.8:9.")
+@JSON
+def simulate(**options: Any) -> None:
+    """One shot of the physics twin, or a sweep over depth."""
+    from daq_service.simulate import print_simulation
+
+    print_simulation(**options)
+
+
+def main() -> None:
+    """Entry point: errors of the tree become one line and their exit code."""
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Abort:
+        _end("interrupted", EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        _end("interrupted", EXIT_INTERRUPTED)
+    except SolimonError as error:
+        _end(str(error), error.exit_code)
+
+
+def _end(message: str, code: int) -> None:
+    click.echo(f"solimon: {message}", err=True)
+    sys.exit(code)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,96 @@
+"""The data folder: made, tested for writing, and owned by one recorder at a time.
+
+The owner holds an OS lock on ``recorder.lock`` for as long as its process lives: a crash frees it,
+nobody has to clean up. The file's text only tells a person who owns it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.errors import BusyError, StorageError
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _try_lock(file: IO[bytes]) -> None:
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def _try_lock(file: IO[bytes]) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+_OWNER_OFFSET = 1
+"""The first byte is the locked one: on Windows a locked byte cannot be read by others."""
+
+
+def prepare_data_folder(folder: Path) -> None:
+    """Make the folder and prove that files can be made in it.
+
+    Raises
+    ------
+    StorageError
+        A file is in the way, the folder is on a network, or it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir") from error
+    kind = network_filesystem(folder)
+    if kind is not None:
+        raise StorageError(
+            f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; choose a local disk with --data-dir"
+        )
+    probe = folder / f".write-test-{uuid.uuid4().hex}"
+    try:
+        probe.write_bytes(b"solimon")
+        probe.unlink()
+        for name in ("sets", "live", "logs"):
+            (folder / name).mkdir(exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or choose another with --data-dir"
+        ) from error
+
+
+@contextlib.contextmanager
+def own_data_folder(folder: Path) -> Iterator[None]:
+    """Hold the recorder's lock.
+
+    Raises
+    ------
+    BusyError
+        Another recorder holds it.
+    """
+    path = folder / "recorder.lock"
+    with path.open("a+b") as file:
+        file.seek(0)
+        try:
+            _try_lock(file)
+        except OSError as error:
+            raise BusyError(
+                f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another folder with --data-dir"
+            ) from error
+        file.truncate(0)
+        file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())
+        file.flush()
+        yield
+
+
+def _owner(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            file.seek(_OWNER_OFFSET)
+            return file.read(200).decode("ascii", "replace") or "process unknown"
+    except OSError as error:
+        return f"owner unreadable: {error.strerror}"

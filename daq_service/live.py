@@ -1,0 +1,84 @@
+"""The live picture: one small file a position with its latest record.
+
+It is a picture, never a source of truth: written without fsync, at most ten times a second, and
+replaced by rename, so a reader always sees a whole one. Layout: u32 little-endian length of the
+JSON header, the header padded with spaces until the samples start at a multiple of 8, samples.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hardware_drivers.measurement import ShotKey, Stamp, Waveform
+
+SHORTEST_INTERVAL_NS = 100_000_000
+MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
+
+
+def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
+    """Header and samples as the bytes of a live file and of a live message."""
+    text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    samples = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
+    return struct.pack("<I", len(text)) + text + samples.tobytes()
+
+
+class LivePicture:
+    """Writes the live files of one data folder."""
+
+    def __init__(self, folder: Path, rig_kind: str) -> None:
+        self._folder = folder / "live"
+        self._folder.mkdir(exist_ok=True)
+        self._rig_kind = rig_kind
+        self._written_ns: dict[str, int] = {}
+
+    def due(self, position: str) -> bool:
+        """False while the last picture of the position is younger than a tenth of a second."""
+        last = self._written_ns.get(position)
+        return last is None or time.monotonic_ns() - last >= SHORTEST_INTERVAL_NS
+
+    def show(
+        self,
+        *,
+        key: ShotKey,
+        stamp: Stamp,
+        sequence: int,
+        method: str,
+        due_h: float,
+        waveform: Waveform,
+        marks: Mapping[str, float],
+        flags: tuple[str, ...],
+    ) -> None:
+        """Replace the picture of a position. A failing disk costs the picture, not the shot."""
+        header = {
+            "position": key.position,
+            "method": method,
+            "sequence": sequence,
+            "set_index": key.set_index,
+            "shot_index": key.shot_index,
+            "utc_ns": stamp.utc_ns,
+            "due_h": due_h,
+            "sample_rate_hz": waveform.sample_rate_hz,
+            "pretrigger_samples": waveform.pretrigger_samples,
+            "coefficients_v": waveform.calibration.coefficients_v.tolist(),
+            "dtype": waveform.counts.dtype.name,
+            "flags": list(flags),
+            "marks": {name: _finite(marks.get(name)) for name in MARKS},
+            "written_wall_utc_ns": time.time_ns(),
+            "rig": self._rig_kind,
+        }
+        target = self._folder / f"{key.position}.bin"
+        partial = target.with_suffix(".tmp")
+        partial.write_bytes(encode(header, waveform))
+        partial.replace(target)
+        self._written_ns[key.position] = time.monotonic_ns()
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value

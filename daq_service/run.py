@@ -1,0 +1,173 @@
+"""``run``, ``record`` and ``serve``: the processes of a test, together or alone."""
+
+from __future__ import annotations
+
+import faulthandler
+import logging
+import logging.handlers
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import click
+
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
+from daq_service.folder import own_data_folder, prepare_data_folder
+from daq_service.settings import Settings, load_settings
+from daq_service.supervisor import ChildPlan, Supervisor, leave_when_pipe_closes, tell_supervisor
+
+log = logging.getLogger(__name__)
+
+LOG_BYTES, LOG_FILES = 5_000_000, 5
+"""Each child's log is rotated: at most 25 MB."""
+
+
+def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) -> Path:
+    """``--data-dir``, or the configuration's folder relative to its file."""
+    if data_dir is not None:
+        return data_dir.absolute()
+    base = Path.cwd() if config is None else config.absolute().parent
+    return base / settings.storage.folder
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Give an event that Ctrl-C and SIGTERM set."""
+    stop = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        stop.set()
+
+    numbers = [signal.SIGINT] + ([signal.SIGTERM] if hasattr(signal, "SIGTERM") else [])
+    before = {number: signal.signal(number, on_signal) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def log_to(path: Path) -> None:
+    """Rotated log file, and a file of its own for crashes below Python."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handler = logging.handlers.RotatingFileHandler(
+        path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, encoding="utf-8"
+    )
+    handler.setFormatter(logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S"))
+    root = logging.getLogger()
+    root.addHandler(handler)
+    root.setLevel(logging.INFO)
+    # Alembic and numba tell every step at this level.
+    for talkative in ("alembic", "numba"):
+        logging.getLogger(talkative).setLevel(logging.WARNING)
+    faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
+
+
+def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
+    """Recorder and web service under a supervisor."""
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+
+    def on_message(child: str, message: Any) -> None:
+        if message["event"] == "listening":
+            click.echo(f"dashboard: {message['url']}")
+        elif message["event"] == "finished":
+            click.echo(f"{child}: the schedule is done; Ctrl-C stops the dashboard")
+
+    log_to(folder / "logs" / "supervisor.log")
+    click.echo(f"data: {folder}")
+    with stop_on_signals() as stop:
+        supervisor = Supervisor(
+            child_plans(config, folder, port=port, web=not no_web), folder, on_message=on_message
+        )
+        code = supervisor.run(stop, stay=not no_web)
+        return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
+
+
+def child_plans(config: Path | None, folder: Path, *, port: int | None, web: bool) -> list[ChildPlan]:
+    """Command lines of the children."""
+    common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
+    plans = [
+        ChildPlan(name="recorder", arguments=["record", *common, "--restarted-because", "{cause}"], watched=True)
+    ]
+    if web:
+        at = [] if port is None else ["--port", str(port)]
+        plans.append(ChildPlan(name="web", arguments=["serve", *common, "--restarted-because", "{cause}", *at]))
+    return plans
+
+
+def record_alone(*, config: Path | None, data_dir: Path | None, restarted_because: str, supervised: bool) -> int:
+    """Own the rig and the data folder until the schedule is done or somebody says stop."""
+    from daq_service.recorder import record
+    from daq_service.rig import open_rig
+
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+    with stop_on_signals() as stop, own_data_folder(folder):
+        log_to(folder / "logs" / "recorder.log")
+        if supervised:
+            leave_when_pipe_closes(stop)
+        try:
+            finished = record(
+                settings,
+                folder,
+                open_rig,
+                stop=stop,
+                restarted_because=restarted_because,
+                tell=tell_supervisor if supervised else _tell_person,
+            )
+        except SolimonError as error:
+            log.error("%s", error)
+            raise
+        except Exception:
+            log.exception("the recorder failed")
+            raise
+        if supervised:
+            tell_supervisor("finished" if finished else "stopped")
+        return EXIT_OK if finished else EXIT_INTERRUPTED
+
+
+def _tell_person(event: str, **values: object) -> None:
+    if event == "progress" and sys.stderr.isatty():
+        click.echo(f"\rhour {values['due_h']:.1f}, set {values['done']} of {values['planned']} ", nl=False, err=True)
+
+
+def serve_alone(
+    *, config: Path | None, data_dir: Path | None, port: int | None, restarted_because: str, supervised: bool
+) -> int:
+    """Serve the data folder until somebody says stop."""
+    from daq_service.web.app import create_app
+    from daq_service.web.server import serve
+
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+    log_to(folder / "logs" / "web.log")
+    if restarted_because:
+        log.warning("started again: the web service %s", restarted_because)
+
+    def on_bound(url: str) -> None:
+        if supervised:
+            tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
+        else:
+            click.echo(f"dashboard: {url}")
+
+    with stop_on_signals() as stop:
+        if supervised:
+            leave_when_pipe_closes(stop)
+        serve(
+            create_app(settings, folder),
+            settings.web.host,
+            settings.web.port if port is None else port,
+            on_bound=on_bound,
+            stop=stop,
+        )
+        return EXIT_OK if supervised else EXIT_INTERRUPTED

@@ -1,0 +1,382 @@
+"""One tree of settings: read once from TOML, environment on top, then passed on in small parts.
+
+Every value has a bound, a description and its unit in its name. The defaults are the paper's
+experiment, so a file needs only what differs. ``SOLIMON_SECTION__KEY`` overrides a key from the
+environment, for example ``SOLIMON_WEB__PORT=8080``.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from daq_service.clock import parse_utc
+from daq_service.errors import UsageError
+from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.scenario import TwinParameters
+
+HASHED_OUT = {"web": True, "clock": {"pace_h_per_s"}, "schedule": {"end_h"}, "storage": True}
+"""Not part of a data folder's identity: they change how a test is watched, not what is measured."""
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are refused, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class ClockSettings(Section):
+    """Which clock the experiment runs on."""
+
+    kind: Literal["simulated", "wall"] = "simulated"
+    """`simulated` jumps to the next due time (twin only); `wall` waits for it."""
+    epoch: str = "2024-01-01T00:00:00Z"
+    """Hour 0 of the simulated clock. On the wall clock hour 0 is the first start in an empty data folder."""
+    pace_h_per_s: float | None = Field(default=None, gt=0.0, le=1e4)
+    """Hours of experiment a second on the simulated clock; absent: as fast as it goes."""
+
+    @field_validator("epoch")
+    @classmethod
+    def _is_a_time(cls, text: str) -> str:
+        parse_utc(text)
+        return text
+
+
+class PhaseSettings(Section):
+    """Sets at a fixed interval up to an hour."""
+
+    until_h: float = Field(gt=0.0, le=1e6)
+    """Hour at which the phase ends; a set is due then."""
+    interval_h: float = Field(gt=0.0, le=1e4)
+    """Hours between two sets."""
+
+
+class ScheduleSettings(Section):
+    """When sets are due and what a set is."""
+
+    phases: tuple[PhaseSettings, ...] = Field(
+        default=(PhaseSettings(until_h=75.0, interval_h=0.5), PhaseSettings(until_h=350.0, interval_h=1.0)),
+        min_length=1,
+    )
+    """Paper: every 30 min until about 75 h (measurement 150), then every hour to 350 h: 425 sets."""
+    end_h: float | None = Field(default=None, gt=0.0)
+    """Stop after this hour; absent: at the end of the last phase."""
+    shots_per_set: int = Field(default=10, ge=1, le=1000)
+    """Strikes of each transducer in a set (paper: 10)."""
+    shot_interval_s: float = Field(default=4.0, gt=0.0, le=3600.0)
+    """Seconds between two strikes of a transducer (paper: 0.25 Hz)."""
+
+    @model_validator(mode="after")
+    def _phases_follow_each_other(self) -> Self:
+        before = 0.0
+        for phase in self.phases:
+            if phase.until_h <= before:
+                raise ValueError(f"until_h is {phase.until_h} h; phases must end one after the other (> {before} h)")
+            before = phase.until_h
+        return self
+
+
+class PositionSettings(Section):
+    """One monitored place: who looks at it and what is expected there."""
+
+    method: Literal["solitary_wave", "pulse_echo"]
+    """`solitary_wave`: a chain with striker and sensor; `pulse_echo`: an ultrasonic probe."""
+    label: str = ""
+    """What people call the place."""
+    serial_number: str = ""
+    """Serial number of the transducer or probe."""
+    chain: ChainParameters = ChainParameters()
+    """This transducer's chain; keys not given are those of `[chain]`."""
+    plate: PlateParameters = PlateParameters()
+    """The plate under this transducer; keys not given are those of `[plate]`."""
+    corrosion: CorrosionParameters = CorrosionParameters()
+    """Footprint assumed here; keys not given are those of `[corrosion]`."""
+
+
+def _paper_positions() -> dict[str, PositionSettings]:
+    """Table 1 of the paper."""
+    small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
+    return {
+        "A": PositionSettings(method="pulse_echo", label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
+        "B": PositionSettings(method="solitary_wave", label="HNSW transducer, 25.4 mm patch", corrosion=small),
+        "C": PositionSettings(method="solitary_wave", label="HNSW transducer, 50.8 mm patch", corrosion=large),
+        "D": PositionSettings(method="solitary_wave", label="HNSW transducer, pristine control", corrosion=small),
+    }
+
+
+class UltrasoundSettings(Section):
+    """Pulse-echo thickness by equation 17."""
+
+    initial_thickness_m: float = Field(default=6.35e-3, gt=0.0, le=1.0)
+    """Wall at hour 0 (paper: 6.35 mm)."""
+    delay_s: float = Field(default=8.0e-6, ge=0.0, le=1e-3)
+    """Delay D of the dual transducer (assumption: the paper prints no value; calibrate the probe's own)."""
+    velocity_m_per_s: float = Field(default=5900.0, gt=0.0, le=2e4)
+    """Longitudinal velocity that finds the first echo (assumption: textbook steel); eq. 17 itself needs none."""
+
+
+class BaselineSettings(Section):
+    """What counts as healthy."""
+
+    hours: float = Field(default=24.0, gt=0.0, le=1e6)
+    """Sets due up to this hour are the baseline (paper: the first 24 h)."""
+    minimum_sets: int = Field(default=15, ge=7, le=100_000)
+    """Fewer valid sets give no limit, with the reason."""
+    minimum_valid_shots: int = Field(default=7, ge=1, le=1000)
+    """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
+    approval: Literal["automatic"] = "automatic"
+    """`automatic`: nobody signed the baseline; every chart says so."""
+
+
+class NoveltySettings(Section):
+    """Limits of the Mahalanobis squared distance (equation 16)."""
+
+    limit: Literal["f_predictive", "paper_mean_3sd"] = "f_predictive"
+    """The limit that decides; the other one is computed and shown too."""
+    false_alarm_rate: float = Field(default=0.0027, gt=0.0, lt=0.5)
+    """Chance of a healthy set beyond the F limit (paper: 99.73 % confidence)."""
+
+
+class AlarmSettings(Section):
+    """When an outlier becomes an alarm."""
+
+    k: int = Field(default=3, ge=1, le=100)
+    """Outliers among the last `n` judged sets that raise the alarm."""
+    n: int = Field(default=5, ge=1, le=100)
+    """Judged sets looked at."""
+    hole_shots: int = Field(default=7, ge=1, le=1000)
+    """Shots of a set without a reflected wave that point at a hole."""
+    hole_sets: int = Field(default=2, ge=1, le=100)
+    """Such sets in a row that retire the transducer with a hole alarm."""
+    thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
+    """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+
+    @model_validator(mode="after")
+    def _k_of_n(self) -> Self:
+        if self.k > self.n:
+            raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
+        return self
+
+
+class StorageSettings(Section):
+    """Where data go."""
+
+    folder: str = "solimon-data"
+    """Data folder, relative to the configuration file."""
+
+
+class WebSettings(Section):
+    """The web service."""
+
+    host: Literal["127.0.0.1", "localhost", "::1"] = "127.0.0.1"
+    """Only this machine: other addresses need access tokens, which this version does not have."""
+    port: int = Field(default=8750, ge=0, le=65535)
+    """TCP port; 0 takes a free one."""
+
+
+class RigSettings(Section):
+    """Which instruments."""
+
+    kind: Literal["simulated"] = "simulated"
+    """`simulated`: the physics twin."""
+    read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
+    """Longest wait for a record."""
+
+
+class Settings(BaseSettings):
+    """The whole configuration."""
+
+    model_config = SettingsConfigDict(
+        extra="forbid",
+        frozen=True,
+        env_prefix="SOLIMON_",
+        env_nested_delimiter="__",
+        use_attribute_docstrings=True,
+    )
+
+    name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
+    """Name of the experiment."""
+    clock: ClockSettings = ClockSettings()
+    schedule: ScheduleSettings = ScheduleSettings()
+    rig: RigSettings = RigSettings()
+    chain: ChainParameters = ChainParameters()
+    plate: PlateParameters = PlateParameters()
+    corrosion: CorrosionParameters = CorrosionParameters()
+    positions: dict[str, PositionSettings] = Field(default_factory=_paper_positions, min_length=1)
+    """Monitored places by their short name (letters and digits)."""
+    ultrasound: UltrasoundSettings = UltrasoundSettings()
+    baseline: BaselineSettings = BaselineSettings()
+    novelty: NoveltySettings = NoveltySettings()
+    alarms: AlarmSettings = AlarmSettings()
+    storage: StorageSettings = StorageSettings()
+    web: WebSettings = WebSettings()
+    twin: TwinParameters = TwinParameters()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Environment over file; no hidden `.env` file."""
+        return env_settings, init_settings
+
+    @model_validator(mode="before")
+    @classmethod
+    def _positions_inherit(cls, values: Any) -> Any:
+        """Fill a position's chain, plate and corrosion from the top-level tables of the same name."""
+        if not isinstance(values, dict):
+            return values
+        positions = values.get("positions")
+        if positions is None:
+            positions = {name: _given(place) for name, place in _paper_positions().items()}
+        if not isinstance(positions, dict):
+            return values
+        filled = {}
+        for name, place in positions.items():
+            if isinstance(place, dict):
+                place = dict(place)
+                for table in ("chain", "plate", "corrosion"):
+                    common, own = values.get(table, {}), place.get(table, {})
+                    if isinstance(common, dict) and isinstance(own, dict):
+                        place[table] = {**common, **own}
+            filled[name] = place
+        return {**values, "positions": filled}
+
+    @field_validator("positions")
+    @classmethod
+    def _plain_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
+        for name in positions:
+            if not (name.isascii() and name.isalnum() and len(name) <= 16):
+                raise ValueError(f"position name {name!r}: use up to 16 ASCII letters and digits")
+        return positions
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
+            raise ValueError(
+                f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
+                f"schedule.shots_per_set = {self.schedule.shots_per_set}"
+            )
+        if self.clock.kind == "simulated" and self.rig.kind != "simulated":
+            raise ValueError("clock.kind is 'simulated'; a real rig needs the wall clock")
+        return self
+
+    def configuration_hash(self) -> str:
+        """SHA-256 of what the data depend on: the identity of a data folder."""
+        content = self.model_dump(mode="json", exclude=HASHED_OUT)
+        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+    def names_of(self, method: Literal["solitary_wave", "pulse_echo"]) -> list[str]:
+        """Positions monitored by a method, in the order of the file."""
+        return [name for name, place in self.positions.items() if place.method == method]
+
+
+def _given(place: PositionSettings) -> dict[str, Any]:
+    """Position as a file would give it: only what differs from the defaults."""
+    given = {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}
+    return dict(given)
+
+
+def config_file(name: str) -> Path:
+    """Return a file of ``config/``: inside the installed package, or beside it in an editable install."""
+    package = Path(__file__).parent
+    for folder in (package / "config", package.parent / "config"):
+        if (folder / name).is_file():
+            return folder / name
+    raise UsageError(f"{name} is missing from this installation of solimon; install it again")
+
+
+def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = None) -> Settings:
+    """Read a TOML (or JSON) configuration; None means the shipped ``simulated.toml``.
+
+    Parameters
+    ----------
+    overrides
+        Nested tables laid over the file, as command-line options do.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read or a value is refused: file, key, value, bound and remedy.
+    """
+    path = config_file("simulated.toml") if path is None else path
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise UsageError(f"cannot read the configuration {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error
+    except ValueError as error:
+        raise UsageError(f"{path} is not valid {path.suffix.lstrip('.') or 'TOML'}: {error}") from error
+    if not isinstance(values, dict):
+        raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
+    values.pop("$schema", None)
+    try:
+        return Settings(**_laid_over(values, overrides or {}))
+    except ValidationError as error:
+        raise UsageError(_explain(error, path)) from error
+
+
+def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(values)
+    for key, value in overrides.items():
+        below = merged.get(key)
+        merged[key] = _laid_over(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+    return merged
+
+
+def _explain(error: ValidationError, path: Path) -> str:
+    """Every refused value: file, key, value, bound, remedy."""
+    problems = error.errors()
+    refused = {problem["loc"] for problem in problems}
+    lines = []
+    for problem in problems:
+        if problem["loc"][:1] == ("positions",) and problem["loc"][2:] in refused:
+            continue  # inherited from a top-level table that is refused itself
+        where = [str(part) for part in problem["loc"]]
+        key = ".".join(where) or "(whole file)"
+        if problem["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
+            near = difflib.get_close_matches(where[-1], _known_keys(), n=1, cutoff=0.6)
+            hint = f"; did you mean {near[0]}?" if near else "; remove it"
+            lines.append(f"{key}: unknown key{hint}")
+        else:
+            value = problem.get("input")
+            shown = f" (value: {value!r})" if isinstance(value, (str, int, float, bool)) else ""
+            lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
+    shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
+    return f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\nCorrect it and run `solimon check-config {path}`."
+
+
+def _known_keys() -> list[str]:
+    keys: set[str] = set()
+
+    def walk(node: Any) -> None:
+        if isinstance(node, dict):
+            keys.update(node.get("properties", {}))
+            for below in node.values():
+                walk(below)
+        elif isinstance(node, list):
+            for below in node:
+                walk(below)
+
+    walk(Settings.model_json_schema())
+    return sorted(keys)
+
+
+def settings_schema() -> dict[str, Any]:
+    """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
+    schema = Settings.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

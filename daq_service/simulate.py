@@ -1,0 +1,114 @@
+"""``solimon simulate``: one noise-free shot of the twin, or a sweep over the patch's depth."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from daq_service.errors import UsageError
+from daq_service.settings import Settings, load_settings
+from simulator.coupled_model import ShotModel
+from simulator.errors import SimulationError
+from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.pulse_summary import summarise
+
+COLUMNS = (
+    ("depth_fraction", "depth", "", ".3f"),
+    ("isw_peak_n", "ISW", "N", ".2f"),
+    ("isw_time_us", "ISW at", "us", ".2f"),
+    ("psw_peak_n", "PSW", "N", ".2f"),
+    ("psw_time_us", "PSW at", "us", ".2f"),
+    ("tof_us", "ToF", "us", ".2f"),
+    ("amplitude_ratio", "AR", "", ".4f"),
+)
+
+
+def print_simulation(
+    *,
+    config: Path | None,
+    position: str | None,
+    depth_fraction: float | None,
+    drop_height_m: float | None,
+    tilt_rad: float | None,
+    depths: str | None,
+    as_json: bool,
+) -> None:
+    """Carry out the command."""
+    settings = load_settings(config)
+    try:
+        chain, plate, patch = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
+        grid = [patch.depth_fraction] if depths is None else _grid(depths)
+        for depth in grid:
+            replace(patch, depth_fraction=depth)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    try:
+        model = ShotModel(chain, plate, patch)
+        rows = []
+        for number, depth in enumerate(grid, 1):
+            rows.append(_shot(model, chain, depth))
+            if depths is not None and sys.stderr.isatty():
+                click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
+    except SimulationError as error:
+        raise UsageError(str(error)) from error
+    if as_json:
+        click.echo(json.dumps(rows[0] if depths is None else {"shots": rows}))
+    else:
+        _print_table(rows)
+
+
+def _specimen(
+    settings: Settings,
+    position: str | None,
+    depth_fraction: float | None,
+    drop_height_m: float | None,
+    tilt_rad: float | None,
+) -> tuple[ChainParameters, PlateParameters, CorrosionParameters]:
+    place: Any = settings
+    if position is not None:
+        if position not in settings.positions:
+            raise ValueError(f"no position {position!r}; the configuration has {', '.join(settings.positions)}")
+        place = settings.positions[position]
+    given = {"drop_height_m": drop_height_m, "tilt_rad": tilt_rad}
+    chain = replace(place.chain, **{name: value for name, value in given.items() if value is not None})
+    patch = place.corrosion if depth_fraction is None else replace(place.corrosion, depth_fraction=depth_fraction)
+    return chain, place.plate, patch
+
+
+def _grid(text: str) -> list[float]:
+    parts = text.split(":")
+    try:
+        first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"--depths is {text!r}; write first:last:count, for example 0:0.8:9") from error
+    if len(parts) != 3 or not 1 <= count <= 10_000:
+        raise ValueError(f"--depths is {text!r}; write first:last:count with 1 to 10000 depths")
+    return [float(depth) for depth in np.linspace(first, last, count)]
+
+
+def _shot(model: ShotModel, chain: ChainParameters, depth: float) -> dict[str, Any]:
+    force = model.shot(depth_fraction=depth)
+    summary = asdict(summarise(force))
+    return {
+        **summary,
+        "depth_fraction": depth,
+        "drop_height_m": chain.drop_height_m,
+        "tilt_rad": chain.tilt_rad,
+        "preload_n": force.preload_n,
+        "energy_residual": force.energy_residual,
+    }
+
+
+def _print_table(rows: list[dict[str, Any]]) -> None:
+    click.echo("  ".join(f"{title:>8}" for _, title, _, _ in COLUMNS))
+    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>8}" for _, _, unit, _ in COLUMNS))
+    for row in rows:
+        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in COLUMNS)
+        click.echo("  ".join(f"{cell:>8}" for cell in cells))
+    click.echo("noise-free sensor force, static preload kept; times from the striker's contact")
