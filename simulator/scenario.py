@@ -236,6 +236,24 @@ class EchoParameters:
             )
 
 
+PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
+    {
+        # 4.2 of 6.35 mm were left at 300 h, in an overall linear trend (paper, section 4, figure 15).
+        "A": ThinningParameters(onset_h=0.0, reference_h=300.0, depth_fraction=2.15 / 6.35),
+        # The holes came near 270 and 350 h with a time of flight only about 10 % longer: a pit in a
+        # less thinned patch. Onset, unevenness and mean depth are our choice; see docs.
+        "B": ThinningParameters(
+            onset_h=24.0, reference_h=270.0, depth_fraction=0.70, unevenness=0.3, hole_h=270.0
+        ),
+        "C": ThinningParameters(
+            onset_h=24.0, reference_h=347.0, depth_fraction=0.55, unevenness=0.3, hole_h=347.0
+        ),
+        "D": ThinningParameters(),
+    }
+)
+"""The paper's four positions (Table 1, sections 2 and 4)."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwinParameters:
     """Everything the twin adds to the model of the specimen."""
@@ -258,26 +276,8 @@ class TwinParameters:
     """Digitizer of the solitary-wave records."""
     echo: EchoParameters = field(default_factory=EchoParameters)
     """Ultrasonic probe and receiver."""
-    thinning: Mapping[str, ThinningParameters] = field(default_factory=dict)
-    """Corrosion of each position by its name; a position without an entry stays pristine."""
+    thinning: Mapping[str, ThinningParameters] = field(default_factory=lambda: dict(PAPER_THINNING))
+    """Corrosion of each position by its name; once given, a position without an entry stays pristine."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
-
-
-PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
-    {
-        # 4.2 of 6.35 mm were left at 300 h, in an overall linear trend (paper, section 4, figure 15).
-        "A": ThinningParameters(onset_h=0.0, reference_h=300.0, depth_fraction=2.15 / 6.35),
-        # The holes came near 270 and 350 h with a time of flight only about 10 % longer: a pit in a
-        # less thinned patch. Onset, unevenness and mean depth are our choice; see docs.
-        "B": ThinningParameters(
-            onset_h=24.0, reference_h=270.0, depth_fraction=0.70, unevenness=0.3, hole_h=270.0
-        ),
-        "C": ThinningParameters(
-            onset_h=24.0, reference_h=347.0, depth_fraction=0.55, unevenness=0.3, hole_h=347.0
-        ),
-        "D": ThinningParameters(),
-    }
-)
-"""The paper's four positions (Table 1, sections 2 and 4)."""

@@ -1,0 +1,51 @@
+"""Random numbers that depend on what they are for and never on the order of calls."""
+
+from __future__ import annotations
+
+import hashlib
+from enum import IntEnum
+
+import numpy as np
+
+from hardware_drivers.measurement import ShotKey
+
+
+class Purpose(IntEnum):
+    """What a stream of random numbers is for; the values are part of every seed's meaning."""
+
+    THINNING = 1
+    TEMPERATURE = 2
+    SET_SCATTER = 3
+    SHOT_SCATTER = 4
+    SAMPLING_PHASE = 5
+    NOISE = 6
+    ECHO_NOISE = 7
+
+
+def generator(
+    seed: int, purpose: Purpose, *, position: str = "", key: ShotKey | None = None
+) -> np.random.Generator:
+    """Independent generator of one purpose, position and shot.
+
+    Parameters
+    ----------
+    seed
+        Seed of the twin, 0 .. 2**32 - 1.
+    position
+        Name of a position, where a number belongs to it and not to a shot; ignored with ``key``.
+    key
+        The shot a number belongs to.
+
+    Returns
+    -------
+    numpy.random.Generator
+        SFC64, the fastest of numpy's normal generators, seeded through SeedSequence, whose mixing
+        keeps the streams of neighbouring keys independent.
+    """
+    name = position if key is None else key.position
+    digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
+    # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide.
+    words = [seed, int(purpose), int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")]
+    if key is not None:
+        words += [key.set_index, key.shot_index, key.attempt]
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(words)))
