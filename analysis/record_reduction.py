@@ -1,0 +1,274 @@
+"""Extraction settings, and the reduction of a record to block means, quiet level, noise and matched filter.
+
+A solitary wave of 65 us has nothing above 40 kHz, so means of about 1 us hold all of it and cost a
+tenth to search. Picks are made on them by least squares or a parabola and are not bound to their grid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+
+from analysis.errors import InvalidInputError, RecordError
+
+FloatArray = NDArray[np.float64]
+
+KERNEL_WIDTH_PER_FWHM = 2.75
+"""Width of a cos^4 pulse over its full width at half maximum: pi / (2 arccos(2^-1/4)) = 2.747."""
+MAD_TO_SD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExtractionSettings:
+    """Where and how pulses are looked for; the defaults suit the paper's disk-sensor transducer.
+
+    Windows count from the ISW's peak. Fractions are of the ISW's amplitude.
+    """
+
+    isw_fwhm_s: float = 64.7e-6
+    """Full width at half maximum of the ISW in the frozen baseline; it sets the matched filter's width."""
+    psw_earliest_s: float = 200e-6
+    psw_latest_s: float = 600e-6
+    ssw_after_psw_earliest_s: float = 90e-6
+    ssw_after_psw_latest_s: float = 350e-6
+    window_half_width_s: float = 90e-6
+    """Half-width of the area windows, and reach of the autocorrelation gate beyond ISW and PSW."""
+    autocorrelation_search_half_width_s: float = 40e-6
+    autocorrelation_smoothing_s: float = 10e-6
+    block_s: float = 1e-6
+    """Longest block mean the record is reduced to."""
+    missed_below_snr: float = 3.0
+    """ISW amplitude over noise rms below which there was no strike."""
+    noisy_below_snr: float = 10.0
+    """ISW amplitude over noise rms (10 = 20 dB) below which a shot is called noisy."""
+    no_psw_below_fraction: float = 0.1
+    """A reflected wave smaller than this does not exist; the smallest ratio expected is .3."""
+    no_psw_below_sigmas: float = 5.0
+    """Nor does one below this many standard deviations of the matched filter's noise."""
+    ssw_below_fraction: float = 0.02
+    double_above_fraction: float = 0.3
+    """A third pulse above this is a second strike (the SSW is about .16)."""
+    double_valley_fraction: float = 0.1
+    """Two maxima count as two pulses if the record falls at least this much between them."""
+    double_isw_width_ratio: float = 1.5
+    """An ISW wider than this times `isw_fwhm_s` is two strikes in one."""
+    spike_width_ratio: float = 0.4
+    """A pulse narrower than this times `isw_fwhm_s` is an electrical spike, not a wave."""
+    merged_width_ratio: float = 1.6
+    """A PSW wider than this times the ISW holds more than one wave."""
+    merged_distance_s: float = 120e-6
+    """A second maximum this near the PSW is merged with it."""
+    baseline_drift_fraction: float = 0.03
+    """Drift of the quiet parts of the record that flags it."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidInputError(f"{field.name} is {value}; it must be positive and finite")
+        for low, high in (
+            ("psw_earliest_s", "psw_latest_s"),
+            ("ssw_after_psw_earliest_s", "ssw_after_psw_latest_s"),
+        ):
+            if getattr(self, low) >= getattr(self, high):
+                raise InvalidInputError(
+                    f"{low} is {getattr(self, low)} s; it must lie below {high} = {getattr(self, high)} s"
+                )
+
+    @property
+    def kernel_width_s(self) -> float:
+        """Width W of the matched filter's kernel cos^4(pi t / W), 178 us by default."""
+        return KERNEL_WIDTH_PER_FWHM * self.isw_fwhm_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReducedRecord:
+    """A record as block means without its offset.
+
+    Attributes
+    ----------
+    blocks_v
+        Block means minus the quiet level, shape (n_blocks,).
+    matched_v
+        Matched filter's output, shape (n_blocks,); a cos^4 pulse gives its amplitude.
+    first_s
+        Time of the first block's centre from the trigger.
+    samples_v
+        The record at its full rate minus the quiet level, cut to whole blocks, shape
+        (n_blocks * block_samples,).
+    offset_v
+        Quiet level that was taken off.
+    noise_rms_v, matched_noise_v
+        Noise of one sample, 1.4826 MAD(differences) / sqrt(2), and of the matched filter's output.
+    quiet_blocks
+        Blocks the quiet level was read from.
+    """
+
+    blocks_v: FloatArray
+    matched_v: FloatArray
+    first_s: float
+    step_s: float
+    block_samples: int
+    samples_v: FloatArray
+    offset_v: float
+    noise_rms_v: float
+    matched_noise_v: float
+    quiet_blocks: int
+
+    def time_s(self, index: float) -> float:
+        """Time from the trigger of a (fractional) block index."""
+        return self.first_s + index * self.step_s
+
+    def index(self, time_s: float) -> float:
+        """Fractional block index of a time from the trigger."""
+        return (time_s - self.first_s) / self.step_s
+
+
+def moving_mean(values: FloatArray, width: int) -> FloatArray:
+    """Centred mean of ``width`` (odd) neighbours, shape (n,); fewer neighbours at the two ends."""
+    half = width // 2
+    total = np.concatenate(([0.0], np.cumsum(values)))
+    n = values.size
+    if n <= width:
+        index = np.arange(n)
+        first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, n)
+        return np.asarray((total[last] - total[first]) / (last - first), dtype=np.float64)
+    out = np.empty(n)
+    out[half : n - half] = (total[width:] - total[:-width]) / width
+    for edge in range(half):
+        out[edge] = total[edge + half + 1] / (edge + half + 1)
+        out[n - 1 - edge] = (total[n] - total[n - 1 - edge - half]) / (edge + half + 1)
+    return out
+
+
+@lru_cache(maxsize=64)
+def _kernel_spectrum(width_blocks: float, n_fft: int) -> tuple[NDArray[np.complex128], float]:
+    """Spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0, and sqrt(sum(weights^2))."""
+    half = math.ceil(width_blocks / 2) - 1
+    kernel = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
+    energy = float(kernel @ kernel)
+    wrapped = np.zeros(n_fft)
+    wrapped[np.arange(-half, half + 1)] = kernel / energy
+    spectrum = rfft(wrapped)
+    spectrum.flags.writeable = False
+    return spectrum, 1.0 / math.sqrt(energy)
+
+
+def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArray, float]:
+    """Correlate with the pulse cos^4(pi t / W), zeros outside the record.
+
+    Parameters
+    ----------
+    blocks_v
+        Shape (n,).
+    width_blocks
+        W in samples of ``blocks_v``, at least 4.
+
+    Returns
+    -------
+    tuple
+        Output, shape (n,), scaled so that this pulse gives its own amplitude at its centre; and the
+        standard deviation of the output for white noise of unit standard deviation in ``blocks_v``.
+    """
+    if not width_blocks >= 4.0:
+        raise RecordError(
+            f"the matched filter's kernel is {width_blocks} samples wide, it needs at least 4: "
+            "record at a higher rate or correct isw_fwhm_s"
+        )
+    n_fft = next_fast_len(blocks_v.size + math.ceil(width_blocks / 2), real=True)
+    spectrum, noise_gain = _kernel_spectrum(width_blocks, n_fft)
+    filtered = irfft(rfft(blocks_v, n_fft) * spectrum, n_fft)[: blocks_v.size]
+    return np.asarray(filtered, dtype=np.float64), noise_gain
+
+
+def noise_rms(samples_v: FloatArray) -> float:
+    """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset."""
+    magnitude = np.abs(np.diff(samples_v))
+    return float(MAD_TO_SD * np.median(magnitude) / math.sqrt(2.0))
+
+
+def reduce_record(
+    samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int, settings: ExtractionSettings
+) -> ReducedRecord:
+    """Block means, quiet level, noise and matched filter of one record.
+
+    The quiet level is the median of the block means before the trigger that also lie at least
+    3/4 FWHM before the first rise to half of the record's extreme: the foot of an ISW that itself fired the
+    trigger reaches into the pre-trigger and would bias it. Block means, because a median of raw
+    counts moves in steps of an ADC code.
+
+    Parameters
+    ----------
+    samples_v
+        Record in volts, shape (n_samples,).
+
+    Raises
+    ------
+    RecordError
+        No sample before the trigger, sample rate too low for the pulse, or record shorter than the
+        search windows.
+    """
+    block_samples = max(1, math.floor(settings.block_s * sample_rate_hz * (1.0 + 1e-9)))
+    step_s = block_samples / sample_rate_hz
+    _check_record(samples_v.size, sample_rate_hz, pretrigger_samples, step_s, settings)
+    n_blocks = samples_v.size // block_samples
+    whole = samples_v[: n_blocks * block_samples]
+    blocks = np.add.reduceat(whole, np.arange(0, whole.size, block_samples)) / block_samples
+
+    pretrigger_blocks = max(1, pretrigger_samples // block_samples)
+    level = float(np.median(blocks[:pretrigger_blocks]))
+    smooth = np.abs(moving_mean(blocks, 2 * round(5e-6 / step_s) + 1) - level)
+    onset = int(np.argmax(smooth >= 0.5 * smooth.max()))
+    quiet = min(pretrigger_blocks, onset - math.ceil(0.75 * settings.isw_fwhm_s / step_s))
+    if quiet * step_s < 10e-6:
+        quiet = pretrigger_blocks
+    offset = float(np.median(blocks[:quiet]))
+
+    blocks -= offset
+    noise = noise_rms(whole)
+    matched, noise_gain = matched_filter(blocks, settings.kernel_width_s / step_s)
+    return ReducedRecord(
+        blocks_v=blocks,
+        matched_v=matched,
+        first_s=((block_samples - 1) / 2 - pretrigger_samples) / sample_rate_hz,
+        step_s=step_s,
+        block_samples=block_samples,
+        samples_v=whole - offset,
+        offset_v=offset,
+        noise_rms_v=noise,
+        matched_noise_v=noise * noise_gain / math.sqrt(block_samples),
+        quiet_blocks=quiet,
+    )
+
+
+def _check_record(
+    n_samples: int,
+    sample_rate_hz: float,
+    pretrigger_samples: int,
+    step_s: float,
+    settings: ExtractionSettings,
+) -> None:
+    if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
+        raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
+    if not 0 < pretrigger_samples < n_samples:
+        raise RecordError(
+            f"pretrigger_samples is {pretrigger_samples} of {n_samples}; the quiet level is read before the "
+            "trigger: record at least 100 us of pre-trigger"
+        )
+    if settings.isw_fwhm_s / step_s < 16.0:
+        raise RecordError(
+            f"an ISW of {settings.isw_fwhm_s * 1e6:.1f} us spans {settings.isw_fwhm_s / step_s:.1f} samples, "
+            f"at least 16 are needed: sample at {16.0 / settings.isw_fwhm_s:.3g} Hz or more"
+        )
+    needed_s = settings.psw_latest_s + 2.0 * settings.window_half_width_s
+    if n_samples / sample_rate_hz < needed_s:
+        raise RecordError(
+            f"the record is {n_samples / sample_rate_hz * 1e6:.0f} us long, the search windows need "
+            f"{needed_s * 1e6:.0f} us: record longer or lower psw_latest_s"
+        )
