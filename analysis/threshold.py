@@ -1,0 +1,135 @@
+"""Limits for the Mahalanobis squared distance of a new set, each with its name and realised rate.
+
+A limit depends on n, the sets of the baseline, because mean and covariance are estimated from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import betaincinv, chdtri, fdtrc, fdtri
+
+from analysis.errors import InvalidInputError, NotEnoughSetsError
+
+PAPER_MEAN_3SD = "paper_mean_3sd"
+F_PREDICTIVE = "f_predictive"
+NOMINAL_RATE = 0.0027
+"""One in 370: a normal variable beyond three standard deviations (the paper's 99.73 %)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limit:
+    """One limit.
+
+    Attributes
+    ----------
+    name
+        `F_PREDICTIVE` or `PAPER_MEAN_3SD`.
+    distance_squared
+        The set is an outlier above this.
+    false_alarm_rate
+        Chance that a healthy set exceeds it: independent normal sets, averaged over baselines of this n.
+    """
+
+    name: str
+    distance_squared: float
+    false_alarm_rate: float
+
+
+def _check(n: int, p: int) -> None:
+    if p < 1:
+        raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
+    if n <= p:
+        raise NotEnoughSetsError(
+            f"{n} sets for {p} features; the limit exists only for more sets than features"
+        )
+
+
+def _predictive_scale(n: int, p: int) -> float:
+    return p * (n + 1) * (n - 1) / (n * (n - p))
+
+
+def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
+    """Exact limit for a new normal set: p (n+1)(n-1) / (n (n-p)) F(1 - rate; p, n - p).
+
+    Source: Tracy, Young and Mason (1992), "Multivariate control charts for individual observations",
+    Journal of Quality Technology 24(2), 88-95, doi:10.1080/00224065.1992.12015232.
+
+    Raises
+    ------
+    InvalidInputError
+        ``rate`` outside (0, 1) or ``p`` below 1.
+    NotEnoughSetsError
+        ``n`` not above ``p``.
+    """
+    _check(n, p)
+    if not 0.0 < rate < 1.0:
+        raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
+    return float(_predictive_scale(n, p) * fdtri(p, n - p, 1.0 - rate))
+
+
+def false_alarm_rate(limit: float, n: int, p: int) -> float:
+    """Chance that a new healthy normal set exceeds any fixed ``limit``, averaged over baselines of n sets."""
+    _check(n, p)
+    return float(fdtrc(p, n - p, max(limit, 0.0) / _predictive_scale(n, p)))
+
+
+def paper_limit(baseline_distances_squared: ArrayLike) -> float:
+    """Limit of the paper: mean + 3 SD of the baseline's own distances (section 4, below eq. 16).
+
+    That the paper means this, with n - 1 in the SD, is our reading. Its realised rate lies far above
+    the stated .27 %: the baseline's own distances are bounded and the SD is not that of a normal variable.
+
+    Parameters
+    ----------
+    baseline_distances_squared
+        Shape (n,).
+
+    Raises
+    ------
+    NotEnoughSetsError
+        Fewer than two distances.
+    """
+    distances = np.asarray(baseline_distances_squared, dtype=np.float64)
+    if distances.ndim != 1 or distances.size < 2:
+        raise NotEnoughSetsError(f"distances of shape {distances.shape}; mean and SD need at least two")
+    return float(distances.mean() + 3.0 * distances.std(ddof=1))
+
+
+def chi_square_limit(p: int, rate: float = NOMINAL_RATE) -> float:
+    """Limit for a known mean and covariance, (1 - rate) quantile of chi-square(p); for comparison only."""
+    if p < 1 or not 0.0 < rate < 1.0:
+        raise InvalidInputError(f"p is {p} and rate {rate}; need p >= 1 and a rate between 0 and 1")
+    return float(chdtri(p, rate))
+
+
+def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
+    """Limit for the baseline's own sets: (n-1)^2 / n Beta(1 - rate/n; p/2, (n-p-1)/2).
+
+    ``rate`` is the chance that any of the n healthy sets exceeds it (Bonferroni). Source as for
+    `f_predictive_limit`.
+    """
+    _check(n, p)
+    if n <= p + 1:
+        raise NotEnoughSetsError(
+            f"{n} sets for {p} features; a screen of the baseline needs at least {p + 2}"
+        )
+    if not 0.0 < rate < 1.0:
+        raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
+    return float((n - 1) ** 2 / n * betaincinv(p / 2, (n - p - 1) / 2, 1.0 - rate / n))
+
+
+def limits(baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> tuple[Limit, Limit]:
+    """Return the predictive F limit and the paper's, in this order, for one baseline.
+
+    The paper limit's rate treats its value as fixed before the baseline was taken: a good guide, not exact.
+    """
+    distances = np.asarray(baseline_distances_squared, dtype=np.float64)
+    n = distances.size
+    exact, paper = f_predictive_limit(n, p, rate), paper_limit(distances)
+    return (
+        Limit(name=F_PREDICTIVE, distance_squared=exact, false_alarm_rate=rate),
+        Limit(name=PAPER_MEAN_3SD, distance_squared=paper, false_alarm_rate=false_alarm_rate(paper, n, p)),
+    )
