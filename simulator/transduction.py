@@ -19,8 +19,8 @@ FloatArray = NDArray[np.float64]
 EARLY_TRIGGER_S = 30e-6
 """Noise may fire the trigger this long before, or delay it this long after, the noise-free crossing."""
 
-NEWTON_STEPS = 3
-"""The departure from a line is below 5 % at the bounds of `AdcParameters`; each step squares it."""
+INVERSE_TOLERANCE_COUNTS = 1e-6
+"""Accuracy of the inverted polynomial before rounding."""
 
 
 def adc_calibration(adc: AdcParameters) -> Calibration:
@@ -56,25 +56,38 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
     Counts
         int16 up to 16 bits, else int32, of the same shape.
     """
-    coefficients = calibration.coefficients_v
     low, high = calibration.full_scale_counts
+    offset_v, slope_v = calibration.coefficients_v[:2]
+    # The polynomial is a line with a slight bend: take the bend at the last answer off the line's,
+    # again and again. Each step shrinks the error by `bend`, the largest relative change of slope.
+    curved = calibration.coefficients_v[2:] / slope_v
+    powers = np.arange(2, curved.size + 2)
+    bend = float(np.sum(np.abs(curved) * powers * (-1.1 * low) ** (powers - 1.0)))
+    if bend >= 0.5:
+        raise ValueError(
+            f"the scaling polynomial's slope varies by {bend:.2g} of itself; at most 0.5 is supported"
+        )
     # Beyond the codes the polynomial says nothing: hold the line's answer just outside them.
-    code = np.clip((volts - coefficients[0]) / coefficients[1], 1.1 * low, 1.1 * high)
-    if np.any(coefficients[2:]):
-        slope = coefficients[1:] * np.arange(1, coefficients.size)
-        for _ in range(NEWTON_STEPS):
-            code -= (_polynomial(code, coefficients) - volts) / _polynomial(code, slope)
+    line = np.clip((volts - offset_v) / slope_v, 1.1 * low, 1.1 * high)
+    code, error_counts = line.copy(), -1.1 * low * bend
+    while error_counts > INVERSE_TOLERANCE_COUNTS:
+        code = line - _bend_counts(code, curved)
+        error_counts *= bend
     np.rint(code, out=code)
     np.clip(code, low, high, out=code)
-    return code.astype(np.int16 if calibration.resolution_bits <= 16 else np.int32)
+    if calibration.resolution_bits <= 16:
+        return code.astype(np.int16)
+    return code.astype(np.int32)
 
 
-def _polynomial(x: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Horner's rule without temporaries: a record is evaluated several times a shot."""
-    value = np.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        value *= x
+def _bend_counts(code: FloatArray, curved: FloatArray) -> FloatArray:
+    """``sum(curved[k] * code**(k + 2))`` by Horner's rule in place: this is half the cost of a record."""
+    value = np.full_like(code, curved[-1])
+    for coefficient in curved[-2::-1]:
+        value *= code
         value += coefficient
+    value *= code
+    value *= code
     return value
 
 
