@@ -63,7 +63,7 @@ sets = Table(
     Column("n_taken", Integer, nullable=False),
     Column("n_valid", Integer, nullable=False),
     Column("file", String),  # relative to the data folder
-    UniqueConstraint("set_index", "position", name="uq_sets_set_index_position"),
+    UniqueConstraint("position", "set_index", name="uq_sets_position_set_index"),
 )
 
 # One row a stored shot (a pulse-echo record is a shot too).
@@ -81,8 +81,10 @@ shots = Table(
     Column("crc32", BigInteger, nullable=False),
     Column("valid", Boolean, nullable=False),
     Column("flags", JSON, nullable=False),  # list of str: clipped, missed, no_psw, noisy, ...
+    UniqueConstraint(
+        "position", "set_index", "shot_index", "attempt", name="uq_shots_position_set_index_shot_index"
+    ),
 )
-Index("ix_shots_position_set_index", shots.c.position, shots.c.set_index)
 
 # Solitary-wave features. shot_index NULL: the set's feature, the mean of its valid shots.
 features = Table(
@@ -115,7 +117,21 @@ features = Table(
     Column("psw_isw_area_ratio", Float),
     Column("noise_rms_v", Float),
 )
-Index("ix_features_position_set_index_shot_index", features.c.position, features.c.set_index, features.c.shot_index)
+Index(
+    "ix_features_position_set_index_shot_index",
+    features.c.position,
+    features.c.set_index,
+    features.c.shot_index,
+)
+# One feature a set, and the trend of a position without reading past its shots.
+Index(
+    "uq_features_set",
+    features.c.position,
+    features.c.set_index,
+    unique=True,
+    sqlite_where=features.c.shot_index.is_(None),
+    postgresql_where=features.c.shot_index.is_(None),
+)
 
 # Pulse-echo results, one row a set.
 thickness = Table(
@@ -132,7 +148,7 @@ thickness = Table(
     Column("thickness_m", Float),
     Column("thickness_loss_m", Float),
     Column("correlation_coefficient", Float),
-    UniqueConstraint("set_index", "position", name="uq_thickness_set_index_position"),
+    UniqueConstraint("position", "set_index", name="uq_thickness_position_set_index"),
 )
 
 # A frozen baseline; it is never updated, a new one gets a new id.
@@ -173,8 +189,8 @@ verdicts = Table(
     Column("outlier", Boolean),  # NULL: not judged, see reason
     Column("outlier_paper", Boolean),
     Column("reason", String),
-    Column("contributions", JSON),  # {feature: part of distance_squared}
-    UniqueConstraint("set_index", "position", name="uq_verdicts_set_index_position"),
+    Column("contributions", JSON(none_as_null=True)),  # {feature: part of distance_squared}
+    UniqueConstraint("position", "set_index", name="uq_verdicts_position_set_index"),
 )
 
 # Alarms (ISA-18.2 states); every change is an event too.
@@ -196,7 +212,9 @@ alarms = Table(
     Column("acknowledged_by", String),
     Column("note", String),
     Column("message", String, nullable=False),
-    Column("proof", JSON, nullable=False),  # sets, features, baseline, limit, formula, contributions, versions
+    Column(
+        "proof", JSON, nullable=False
+    ),  # sets, features, baseline, limit, formula, contributions, versions
 )
 Index("ix_alarms_position_kind", alarms.c.position, alarms.c.kind)
 
@@ -206,7 +224,9 @@ events = Table(
     Column("id", Integer, primary_key=True),
     Column("utc_ns", BigInteger, nullable=False),  # experiment time
     Column("wall_utc_ns", BigInteger, nullable=False),  # when it was written
-    Column("topic", String, nullable=False),  # "sets", "features", "thickness", "verdicts", "alarms", "service"
+    Column(
+        "topic", String, nullable=False
+    ),  # "sets", "features", "thickness", "verdicts", "alarms", "service"
     Column("kind", String, nullable=False),  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     Column("position", String),
     Column("set_index", Integer),

@@ -1,0 +1,112 @@
+"""Connections to the catalogue's file: how they are set, and SQL's errors in our words."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import orjson
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+
+from daq_service.catalogue.errors import (
+    CatalogueBusyError,
+    CatalogueDamagedError,
+    CatalogueError,
+    CatalogueWriteError,
+)
+
+FILE_NAME = "catalogue.sqlite"
+_WRITES = "solimon_writes"
+BUSY_TIMEOUT_S = 5.0
+"""How long a writer waits for another one; a set's commit takes milliseconds."""
+
+
+def json_text(value: Any) -> str:
+    """JSON of a column: NumPy's numbers are taken, NaN and infinities become null."""
+    return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
+
+
+def make_engine(path: Path, *, writable: bool) -> Engine:
+    """Engine on an existing or (writable) new file.
+
+    A transaction of `Engine.begin` sees a single state of the file from its first to its last
+    query; one that changes something is begun by `writing`.
+    """
+    uri = f"{path.absolute().as_uri()}?mode={'rwc' if writable else 'ro'}"
+
+    def connect() -> sqlite3.Connection:
+        return sqlite3.connect(
+            uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+        )
+
+    engine = create_engine(
+        "sqlite+pysqlite://", creator=connect, json_serializer=json_text, json_deserializer=orjson.loads
+    )
+
+    @event.listens_for(engine, "connect")
+    def _set_pragmas(dbapi_connection: sqlite3.Connection, _record: Any) -> None:
+        if writable:
+            dbapi_connection.execute("PRAGMA journal_mode = WAL")
+            # With NORMAL a power cut takes the last commits along although they were acknowledged.
+            dbapi_connection.execute("PRAGMA synchronous = FULL")
+        dbapi_connection.execute("PRAGMA foreign_keys = ON")
+
+    @event.listens_for(engine, "begin")
+    def _begin(connection: Connection) -> None:
+        # Two writers wait for each other at the start; later it would be too late to wait.
+        writes = connection.get_execution_options().get(_WRITES, False)
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+
+    return engine
+
+
+@contextmanager
+def writing(engine: Engine) -> Iterator[Connection]:
+    """Transaction that holds the write lock from its beginning: all is stored, or nothing."""
+    with engine.execution_options(**{_WRITES: True}).begin() as connection:
+        yield connection
+
+
+@contextmanager
+def translated(path: Path, doing: str) -> Iterator[None]:
+    """Raise errors of SQL again as errors of the catalogue.
+
+    Raises
+    ------
+    CatalogueError
+        With the file, what was being done and the remedy.
+    """
+    try:
+        yield
+    except DBAPIError as error:
+        raise _translate(path, doing, error.orig) from error
+    except SQLAlchemyError as error:
+        raise CatalogueError(f"{path}: {doing} failed: {error}") from error
+
+
+def _translate(path: Path, doing: str, error: BaseException | None) -> CatalogueError:
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    told = f"{path}: {doing} failed: {error}"
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        return CatalogueBusyError(
+            f"{told} for {BUSY_TIMEOUT_S:g} s; end the program that holds it and try again"
+        )
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+        return CatalogueDamagedError(
+            f"{told}; keep a copy of the file and of sets/, and restore the catalogue from a backup"
+        )
+    if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+        return CatalogueWriteError(
+            f"{told}; nothing of it was stored: free or mend the disk, then start again"
+        )
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+        return CatalogueWriteError(f"{told}; give this user the right to write the folder")
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return CatalogueWriteError(
+            f"{told}; nothing of it was stored: such a row exists, or lacks what it belongs to"
+        )
+    return CatalogueError(told)

@@ -1,0 +1,50 @@
+"""Errors of the catalogue.
+
+::
+
+    StorageError
+    └── CatalogueError
+        ├── NoDataYetError           nothing recorded here yet: wait for the recorder
+        ├── NetworkFolderError       the folder is on a network file system
+        ├── OtherExperimentError     the folder belongs to another configuration
+        ├── SchemaVersionError       made by another version of solimon
+        ├── CatalogueBusyError       somebody else is writing for longer than the deadline
+        ├── CatalogueDamagedError    the file is no whole SQLite database
+        └── CatalogueWriteError      full or failing disk, read-only folder, refused row
+"""
+
+from __future__ import annotations
+
+from daq_service.errors import StorageError
+
+
+class CatalogueError(StorageError):
+    """The catalogue cannot be opened, read or written."""
+
+
+class NoDataYetError(CatalogueError):
+    """Nothing has been recorded in this folder yet."""
+
+
+class NetworkFolderError(CatalogueError):
+    """SQLite's locks and shared memory do not work over a network."""
+
+
+class OtherExperimentError(CatalogueError):
+    """The folder belongs to another configuration."""
+
+
+class SchemaVersionError(CatalogueError):
+    """The catalogue was made by another version of solimon."""
+
+
+class CatalogueBusyError(CatalogueError):
+    """Another writer held the catalogue for longer than the deadline."""
+
+
+class CatalogueDamagedError(CatalogueError):
+    """The file is not a whole SQLite database."""
+
+
+class CatalogueWriteError(CatalogueError):
+    """A change was refused; nothing of it was stored."""

@@ -1,0 +1,43 @@
+"""Alembic migrations of the catalogue; they travel inside the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sqlalchemy import Engine
+
+from daq_service.catalogue.connection import writing
+from daq_service.catalogue.errors import SchemaVersionError
+
+SCHEMA_REVISION = "0001"
+"""The newest revision in ``versions``: what this version of solimon reads and writes."""
+
+
+def migrate(engine: Engine, path: Path, found: str | None) -> None:
+    """Bring a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
+
+    Raises
+    ------
+    SchemaVersionError
+        This version of solimon does not know the revision: a newer one made the file.
+    """
+    # Alembic takes a quarter of a second to import: readers never need it.
+    from alembic import command
+    from alembic.config import Config
+    from alembic.script import ScriptDirectory
+    from alembic.util import CommandError
+
+    config = Config()
+    # A percent sign begins an interpolation in this kind of configuration.
+    config.set_main_option("script_location", str(Path(__file__).parent).replace("%", "%%"))
+    try:
+        if found is not None:
+            ScriptDirectory.from_config(config).get_revision(found)
+    except CommandError as error:
+        raise SchemaVersionError(
+            f"{path} has schema {found}; this version of solimon knows none newer than {SCHEMA_REVISION}: "
+            "install the version that made it, or a newer one"
+        ) from error
+    with writing(engine) as connection:
+        config.attributes["connection"] = connection
+        command.upgrade(config, "head")
