@@ -1,0 +1,190 @@
+"""From force to counts: quantisation, clipping, noise, and where the trigger sits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from hardware_drivers.measurement import Calibration
+from simulator.scenario import AdcParameters
+from simulator.transduction import adc_calibration, counts_of, triggered_record
+
+ADC = AdcParameters()
+CALIBRATION = adc_calibration(ADC)
+STEP_S = 2e-7
+TIME_S = np.arange(7_500) * STEP_S
+WIDTH_S = 178e-6
+GAIN_V_PER_N = 2.5 / 150.0
+
+
+def pulse_n(time_s, peak_time_s, peak_n):
+    """Solitary pulse in closed form: cos^4 of the width of the paper's transducer."""
+    return peak_n * np.cos(np.pi * np.clip((time_s - peak_time_s) / WIDTH_S, -0.5, 0.5)) ** 4
+
+
+def force_n(time_s=TIME_S, peak_n=150.0):
+    return pulse_n(time_s, 160e-6, peak_n) + pulse_n(time_s, 490e-6, 0.5 * peak_n)
+
+
+def record(force=None, *, gain=GAIN_V_PER_N, adc=ADC, phase=0.0, noise_v=0.0, seed=1):
+    return triggered_record(
+        force_step_s=STEP_S,
+        dynamic_force_n=force_n() if force is None else force,
+        sensor_gain_v_per_n=gain,
+        adc=adc,
+        calibration=adc_calibration(adc),
+        sampling_phase=phase,
+        noise_rms_v=noise_v,
+        random=np.random.default_rng(seed),
+    )
+
+
+def record_time_s(found, adc=ADC):
+    """Time of each sample from the striker's contact."""
+    return (
+        found.trigger_time_s + (np.arange(adc.record_samples) - adc.pretrigger_samples) / adc.sample_rate_hz
+    )
+
+
+@pytest.mark.parametrize("bits", [12, 14, 16, 18])
+def test_every_code_is_its_own_nearest(bits):
+    adc = replace(ADC, resolution_bits=bits)
+    low, high = adc_calibration(adc).full_scale_counts
+    codes = np.arange(low, high + 1, dtype=np.int32)
+    counts = counts_of(adc_calibration(adc).volts(codes), adc_calibration(adc))
+    assert counts.dtype == (np.int16 if bits <= 16 else np.int32)
+    np.testing.assert_array_equal(counts, codes)
+
+
+@pytest.mark.parametrize("bend", [{}, {"quadratic_fraction": 0.01, "cubic_fraction": -0.01, "offset_v": 0.5}])
+def test_counts_are_the_rounded_inverse_of_the_polynomial(bend):
+    calibration = adc_calibration(replace(ADC, **bend))
+    lowest_v, highest_v = calibration.volts(np.array([-32_760, 32_760], dtype=np.int32))
+    volts = np.random.default_rng(1).uniform(lowest_v, highest_v, 200)
+
+    def inverse(v):
+        # The root, to 1e-9 of a code, by a method that knows nothing of ours.
+        return brentq(
+            lambda x: np.polyval(calibration.coefficients_v[::-1], x) - v, -40_000, 40_000, xtol=1e-9
+        )
+
+    np.testing.assert_array_equal(counts_of(volts, calibration), np.rint([inverse(v) for v in volts]))
+
+
+def test_quantisation_error_is_at_most_half_a_code():
+    volts = np.random.default_rng(2).uniform(-5.0, 5.0, 20_000)
+    error_v = CALIBRATION.volts(counts_of(volts, CALIBRATION)) - volts
+    # The widest code is the linear term times one plus the polynomial's bend (below 1e-3).
+    assert np.max(np.abs(error_v)) <= 0.5 * CALIBRATION.coefficients_v[1] * 1.001
+    assert np.max(np.abs(error_v)) > 0.4 * CALIBRATION.coefficients_v[1]
+
+
+def test_codes_reach_two_percent_beyond_the_range_and_then_clip():
+    low, high = CALIBRATION.full_scale_counts
+    counts = counts_of(np.array([5.05, -5.05, 5.2, -5.2, 1e9, -1e9]), CALIBRATION)
+    assert low < counts[1] < counts[0] < high
+    assert counts[2:].tolist() == [high, low, high, low]
+
+
+def test_a_polynomial_that_is_no_line_is_refused():
+    bent = Calibration(coefficients_v=np.array([0.0, 1e-4, 1e-8]), resolution_bits=16, range_v=5.0)
+    with pytest.raises(ValueError, match="slope varies by"):
+        counts_of(np.zeros(3), bent)
+
+
+def test_without_noise_counts_are_the_signal_rounded():
+    found = record(phase=0.37)
+    t = record_time_s(found)
+    volts = GAIN_V_PER_N * np.where(t < 0.0, 0.0, np.interp(t, TIME_S, force_n()))
+    np.testing.assert_array_equal(found.counts, counts_of(volts, CALIBRATION))
+
+
+def test_interpolation_adds_less_than_a_quarter_of_a_code():
+    found = record(phase=0.5)
+    exact_v = GAIN_V_PER_N * force_n(record_time_s(found))
+    error_v = CALIBRATION.volts(found.counts) - exact_v
+    # Half a code from rounding, a tenth from the chord (h^2 F'' / 8), the bend's 1e-3 of that.
+    assert np.max(np.abs(error_v)) <= 0.62 * CALIBRATION.coefficients_v[1]
+
+
+def test_a_strong_pulse_clips():
+    found = record(gain=3.0 * GAIN_V_PER_N)
+    low, high = CALIBRATION.full_scale_counts
+    assert found.counts.max() == high
+    assert np.count_nonzero(found.counts == high) > 100
+    assert found.counts.min() > low
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.999])
+def test_the_trigger_is_the_first_sample_at_the_level(phase):
+    found = record(phase=phase)
+    volts = CALIBRATION.volts(found.counts)
+    p = ADC.pretrigger_samples
+    code_v = CALIBRATION.coefficients_v[1]
+    # The comparator sees the voltage before rounding: half a code of tolerance.
+    assert volts[p] >= ADC.trigger_level_v - 0.5 * code_v
+    assert volts[p - 1] < ADC.trigger_level_v + 0.5 * code_v
+    assert np.all(volts[: p - 1] < ADC.trigger_level_v)
+    crossing_s = brentq(
+        lambda t: GAIN_V_PER_N * pulse_n(t, 160e-6, 150.0) - ADC.trigger_level_v, 80e-6, 160e-6
+    )
+    # The first sample not before the crossing; 1 ns for the chord of the force's 0.2-us grid.
+    assert -1e-9 <= found.trigger_time_s - crossing_s <= 1.0 / ADC.sample_rate_hz + 1e-9
+
+
+def test_quiet_before_and_time_after_the_incident_wave():
+    found = record()
+    volts = CALIBRATION.volts(found.counts)
+    peak = int(np.argmax(volts))
+    first_stir = int(np.argmax(volts > 0.005 * volts[peak]))
+    assert first_stir / ADC.sample_rate_hz >= 60e-6
+    assert (volts.size - 1 - peak) / ADC.sample_rate_hz >= 1.2e-3
+
+
+def test_noise_is_white_and_of_the_size_asked_for():
+    noise_v = 0.025
+    quiet = np.concatenate(
+        [CALIBRATION.volts(record(noise_v=noise_v, seed=s).counts)[:600] for s in range(40)]
+    )
+    n = quiet.size
+    # Four standard errors each: of a mean, a standard deviation and a correlation of n draws.
+    assert abs(quiet.mean()) < 4.0 * noise_v / np.sqrt(n)
+    assert quiet.std() == pytest.approx(noise_v, rel=4.0 / np.sqrt(2 * n))
+    for lag in (1, 2, 7, 50):
+        assert abs(np.corrcoef(quiet[:-lag], quiet[lag:])[0, 1]) < 4.0 / np.sqrt(n)
+
+
+def test_noise_moves_the_trigger_but_not_the_time_it_reports():
+    times_s = np.array([record(noise_v=0.025, seed=s).trigger_time_s for s in range(60)])
+    assert times_s.std() > 1e-7
+    for s in range(10):
+        found = record(noise_v=0.025, seed=s)
+        volts = CALIBRATION.volts(found.counts)
+        # Correlated with the exact pulse at the reported time, the noise averages out: the height
+        # of a pulse some 700 samples wide is known to 0.025 V / sqrt(700) = 1 mV; four of them.
+        shape = pulse_n(record_time_s(found), 160e-6, 1.0)
+        height_v = volts @ shape / (shape @ shape)
+        assert height_v == pytest.approx(2.5, abs=4e-3)
+
+
+def test_a_weak_pulse_does_not_trigger():
+    assert record(gain=0.09 * GAIN_V_PER_N) is None
+    assert record(gain=0.11 * GAIN_V_PER_N) is not None
+
+
+def test_a_force_that_ends_before_the_record_is_refused():
+    with pytest.raises(ValueError, match="compute the force for longer"):
+        record(force=force_n()[:6_000])
+
+
+def test_noise_needs_a_generator():
+    with pytest.raises(ValueError, match="pass a generator"):
+        triggered_record(
+            force_step_s=STEP_S,
+            dynamic_force_n=force_n(),
+            sensor_gain_v_per_n=GAIN_V_PER_N,
+            adc=ADC,
+            calibration=CALIBRATION,
+            noise_rms_v=0.01,
+        )
