@@ -98,5 +98,5 @@ def test_bandwidth_is_the_one_asked_for():
 
 
 def test_no_wall_no_echo():
-    with pytest.raises(ValueError, match="thickness_m is 0.0 m"):
+    with pytest.raises(ValueError, match=r"thickness_m is 0\.0 m"):
         echo_volts(0.0, ECHO)

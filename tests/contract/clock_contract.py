@@ -1,0 +1,54 @@
+"""What every clock of an experiment must do: inherit `ClockContract` and give its fixtures."""
+
+from __future__ import annotations
+
+import pytest
+
+from hardware_drivers.instruments import Clock
+
+NS_PER_S = 1_000_000_000
+
+
+class ClockContract:
+    """Time that passes while somebody waits, and never runs back."""
+
+    AHEAD_S = 0.0
+    """Experiment seconds to wait for: several looks around (0.2 s of wall time each) if time is real."""
+
+    @pytest.fixture
+    def clock(self) -> Clock:
+        """Return the clock under test."""
+        raise NotImplementedError
+
+    def test_is_a_clock(self, clock):
+        assert isinstance(clock, Clock)
+
+    def test_times_are_whole_nanoseconds_that_never_run_back(self, clock):
+        utc_ns = [clock.utc_ns() for _ in range(5)]
+        mono_ns = [clock.mono_ns() for _ in range(5)]
+        assert all(type(t) is int for t in (*utc_ns, *mono_ns))
+        assert mono_ns == sorted(mono_ns)
+
+    def test_waiting_reaches_the_time(self, clock):
+        target_ns = clock.utc_ns() + round(self.AHEAD_S * NS_PER_S)
+        mono_ns = clock.mono_ns()
+        assert clock.wait_until(target_ns, lambda: True) is True
+        assert clock.utc_ns() >= target_ns
+        assert clock.mono_ns() >= mono_ns
+
+    def test_a_time_in_the_past_is_reached_at_once_and_changes_nothing(self, clock):
+        now_ns = clock.utc_ns()
+        assert clock.wait_until(now_ns - 3600 * NS_PER_S, lambda: True) is True
+        assert clock.utc_ns() >= now_ns
+
+    def test_waiting_looks_around(self, clock):
+        looks = []
+        clock.wait_until(clock.utc_ns() + round(self.AHEAD_S * NS_PER_S), lambda: not looks.append(1))
+        # At least every 0.2 s of wall time; a clock that jumps looks around once.
+        assert len(looks) >= max(1, int(self.AHEAD_S / 0.2))
+
+    def test_waiting_ends_as_soon_as_the_caller_wants(self, clock):
+        looks = []
+        century_ns = 100 * 365 * 86_400 * NS_PER_S
+        assert clock.wait_until(clock.utc_ns() + century_ns, lambda: bool(looks.append(1))) is False
+        assert len(looks) == 1
