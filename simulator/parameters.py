@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -23,9 +24,15 @@ _COMPARISONS = (
 )
 
 
+@cache
+def _annotations(parameters: type) -> dict[str, Any]:
+    """Resolve the annotations of a class once: every shot with its own scatter checks its bounds."""
+    return get_type_hints(parameters, include_extras=True)
+
+
 def check_bounds(parameters: Any) -> None:
     """Raise ValueError naming the field, its value and its limit if a bound is broken."""
-    hints = get_type_hints(type(parameters), include_extras=True)
+    hints = _annotations(type(parameters))
     for field in fields(parameters):
         value = getattr(parameters, field.name)
         if isinstance(value, float) and not math.isfinite(value):

@@ -1,0 +1,296 @@
+"""The time loop of chain and plate, compiled.
+
+Unknowns are the displacements u_i from the static equilibrium and, for every contact, the impulse
+
+    B(t) = integral (F - F_static) dt = integral (A d^(3/2) - F_static) dt + gamma ([d]_+ - d_static),
+
+because the impulse of a dashpot that acts only in contact is gamma [d]_+. Written this way the law of
+`granular_chain` has a continuous right-hand side although its force jumps at every release:
+
+    v_i = v_i(0) + (B_(i-1) - B_i) / m_i,    du_i/dt = v_i.
+
+Each step of length h is linear multistep of order four: Adams-Bashforth predicts the displacements,
+Adams-Moulton corrects impulses and displacements. A mode of the plate, ``q'' + omega^2 q = phi F``, is
+in the same way ``z' = -i omega z + omega phi B`` with ``z = omega q + i (q' - phi B)``; it is advanced
+exactly for the cubic through the last four B. The contact with the plate is solved implicitly with
+Newton's method, so neither its dashpot nor a stiff mode limits the step. Modes above the cut follow
+the force statically: ``w = C (A d^(3/2) + gamma d[d]_+/dt)``, the derivative by the four-point
+backward difference.
+
+Away from touch and release the error falls as h^4; [d]_+ has a kink there, which limits the order to
+two (5/2 without dashpots), with a small constant because a shot has only some twenty such events.
+
+numba keeps the machine code in `__pycache__` beside this file, in the user's cache folder if that
+cannot be written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+ENERGY_INTERVAL_STEPS = 16
+"""The energy balance is drawn up every so many steps and at the end."""
+
+GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    # Sums may be reordered (vector units); not-a-number and infinity keep their meaning.
+    options: dict[str, Any] = {"nogil": True, "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
+    try:
+        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder for the machine code can be written
+        compiled = numba.njit(**options)(function)
+    return compiled
+
+
+@_compiled
+def integrate(
+    mass: FloatArray,
+    stiffness: FloatArray,
+    damping: FloatArray,
+    static_force: FloatArray,
+    static_overlap: FloatArray,
+    gravity: float,
+    impact_speed: float,
+    sensor: int,
+    retainer_force: float,
+    step: float,
+    weights: FloatArray,
+    energy_weights: FloatArray,
+    residual_compliance: float,
+    mobility: float,
+    sensor_force: FloatArray,
+) -> tuple[float, int]:
+    """Integrate a shot; fill `sensor_force`, float64, shape (n_steps,).
+
+    Parameters
+    ----------
+    mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor
+        The fields of `granular_chain.Chain`.
+    retainer_force
+        Constant force that carries the last sphere where there is no specimen; zero elsewhere.
+    step
+        h in s.
+    weights
+        float64, shape (8, n_modes). With y = phi z / omega, whose real parts add up to the deflection
+        under the chain: cos and sin of omega h, then real and imaginary weights of the newest, the
+        second and the third newest B of the step before (`modal_weights`).
+    energy_weights
+        float64, shape (4, n_modes): omega / phi, phi, real and imaginary weight of this step's own B.
+    residual_compliance
+        C of the modes above the cut, m/N.
+    mobility
+        Speed per force of an infinite thin plate, m/(s N); zero for every other specimen.
+
+    Returns
+    -------
+    residual_j
+        Largest defect of the energy balance.
+    reflection_step
+        Step of the largest force between chain and plate: there the incident wave turns round.
+    """
+    n_bodies = mass.shape[0]
+    last = n_bodies - 1
+    n_modes = weights.shape[1]
+    n_steps = sensor_force.shape[0]
+    h24 = step / 24.0
+    h38 = 9.0 * h24
+
+    u = np.zeros(n_bodies)
+    v0 = np.zeros(n_bodies)  # now, then one, two, three steps ago
+    v1 = np.zeros(n_bodies)
+    v2 = np.zeros(n_bodies)
+    v3 = np.zeros(n_bodies)
+    f0 = np.zeros(n_bodies)  # Hertz force less the static one
+    f1 = np.zeros(n_bodies)
+    f2 = np.zeros(n_bodies)
+    gap = static_overlap.copy()  # d, negative where open
+    overlap = static_overlap.copy()  # [d]_+
+    impulse = np.zeros(n_bodies)  # integral of f
+    total = np.zeros(n_bodies)  # B
+    # Before first touch the striker fell freely and all else stood still: an exact history.
+    v0[0] = impact_speed
+    v1[0] = impact_speed - step * gravity
+    v2[0] = impact_speed - 2.0 * step * gravity
+    v3[0] = impact_speed - 3.0 * step * gravity
+
+    cos, sin = weights[0], weights[1]
+    a_re, a_im = weights[2], weights[3]
+    b_re, b_im = weights[4], weights[5]
+    c_re, c_im = weights[6], weights[7]
+    y_re = np.zeros(n_modes)
+    y_im = np.zeros(n_modes)
+    b0 = b1 = b2 = 0.0  # B of the plate's contact
+    s0 = s1 = s2 = 0.0  # its dashpot's part, gamma ([d]_+ - d_static)
+    newest = mobility + energy_weights[2].sum()  # deflection per newest B
+    per_impulse = h38 / mass[last] + newest
+    backward = 11.0 / (6.0 * step)
+    a_plate = stiffness[last]
+    g_plate = damping[last]
+    soft = a_plate * (per_impulse * h38 + residual_compliance)
+    drag = 1.0 + g_plate * (per_impulse + residual_compliance * backward)
+
+    dissipated = 0.0  # times the step
+    worst = 0.0
+    start = 0.5 * mass[0] * impact_speed**2
+    for i in range(n_bodies):
+        start += 0.4 * stiffness[i] * static_overlap[i] ** 2.5
+    largest = 0.0
+    reflection_step = 0
+    sensor_force[0] = 0.5 * (static_force[sensor - 1] + static_force[sensor])
+
+    for n in range(1, n_steps):
+        # The plate's deflection but for the newest impulse.
+        w_free = 0.0
+        for k in range(n_modes):
+            re = cos[k] * y_re[k] + sin[k] * y_im[k] + (a_re[k] * b0 + b_re[k] * b1 + c_re[k] * b2)
+            im = cos[k] * y_im[k] - sin[k] * y_re[k] + (a_im[k] * b0 + b_im[k] * b1 + c_im[k] * b2)
+            y_re[k] = re
+            y_im[k] = im
+            w_free += re
+
+        # Predict the overlaps inside the chain and with them the impulses.
+        below = u[0] + h24 * (55.0 * v0[0] - 59.0 * v1[0] + 37.0 * v2[0] - 9.0 * v3[0])
+        for i in range(last):
+            above = below
+            j = i + 1
+            below = u[j] + h24 * (55.0 * v0[j] - 59.0 * v1[j] + 37.0 * v2[j] - 9.0 * v3[j])
+            p = max(above - below + static_overlap[i], 0.0)
+            f = stiffness[i] * p * math.sqrt(p) - static_force[i]
+            total[i] = (
+                impulse[i]
+                + h24 * (9.0 * f + 19.0 * f0[i] - 5.0 * f1[i] + f2[i])
+                + damping[i] * (p - static_overlap[i])
+            )
+
+        # Solve the plate's contact: p + (..) p + (..) p^(3/2) = overlap without any new force.
+        known = (
+            impulse[last]
+            + h24 * (19.0 * f0[last] - 5.0 * f1[last] + f2[last] - 9.0 * static_force[last])
+            - g_plate * static_overlap[last]
+        )
+        past_rate = (-18.0 * s0 + 9.0 * s1 - 2.0 * s2) / (6.0 * step)
+        w_known = (
+            w_free
+            + newest * known
+            + residual_compliance
+            * (past_rate - static_force[last] - backward * g_plate * static_overlap[last])
+        )
+        u_known = u[last] + h24 * (
+            9.0 * (total[last - 1] - known) / mass[last] + 19.0 * v0[last] - 5.0 * v1[last] + v2[last]
+        )
+        d_plate = u_known - w_known + static_overlap[last]
+        p = 0.0
+        if d_plate > 0.0:
+            d_free = d_plate
+            p = d_free / drag if overlap[last] <= 0.0 else overlap[last]
+            for _ in range(60):
+                root = math.sqrt(p)
+                change = (d_free - (drag + soft * root) * p) / (drag + 1.5 * soft * root)
+                p = max(p + change, 0.0)
+                if abs(change) <= 1e-13 * p:
+                    break
+            d_plate = p
+        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * p
+
+        # Correct velocities and displacements.
+        above = mass[0] * (impact_speed + gravity * (n * step))
+        for i in range(n_bodies):
+            v = (above - total[i]) / mass[i]
+            above = total[i]
+            u[i] += h24 * (9.0 * v + 19.0 * v0[i] - 5.0 * v1[i] + v2[i])
+            v3[i] = v2[i]
+            v2[i] = v1[i]
+            v1[i] = v0[i]
+            v0[i] = v
+
+        # Correct the forces and their impulses.
+        for i in range(n_bodies):
+            d = u[i] - u[i + 1] + static_overlap[i] if i < last else d_plate
+            p = max(d, 0.0)
+            f = stiffness[i] * p * math.sqrt(p) - static_force[i]
+            impulse[i] += h24 * (9.0 * f + 19.0 * f0[i] - 5.0 * f1[i] + f2[i])
+            f2[i] = f1[i]
+            f1[i] = f0[i]
+            f0[i] = f
+            dissipated += damping[i] * (p - overlap[i]) * (d - gap[i])
+            overlap[i] = p
+            gap[i] = d
+        dissipated += mobility * (total[last] - b0) ** 2
+        b2 = b1
+        b1 = b0
+        b0 = total[last]
+        s2 = s1
+        s1 = s0
+        s0 = g_plate * (overlap[last] - static_overlap[last])
+        if f0[last] > largest:
+            largest = f0[last]
+            reflection_step = n
+
+        mean = 0.0
+        for i in range(sensor - 1, sensor + 1):
+            if overlap[i] > 0.0:
+                mean += f0[i] + static_force[i] + damping[i] * (v0[i] - v0[i + 1])
+        sensor_force[n] = 0.5 * mean
+
+        if n % ENERGY_INTERVAL_STEPS == 0 or n == n_steps - 1:
+            energy = dissipated / step + retainer_force * u[last]
+            energy += static_force[last] * (u[last] - d_plate + static_overlap[last])
+            for i in range(n_bodies):
+                p = overlap[i]
+                energy += 0.5 * mass[i] * v0[i] ** 2 - mass[i] * gravity * u[i]
+                energy += 0.4 * stiffness[i] * p * p * math.sqrt(p)
+            for k in range(n_modes):
+                scale = energy_weights[0, k]
+                speed = scale * (y_im[k] + energy_weights[3, k] * b0) + energy_weights[1, k] * b0
+                stretch = scale * (y_re[k] + energy_weights[2, k] * b0)
+                energy += 0.5 * (speed * speed + stretch * stretch)
+            energy += 0.5 * residual_compliance * (f0[last] + backward * s0 + past_rate) ** 2
+            # Written so that a value that is not a number ends up in `worst` as well.
+            defect = abs(energy - start)
+            if not defect <= worst:
+                worst = defect
+    return worst, reflection_step
+
+
+def modal_weights(
+    omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """`weights` and `energy_weights` of `integrate` for modes of a plate.
+
+    Parameters
+    ----------
+    omega_rad_per_s, participation
+        Shape (n_modes,): circular frequency and mass-normalised deflection phi under the chain.
+    step_s
+        h; Gauss-Legendre with 24 points integrates the weights to rounding up to omega h = 10.
+    """
+    tau = 0.5 * (GAUSS_POINTS + 1.0)
+    # Cubic through B at tau = 1, 0, -1, -2, tau in steps from the step's start.
+    lagrange = np.stack(
+        (
+            tau * (tau + 1.0) * (tau + 2.0) / 6.0,
+            -(tau - 1.0) * (tau + 1.0) * (tau + 2.0) / 2.0,
+            (tau - 1.0) * tau * (tau + 2.0) / 2.0,
+            -(tau - 1.0) * tau * (tau + 1.0) / 6.0,
+        )
+    )
+    phase = omega_rad_per_s[:, None] * step_s * (1.0 - tau)
+    kernel = participation[:, None] ** 2 * (np.cos(phase) - 1j * np.sin(phase))
+    own = (kernel * (0.5 * step_s * GAUSS_WEIGHTS)) @ lagrange.T  # shape (n_modes, 4)
+    turn = np.cos(omega_rad_per_s * step_s) - 1j * np.sin(omega_rad_per_s * step_s)
+    first = turn * own[:, 0] + own[:, 1]
+    rows = [turn.real, -turn.imag]
+    for column in (first, own[:, 2], own[:, 3]):
+        rows += [column.real, column.imag]
+    energy = [omega_rad_per_s / participation, participation, own[:, 0].real, own[:, 0].imag]
+    return np.ascontiguousarray(rows), np.ascontiguousarray(energy)
