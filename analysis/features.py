@@ -207,7 +207,7 @@ def extract_from_volts(
 ) -> ShotFeatures:
     """Features of a record given as volts, shape (n_samples,); see `extract_features`."""
     samples = np.asarray(volts_v, dtype=np.float64)
-    if samples.ndim != 1 or not np.isfinite(samples @ samples):
+    if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
     record = reduce_record(samples, sample_rate_hz, pretrigger_samples, settings)
     pulses = find_pulses(record, settings)
@@ -312,8 +312,8 @@ def _autocorrelation(
     first = max(0, round(record.index(isw.time_s - settings.window_half_width_s)))
     last = min(n, round(record.index(psw.time_s + settings.window_half_width_s)) + 1)
     gate = record.blocks_v[first:last]
-    samples = record.samples_v[first * record.block_samples : last * record.block_samples]
-    power = float(samples @ samples) - samples.size * record.noise_rms_v**2
+    samples = record.samples_v[first * record.block_samples : last * record.block_samples] - record.offset_v
+    power = float(np.einsum("i,i->", samples, samples)) - samples.size * record.noise_rms_v**2
     tof = (psw.time_s - isw.time_s) / record.step_s
     search = settings.autocorrelation_search_half_width_s / record.step_s
     low = max(1, math.ceil(tof - search))
@@ -321,9 +321,7 @@ def _autocorrelation(
     if power <= 0.0 or high <= low:
         return math.nan, math.nan
     width = max(1, round(settings.autocorrelation_smoothing_s / record.step_s))
-    padded = np.concatenate((np.zeros(width), gate, np.zeros(width)))
-    total = np.cumsum(padded)
-    smooth = (total[width:] - total[:-width]) / width
+    smooth = np.convolve(gate, np.full(width, 1.0 / width))
     n_fft = next_fast_len(smooth.size + high + 2, real=True)
     spectrum = rfft(smooth, n_fft)
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]

@@ -12,8 +12,10 @@ from analysis.record_reduction import ExtractionSettings, FloatArray, ReducedRec
 
 __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
 
-SMOOTHING_S = 10e-6
-"""Moving mean for the search of maxima; it lowers a pulse of 65 us by 1 % and the noise of 1 MS/s by 3."""
+TOP_SMOOTHING_S = 11e-6
+"""Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
+FLANK_SMOOTHING_S = 5e-6
+"""Moving mean in which the half-height crossings are read: too short to widen the pulse."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,11 +154,10 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
     shift = parabola_peak(*(float(v) for v in matched[matched_index - 1 : matched_index + 2]))
-    # 5 us: wide enough to find the half-height crossings in noise, too narrow to widen the pulse.
-    width = 2 * round(2.5e-6 / record.step_s) + 1
     reach = round(150e-6 / record.step_s)
     start = max(0, matched_index - reach)
-    smooth = moving_mean(blocks[start : matched_index + reach + 1], width)
+    near_pulse = blocks[start : matched_index + reach + 1]
+    smooth = moving_mean(near_pulse, _odd(TOP_SMOOTHING_S / record.step_s))
     centre = matched_index - start
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
@@ -164,16 +165,22 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     first, last = _above(smooth, peak, 0.5 * float(smooth[peak]))
     if last - first < 6:
         return None
-    fit = _quartic_maximum(blocks[start + first : start + last + 1])
+    fit = _quartic_maximum(near_pulse[first : last + 1])
     if fit is None:
         return None
+    flanks = moving_mean(near_pulse, _odd(FLANK_SMOOTHING_S / record.step_s))
     position, height = fit
     return Pulse(
         time_s=record.time_s(start + first + position),
         amplitude_v=height,
         matched_time_s=record.time_s(matched_index + shift),
-        fwhm_s=_width_at(smooth, peak, 0.5 * height) * record.step_s,
+        fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
     )
+
+
+def _odd(width: float) -> int:
+    """Nearest odd number, at least 1."""
+    return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
 def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
@@ -230,7 +237,7 @@ def _extra_pulses(
     """Whether there is a second strike, and whether the PSW is merged with another wave."""
     double = isw.fwhm_s > settings.double_isw_width_ratio * settings.isw_fwhm_s or math.isnan(isw.fwhm_s)
     merged = False
-    smooth = moving_mean(record.blocks_v, 2 * round(0.5 * SMOOTHING_S / record.step_s) + 1)
+    smooth = moving_mean(record.blocks_v, _odd(TOP_SMOOTHING_S / record.step_s))
     for index in prominent_maxima(
         smooth,
         settings.double_above_fraction * isw.amplitude_v,

@@ -100,8 +100,7 @@ class ReducedRecord:
     first_s
         Time of the first block's centre from the trigger.
     samples_v
-        The record at its full rate minus the quiet level, cut to whole blocks, shape
-        (n_blocks * block_samples,).
+        The record at its full rate, offset included, shape (n_samples,).
     offset_v
         Quiet level that was taken off.
     noise_rms_v, matched_noise_v
@@ -131,20 +130,8 @@ class ReducedRecord:
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred mean of ``width`` (odd) neighbours, shape (n,); fewer neighbours at the two ends."""
-    half = width // 2
-    total = np.concatenate(([0.0], np.cumsum(values)))
-    n = values.size
-    if n <= width:
-        index = np.arange(n)
-        first, last = np.maximum(index - half, 0), np.minimum(index + half + 1, n)
-        return np.asarray((total[last] - total[first]) / (last - first), dtype=np.float64)
-    out = np.empty(n)
-    out[half : n - half] = (total[width:] - total[:-width]) / width
-    for edge in range(half):
-        out[edge] = total[edge + half + 1] / (edge + half + 1)
-        out[n - 1 - edge] = (total[n] - total[n - 1 - edge - half]) / (edge + half + 1)
-    return out
+    """Centred mean of ``width`` (odd) neighbours, shape (n,) with n >= width; zeros outside the record."""
+    return np.convolve(values, np.full(width, 1.0 / width), "same")
 
 
 @lru_cache(maxsize=64)
@@ -188,9 +175,25 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArra
 
 
 def noise_rms(samples_v: FloatArray) -> float:
-    """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset."""
-    magnitude = np.abs(np.diff(samples_v))
-    return float(MAD_TO_SD * np.median(magnitude) / math.sqrt(2.0))
+    """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset.
+
+    The median is read from a histogram in bins of 1/64 of the mean, linearly inside a bin: a third of
+    a sort's cost, and finer than the steps of an ADC code.
+    """
+    difference = np.diff(samples_v)
+    np.abs(difference, out=difference)
+    mean = float(difference.sum()) / difference.size
+    if mean == 0.0:
+        return 0.0
+    np.multiply(difference, 64.0 / mean, out=difference)
+    # The median is below twice the mean, bin 128: whatever lies beyond bin 255 need not be told apart.
+    np.minimum(difference, 255.0, out=difference)
+    histogram = np.bincount(difference.astype(np.intp))
+    below = np.cumsum(histogram)
+    middle = 0.5 * difference.size
+    k = int(np.searchsorted(below, middle))
+    inside = (middle - (float(below[k]) - float(histogram[k]))) / float(histogram[k])
+    return MAD_TO_SD * (k + inside) * mean / 64.0 / math.sqrt(2.0)
 
 
 def reduce_record(
@@ -218,12 +221,13 @@ def reduce_record(
     step_s = block_samples / sample_rate_hz
     _check_record(samples_v.size, sample_rate_hz, pretrigger_samples, step_s, settings)
     n_blocks = samples_v.size // block_samples
-    whole = samples_v[: n_blocks * block_samples]
-    blocks = np.add.reduceat(whole, np.arange(0, whole.size, block_samples)) / block_samples
+    whole = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
+    # einsum, not matmul: a threaded BLAS on a busy machine waits milliseconds for its threads.
+    blocks = np.einsum("ij->i", whole) / block_samples
 
     pretrigger_blocks = max(1, pretrigger_samples // block_samples)
     level = float(np.median(blocks[:pretrigger_blocks]))
-    smooth = np.abs(moving_mean(blocks, 2 * round(5e-6 / step_s) + 1) - level)
+    smooth = np.abs(moving_mean(blocks - level, 2 * round(5e-6 / step_s) + 1))
     onset = int(np.argmax(smooth >= 0.5 * smooth.max()))
     quiet = min(pretrigger_blocks, onset - math.ceil(0.75 * settings.isw_fwhm_s / step_s))
     if quiet * step_s < 10e-6:
@@ -231,7 +235,7 @@ def reduce_record(
     offset = float(np.median(blocks[:quiet]))
 
     blocks -= offset
-    noise = noise_rms(whole)
+    noise = noise_rms(samples_v)
     matched, noise_gain = matched_filter(blocks, settings.kernel_width_s / step_s)
     return ReducedRecord(
         blocks_v=blocks,
@@ -239,7 +243,7 @@ def reduce_record(
         first_s=((block_samples - 1) / 2 - pretrigger_samples) / sample_rate_hz,
         step_s=step_s,
         block_samples=block_samples,
-        samples_v=whole - offset,
+        samples_v=samples_v,
         offset_v=offset,
         noise_rms_v=noise,
         matched_noise_v=noise * noise_gain / math.sqrt(block_samples),
