@@ -40,8 +40,14 @@ STEP_HALVINGS = 4
 PHASE_PER_STEP_RAD = 0.05
 """The chain's highest frequency turns by no more than this in a step; see docs for the convergence."""
 
-CUT_PHASE_RAD = 1.5
+CUT_PHASE_RAD = 1.0
 """Modes of the plate that turn faster than this in a step stay as residual compliance."""
+
+TURN_TO_END = 2.5
+"""A record of automatic length lasts so many times as long as the incident wave takes to turn round."""
+
+EXTENSIONS = 3
+"""How often such a record is lengthened when a longer one shows a later turn."""
 
 DEPTHS_KEPT = 64
 """Prepared depths a model remembers, the latest ones."""
@@ -96,8 +102,9 @@ class ShotModel:
         The transducer, the specimen and its patch; `corrosion.depth_fraction` is the depth of a shot
         that names none.
     duration_s
-        Length of the record from first touch. None chooses one that holds the reflected wave, 1.4 ms
-        for the paper's chain.
+        Length of the record from first touch. None chooses one that holds the reflected wave: 1.4 ms
+        for the paper's chain, longer for slow chains and for a specimen so soft that the wave turns
+        round late (`TURN_TO_END`).
     cache_folder
         Where reductions of plates are kept; None keeps none.
 
@@ -120,12 +127,11 @@ class ShotModel:
         self._plate = plate
         self._corrosion = corrosion
         nominal = build_chain(chain, plate)
-        if duration_s is None:
-            duration_s = record_duration_s(nominal)
-        if not (math.isfinite(duration_s) and duration_s > 0.0):
+        if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):
             raise SpecimenError(f"duration_s is {duration_s}; it must be positive and finite")
         self._step_s = step_s(nominal)
-        self._samples = round(duration_s / self._step_s) + 1
+        self._chosen_duration_s = duration_s
+        self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
         self._reduction: ReducedPlate | None = None
         if plate.model == "mindlin":
             self._reduction = reduced_plate(plate, corrosion, cache_folder)
@@ -160,9 +166,19 @@ class ShotModel:
             replace(self._corrosion, depth_fraction=depth)  # checks the bounds
         if self._reduction is None and depth > 0.0:
             raise SpecimenError(_no_patch(self._plate.model, depth))
-        return self._converged(
-            self._struck(drop_height_m, tilt_rad), lambda step: self._propagator(depth, step)
-        )
+        chain = self._struck(drop_height_m, tilt_rad)
+
+        def specimen(step: float) -> _Propagator:
+            return self._propagator(depth, step)
+
+        force = self._converged(chain, specimen, self._shortest_record_s)
+        if self._chosen_duration_s is None:
+            for _ in range(EXTENSIONS):
+                needed = TURN_TO_END * (force.reflection_time_s or 0.0)
+                if force.time_s[-1] >= needed:
+                    break
+                force = self._converged(chain, specimen, needed)
+        return force
 
     def shot_at_hole(self, *, drop_height_m: float | None = None, tilt_rad: float | None = None) -> ShotForce:
         """Force at the sensor above a through hole: an incident wave and no reflected one."""
@@ -175,7 +191,9 @@ class ShotModel:
             static_force_n=_without_last(chain.static_force_n),
             static_overlap_m=_without_last(chain.static_overlap_m),
         )
-        force = self._converged(free_end, lambda step: _UNMOVED, retainer_force_n=weight)
+        force = self._converged(
+            free_end, lambda step: _UNMOVED, self._shortest_record_s, retainer_force_n=weight
+        )
         return replace(force, reflection_time_s=None)
 
     def _struck(self, drop_height_m: float | None, tilt_rad: float | None) -> Chain:
@@ -187,19 +205,25 @@ class ShotModel:
         return build_chain(chain, self._plate)
 
     def _converged(
-        self, chain: Chain, propagator: Callable[[float], _Propagator], retainer_force_n: float = 0.0
+        self,
+        chain: Chain,
+        specimen: Callable[[float], _Propagator],
+        duration_s: float,
+        *,
+        retainer_force_n: float = 0.0,
     ) -> ShotForce:
         """Integrate with ever smaller steps until the energy balance closes."""
+        samples = round(duration_s / self._step_s) + 1
         defect = math.inf
         for halving in range(STEP_HALVINGS + 1):
             every = 2**halving
             step = self._step_s / every
-            force = np.empty((self._samples - 1) * every + 1)
-            defect_j, reflection = _integrate(chain, propagator(step), step, retainer_force_n, force)
+            force = np.empty((samples - 1) * every + 1)
+            defect_j, reflection = _integrate(chain, specimen(step), step, retainer_force_n, force)
             defect = defect_j / chain.impact_energy_j
             if defect <= ENERGY_TOLERANCE:
                 return ShotForce(
-                    time_s=self._step_s * np.arange(self._samples, dtype=np.float64),
+                    time_s=self._step_s * np.arange(samples, dtype=np.float64),
                     force_n=np.ascontiguousarray(force[::every]),
                     preload_n=chain.preload_n,
                     energy_residual=defect,
@@ -307,6 +331,6 @@ def record_duration_s(chain: Chain) -> float:
     """
     m = float(chain.mass_kg.max())
     a = float(chain.stiffness_n_per_m15.min())
-    per_contact = 1.2 * (m**2 / (a**2 * chain.impact_speed_m_per_s)) ** 0.2
+    per_contact: float = 1.2 * (m**2 / (a**2 * chain.impact_speed_m_per_s)) ** 0.2
     contacts = 2 * len(chain.mass_kg) - chain.sensor
     return max(1.4e-3, 2.5 * per_contact * contacts)

@@ -25,7 +25,7 @@ from simulator.parameters import ChainParameters, PlateParameters
 FREE_FALL_M_PER_S2 = 9.81
 """Sets the striker's speed, also in a chain without gravity."""
 
-TILT_DAMPING_PER_RAD2 = 1.2e4
+TILT_DAMPING_PER_RAD2 = 2.5e4
 """Our assumption: see `tilted_damping`."""
 
 

@@ -7,8 +7,8 @@ a configuration model that embeds these dataclasses enforces the same ones while
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import cache
 from typing import Annotated, Any, ClassVar, Literal, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -16,7 +16,7 @@ from annotated_types import Ge, Gt, Le, Lt
 DEEPEST_PATCH_FRACTION = 0.95
 """Beyond this the remaining membrane is no plate: the position counts as a hole."""
 
-_COMPARISONS = (
+_COMPARISONS: tuple[tuple[type, str, str, Callable[[Any, Any], bool]], ...] = (
     (Gt, "gt", "greater than", lambda value, bound: value > bound),
     (Ge, "ge", "at least", lambda value, bound: value >= bound),
     (Lt, "lt", "less than", lambda value, bound: value < bound),
@@ -24,10 +24,14 @@ _COMPARISONS = (
 )
 
 
-@cache
+_resolved: dict[type, dict[str, Any]] = {}
+
+
 def _annotations(parameters: type) -> dict[str, Any]:
     """Resolve the annotations of a class once: every shot with its own scatter checks its bounds."""
-    return get_type_hints(parameters, include_extras=True)
+    if parameters not in _resolved:
+        _resolved[parameters] = get_type_hints(parameters, include_extras=True)
+    return _resolved[parameters]
 
 
 def check_bounds(parameters: Any) -> None:
@@ -40,7 +44,8 @@ def check_bounds(parameters: Any) -> None:
         for mark in getattr(hints[field.name], "__metadata__", ()):
             for kind, attribute, words, holds in _COMPARISONS:
                 if isinstance(mark, kind) and not holds(value, getattr(mark, attribute)):
-                    raise ValueError(f"{field.name} is {value}; it must be {words} {getattr(mark, attribute)}")
+                    limit = getattr(mark, attribute)
+                    raise ValueError(f"{field.name} is {value}; it must be {words} {limit}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

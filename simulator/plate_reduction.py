@@ -27,7 +27,7 @@ VECTORS_PER_DEPTH = 50
 MERGE_TOLERANCE = 1e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""
 
-UNSEEN_FRACTION = 1e-14
+UNSEEN_FRACTION = 1e-9
 """Modes that give less than this part of the static deflection are left out."""
 
 
