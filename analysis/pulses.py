@@ -32,12 +32,16 @@ class Pulse:
         Peak of the matched filter, from the trigger.
     fwhm_s
         Full width at half maximum, NaN where a flank does not fall to half height.
+    regular
+        False where the quartic has no maximum inside (two tops, a plateau): time and amplitude are
+        those of the highest smoothed value then.
     """
 
     time_s: float
     amplitude_v: float
     matched_time_s: float
     fwhm_s: float
+    regular: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,8 +70,9 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     """Find ISW, PSW and SSW.
 
     The ISW is the first maximum of the matched filter above half of its largest; it must leave room in
-    the record for the PSW's window, and rise ``missed_below_snr`` above the noise. The PSW is the highest
-    maximum ``psw_earliest_s`` to ``psw_latest_s`` later, the SSW the highest one a set time after the PSW.
+    the record for the PSW's window, and rise ``missed_below_snr`` above the noise. The PSW is the first
+    maximum, ``psw_earliest_s`` to ``psw_latest_s`` later, of at least half the highest there; the SSW the
+    highest one a set time after the PSW.
 
     Parameters
     ----------
@@ -90,21 +95,23 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         return Pulses()
     floor = settings.no_psw_below_sigmas * record.matched_noise_v
     isw_index = record.index(isw.matched_time_s)
-    psw = _highest(
+    psw = _leading(
         record,
         maxima,
         isw_index + settings.psw_earliest_s / record.step_s,
         isw_index + settings.psw_latest_s / record.step_s,
+        settings.psw_leading_fraction,
         max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
     )
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)
-        ssw = _highest(
+        ssw = _leading(
             record,
             maxima,
             psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
             psw_index + settings.ssw_after_psw_latest_s / record.step_s,
+            1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
     double, merged = _extra_pulses(record, isw, psw, settings)
@@ -134,13 +141,15 @@ def _maxima(values: FloatArray) -> list[int]:
     return [int(i) for i in np.flatnonzero(rising & (values[1:-1] >= values[2:])) + 1]
 
 
-def _highest(
-    record: ReducedRecord, maxima: list[int], first: float, last: float, floor: float
+def _leading(
+    record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
-    inside = [index for index in maxima if first <= index <= last]
+    """First pulse between two indices of at least ``fraction`` of the highest there and above ``floor``."""
+    inside = [(index, float(record.matched_v[index])) for index in maxima if first <= index <= last]
     if not inside:
         return None
-    pulse = _measure(record, max(inside, key=lambda index: float(record.matched_v[index])))
+    highest = max(height for _, height in inside)
+    pulse = _measure(record, next(index for index, height in inside if height >= fraction * highest))
     return None if pulse is None or pulse.amplitude_v < floor else pulse
 
 
@@ -166,15 +175,15 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     if last - first < 6:
         return None
     fit = _quartic_maximum(near_pulse[first : last + 1])
-    if fit is None:
-        return None
+    regular = fit is not None
+    position, height = fit if fit is not None else (float(peak - first), float(smooth[peak]))
     flanks = moving_mean(near_pulse, _odd(FLANK_SMOOTHING_S / record.step_s))
-    position, height = fit
     return Pulse(
         time_s=record.time_s(start + first + position),
         amplitude_v=height,
         matched_time_s=record.time_s(matched_index + shift),
         fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
+        regular=regular,
     )
 
 
@@ -204,18 +213,23 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
 
 @lru_cache(maxsize=1024)
-def _quartic_solver(n: int) -> FloatArray:
-    """Pseudo-inverse of the quartic's design matrix on n points over -1..1, shape (5, n)."""
-    solver = np.linalg.pinv(np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True))
-    solver.flags.writeable = False
-    return np.asarray(solver, dtype=np.float64)
+def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
+    """Design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
+    design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
+    solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
+    for array in (design, solver):
+        array.flags.writeable = False
+    return design, solver
 
 
 def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
     """Position (samples) and height of the least-squares quartic's maximum; None if it has none inside."""
     n = values.size
-    c0, c1, c2, c3, c4 = (float(c) for c in _quartic_solver(n) @ values)
-    u = 0.0
+    design, solver = _quartic_design(n)
+    coefficients = solver @ values
+    c0, c1, c2, c3, c4 = coefficients.tolist()
+    # Newton from the highest grid point: a quartic may have two maxima.
+    u = float(design[int(np.argmax(design @ coefficients)), 1])
     for _ in range(20):
         slope = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * 4.0 * c4))
         curvature = 2.0 * c2 + u * (6.0 * c3 + u * 12.0 * c4)
@@ -235,8 +249,8 @@ def _extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings
 ) -> tuple[bool, bool]:
     """Whether there is a second strike, and whether the PSW is merged with another wave."""
-    double = isw.fwhm_s > settings.double_isw_width_ratio * settings.isw_fwhm_s or math.isnan(isw.fwhm_s)
-    merged = False
+    double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
+    merged = psw is not None and not psw.regular
     smooth = moving_mean(record.blocks_v, _odd(TOP_SMOOTHING_S / record.step_s))
     for index in prominent_maxima(
         smooth,
@@ -246,6 +260,8 @@ def _extra_pulses(
         time_s = record.time_s(index)
         if abs(time_s - isw.time_s) <= 0.25 * settings.isw_fwhm_s:
             continue
+        if psw is None and time_s > isw.time_s + settings.psw_latest_s:
+            continue  # a reflected wave that came too late looks like a second strike
         if psw is None or abs(time_s - psw.time_s) > settings.merged_distance_s:
             double = True
         elif abs(time_s - psw.time_s) > 0.25 * settings.isw_fwhm_s:

@@ -34,7 +34,10 @@ class ExtractionSettings:
     isw_fwhm_s: float = 64.7e-6
     """Full width at half maximum of the ISW in the frozen baseline; it sets the matched filter's width."""
     psw_earliest_s: float = 200e-6
-    psw_latest_s: float = 600e-6
+    psw_latest_s: float = 900e-6
+    """The paper saw 320-420 us; a 50.8 mm patch thinned by 85 % sends the wave back after 800 us."""
+    psw_leading_fraction: float = 0.5
+    """The PSW is the first wave of the window that has this part of the strongest one's height."""
     ssw_after_psw_earliest_s: float = 90e-6
     ssw_after_psw_latest_s: float = 350e-6
     window_half_width_s: float = 90e-6
@@ -54,7 +57,7 @@ class ExtractionSettings:
     ssw_below_fraction: float = 0.02
     double_above_fraction: float = 0.3
     """A third pulse above this is a second strike (the SSW is about .16)."""
-    double_valley_fraction: float = 0.1
+    double_valley_fraction: float = 0.05
     """Two maxima count as two pulses if the record falls at least this much between them."""
     double_isw_width_ratio: float = 1.5
     """An ISW wider than this times `isw_fwhm_s` is two strikes in one."""
