@@ -8,6 +8,7 @@ JSON header, the header padded with spaces until the samples start at a multiple
 from __future__ import annotations
 
 import json
+import logging
 import math
 import struct
 import time
@@ -15,7 +16,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hardware_drivers.measurement import ShotKey, Stamp, Waveform
+from analysis.features import ShotFeatures
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+log = logging.getLogger(__name__)
 
 SHORTEST_INTERVAL_NS = 100_000_000
 MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
@@ -43,40 +47,35 @@ class LivePicture:
         last = self._written_ns.get(position)
         return last is None or time.monotonic_ns() - last >= SHORTEST_INTERVAL_NS
 
-    def show(
-        self,
-        *,
-        key: ShotKey,
-        stamp: Stamp,
-        sequence: int,
-        method: str,
-        due_h: float,
-        waveform: Waveform,
-        marks: Mapping[str, float],
-        flags: tuple[str, ...],
-    ) -> None:
+    def show(self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None) -> None:
         """Replace the picture of a position. A failing disk costs the picture, not the shot."""
+        waveform, key = measurement.waveform, measurement.key
+        values = {} if features is None else features.values()
         header = {
             "position": key.position,
-            "method": method,
-            "sequence": sequence,
+            "method": "solitary_wave" if isinstance(measurement, Shot) else "pulse_echo",
+            "sequence": measurement.sequence,
             "set_index": key.set_index,
             "shot_index": key.shot_index,
-            "utc_ns": stamp.utc_ns,
+            "utc_ns": measurement.stamp.utc_ns,
             "due_h": due_h,
             "sample_rate_hz": waveform.sample_rate_hz,
             "pretrigger_samples": waveform.pretrigger_samples,
             "coefficients_v": waveform.calibration.coefficients_v.tolist(),
             "dtype": waveform.counts.dtype.name,
-            "flags": list(flags),
-            "marks": {name: _finite(marks.get(name)) for name in MARKS},
+            "flags": [] if features is None else list(features.flags),
+            "marks": {name: _finite(values.get(name)) for name in MARKS},
             "written_wall_utc_ns": time.time_ns(),
             "rig": self._rig_kind,
         }
         target = self._folder / f"{key.position}.bin"
         partial = target.with_suffix(".tmp")
-        partial.write_bytes(encode(header, waveform))
-        partial.replace(target)
+        try:
+            partial.write_bytes(encode(header, waveform))
+            partial.replace(target)
+        except OSError as error:
+            # Also Windows, while a reader has the old picture open. The next one comes soon.
+            log.warning("no live picture of %s: %s", key.position, error)
         self._written_ns[key.position] = time.monotonic_ns()
 
 

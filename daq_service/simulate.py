@@ -14,7 +14,7 @@ import numpy as np
 from daq_service.errors import UsageError
 from daq_service.settings import Settings, load_settings
 from simulator.coupled_model import ShotModel
-from simulator.errors import SimulationError
+from simulator.errors import SimulatorError
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
@@ -55,7 +55,7 @@ def print_simulation(
             rows.append(_shot(model, chain, depth))
             if depths is not None and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
-    except SimulationError as error:
+    except SimulatorError as error:
         raise UsageError(str(error)) from error
     if as_json:
         click.echo(json.dumps(rows[0] if depths is None else {"shots": rows}))

@@ -1,0 +1,370 @@
+"""From the features of a set to its verdict and to the conditions of alarms, one memory a position.
+
+The memory holds what later sets are judged by: the baseline, the last verdicts, the sets without a
+reflected wave. `restore` rebuilds it from catalogue rows, so a restarted recorder judges as the old
+one would have. Nothing here reads a clock or a file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from analysis.baseline import Baseline, fit_baseline
+from analysis.errors import NotEnoughSetsError, SingularCovarianceError
+from analysis.features import ALL_FEATURE_NAMES, EXTRACTOR_VERSION, FEATURE_NAMES, SetFeatures, ShotFeatures, mean_features
+from analysis.novelty import distance_squared, named_contributions
+from analysis.sequential import AlarmRule, AlarmState, HoleRule, HoleState, next_alarm_state, next_hole_state
+from analysis.threshold import f_predictive_limit, paper_limit
+from daq_service.alarms import Condition
+from daq_service.schedule import DueSet
+from daq_service.settings import Settings
+from hardware_drivers.measurement import Shot
+
+FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Assessment:
+    """What a set says of one position: rows for the catalogue, conditions for the alarms.
+
+    Attributes
+    ----------
+    baseline
+        Row of a baseline that this set completed, else None.
+    verdicts
+        This set's row, and those of the baseline's sets when it was completed.
+    retire
+        The transducer must strike no more.
+    shot_flags, invalid
+        Flags of each record by its sequence, and the sequences of those without trustworthy features.
+    note
+        What the reader of the result should know, empty if nothing.
+    """
+
+    features: Sequence[dict[str, Any]] = ()
+    thickness: Sequence[dict[str, Any]] = ()
+    baseline: dict[str, Any] | None = None
+    verdicts: Sequence[dict[str, Any]] = ()
+    conditions: Sequence[Condition] = ()
+    n_valid: int = 0
+    retire: bool = False
+    shot_flags: Mapping[int, Sequence[str]] = field(default_factory=dict)
+    invalid: frozenset[int] = frozenset()
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits:
+    """The two limits of a baseline, or why there are none."""
+
+    f_predictive: float | None = None
+    paper: float | None = None
+    reason: str | None = None
+
+    def by_name(self, name: str) -> float | None:
+        return self.f_predictive if name == "f_predictive" else self.paper
+
+
+@dataclass(slots=True, kw_only=True)
+class _Memory:
+    healthy: list[tuple[int, float, list[float]]] = field(default_factory=list)  # set, due_h, vector
+    healthy_refused: int = 0
+    baseline: Baseline | None = None
+    baseline_id: int | None = None
+    closed: bool = False
+    limits: _Limits = field(default_factory=_Limits)
+    alarm: AlarmState = field(default_factory=AlarmState)
+    hole: HoleState = field(default_factory=HoleState)
+
+
+class SolitaryWaveAssessor:
+    """Judges the sets of one solitary-wave transducer.
+
+    Parameters
+    ----------
+    last_baseline_set
+        Index of the last set that belongs to the baseline.
+    baseline_id
+        Id that this position's baseline will have.
+    """
+
+    def __init__(self, position: str, settings: Settings, *, last_baseline_set: int, baseline_id: int) -> None:
+        self.position = position
+        self._settings = settings
+        self._last_baseline_set = last_baseline_set
+        self._baseline_id = baseline_id
+        self._alarm_rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
+        self._hole_rule = HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets)
+        self._memory = _Memory()
+
+    def restore(
+        self,
+        *,
+        set_features: Sequence[Mapping[str, Any]],
+        verdicts: Sequence[Mapping[str, Any]],
+        baseline: Mapping[str, Any] | None,
+        flags_by_set: Sequence[Sequence[Sequence[str]]],
+    ) -> None:
+        """Rebuild the memory from catalogue rows, all in the order of sets.
+
+        Parameters
+        ----------
+        flags_by_set
+            Flags of the shots of the position's last sets (as many as the hole rule looks at).
+        """
+        memory = _Memory()
+        for row in set_features:
+            if row["set_index"] <= self._last_baseline_set:
+                self._remember_healthy(memory, int(row["set_index"]), row["due_h"], row["quality"], row)
+        if baseline is not None:
+            self._freeze(memory, str(baseline["name"]))
+        for row in verdicts:
+            if not row["in_baseline"]:
+                memory.alarm = next_alarm_state(memory.alarm, row["outlier"], self._alarm_rule)
+        for flags in flags_by_set:
+            memory.hole = next_hole_state(memory.hole, flags, self._hole_rule)
+        self._memory = memory
+
+    def assess(self, due: DueSet, shots: Sequence[Shot], features: Sequence[ShotFeatures]) -> Assessment:
+        """Judge one set: the shots taken, in order, and their features."""
+        mean = mean_features(features, self._settings.baseline.minimum_valid_shots)
+        rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
+        rows.append(_set_feature_row(self.position, due, mean))
+        memory = self._memory
+        memory.hole = next_hole_state(memory.hole, [found.flags for found in features], self._hole_rule)
+        baseline_row, verdicts = self._verdicts(due, mean)
+        conditions = [self._wall_condition(due, verdicts[-1]), self._hole_condition(due, features)]
+        return Assessment(
+            features=rows,
+            baseline=baseline_row,
+            verdicts=verdicts,
+            conditions=conditions,
+            n_valid=mean.n_valid,
+            retire=memory.hole.hole,
+            shot_flags={shot.sequence: found.flags for shot, found in zip(shots, features, strict=True)},
+            invalid=frozenset(shot.sequence for shot, found in zip(shots, features, strict=True) if not found.valid),
+            note=mean.reason,
+        )
+
+    def _verdicts(self, due: DueSet, mean: SetFeatures) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
+        memory = self._memory
+        if due.set_index > self._last_baseline_set and not memory.closed:
+            # The last set of the baseline was missed: it ends here all the same.
+            baseline_row, healthy = self._close_baseline()
+            return baseline_row, [*healthy, self._judged(due, mean)]
+        if due.set_index > self._last_baseline_set:
+            return None, [self._judged(due, mean)]
+        self._remember_healthy(memory, due.set_index, due.due_h, mean.quality, mean.mean)
+        if due.set_index < self._last_baseline_set:
+            return None, [self._row(due.set_index, due.due_h, in_baseline=True, reason="the baseline is being recorded")]
+        return self._close_baseline(last=due)
+
+    def _remember_healthy(
+        self, memory: _Memory, set_index: int, due_h: float, quality: str, values: Mapping[str, Any]
+    ) -> None:
+        vector = [values[name] for name in FEATURE_NAMES]
+        if quality == "bad" or any(value is None or not math.isfinite(value) for value in vector):
+            memory.healthy_refused += 1
+        else:
+            memory.healthy.append((set_index, due_h, [float(value) for value in vector]))
+
+    def _freeze(self, memory: _Memory, name: str) -> None:
+        """Fit the baseline from the remembered sets; the same sets always give the same bits."""
+        memory.closed = True
+        memory.baseline_id = self._baseline_id
+        minimum = self._settings.baseline.minimum_sets
+        try:
+            if len(memory.healthy) < minimum:
+                raise NotEnoughSetsError(
+                    f"a baseline of {len(memory.healthy)} sets; baseline.minimum_sets asks for {minimum}: "
+                    "let the baseline run longer"
+                )
+            memory.baseline = fit_baseline(
+                np.array([vector for _, _, vector in memory.healthy]),
+                [index for index, _, _ in memory.healthy],
+                name=name,
+            )
+        except (NotEnoughSetsError, SingularCovarianceError) as error:
+            memory.limits = _Limits(reason=str(error))
+            return
+        rate = self._settings.novelty.false_alarm_rate
+        memory.limits = _Limits(
+            f_predictive=f_predictive_limit(memory.baseline.n, memory.baseline.p, rate),
+            paper=paper_limit(memory.baseline.distances_squared),
+        )
+
+    def _close_baseline(self, last: DueSet | None = None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """Row of the baseline, and the verdict rows of its sets with the distances now known."""
+        memory = self._memory
+        name = f"{self.position}-baseline-1"
+        self._freeze(memory, name)
+        healthy = memory.healthy
+        fitted = memory.baseline
+        indices = [index for index, _, _ in healthy]
+        p = len(FEATURE_NAMES)
+        row = {
+            "id": self._baseline_id,
+            "name": name,
+            "position": self.position,
+            "first_set_index": indices[0] if indices else 0,
+            "last_set_index": self._last_baseline_set,
+            "n_sets": len(indices),
+            "feature_names": list(FEATURE_NAMES),
+            "mean": [None] * p if fitted is None else fitted.mean.tolist(),
+            "covariance": [[None] * p] * p if fitted is None else fitted.covariance.tolist(),
+            "limit_f": memory.limits.f_predictive,
+            "limit_paper": memory.limits.paper,
+            "limit_reason": memory.limits.reason,
+            "approval": self._settings.baseline.approval,
+            "provenance": {
+                "set_indices": indices,
+                "sets_left_out": memory.healthy_refused,
+                "suspects": [] if fitted is None else list(fitted.suspects),
+                "warnings": [] if fitted is None else list(fitted.warnings),
+                "extractor_version": EXTRACTOR_VERSION,
+                "false_alarm_rate": self._settings.novelty.false_alarm_rate,
+            },
+        }
+        distances = [None] * len(healthy) if fitted is None else fitted.distances_squared.tolist()
+        rows = [
+            self._row(index, due_h, in_baseline=True, distance=distance, reason="part of the baseline")
+            for (index, due_h, _), distance in zip(healthy, distances, strict=True)
+        ]
+        if last is not None and (not indices or indices[-1] != last.set_index):
+            rows.append(
+                self._row(last.set_index, last.due_h, in_baseline=True, reason="left out of the baseline: too few valid shots")
+            )
+        return row, rows
+
+    def _judged(self, due: DueSet, mean: SetFeatures) -> dict[str, Any]:
+        memory = self._memory
+        if memory.baseline is None:
+            return self._row(due.set_index, due.due_h, reason=memory.limits.reason)
+        vector = mean.vector()
+        if mean.quality == "bad" or not np.isfinite(vector).all():
+            memory.alarm = next_alarm_state(memory.alarm, None, self._alarm_rule)
+            return self._row(due.set_index, due.due_h, reason=mean.reason or "a feature is not available")
+        distance = float(distance_squared(vector, memory.baseline))
+        row = self._row(
+            due.set_index,
+            due.due_h,
+            distance=distance,
+            contributions=named_contributions(vector, memory.baseline),
+        )
+        memory.alarm = next_alarm_state(memory.alarm, row["outlier"], self._alarm_rule)
+        return row
+
+    def _row(
+        self,
+        set_index: int,
+        due_h: float,
+        *,
+        in_baseline: bool = False,
+        distance: float | None = None,
+        reason: str | None = None,
+        contributions: dict[str, float] | None = None,
+    ) -> dict[str, Any]:
+        memory = self._memory
+        name = self._settings.novelty.limit
+        return {
+            "set_index": set_index,
+            "position": self.position,
+            "due_h": due_h,
+            "baseline_id": memory.baseline_id,
+            "in_baseline": in_baseline,
+            "distance_squared": distance,
+            "limit_name": name,
+            "limit_f": memory.limits.f_predictive,
+            "limit_paper": memory.limits.paper,
+            "outlier": None if in_baseline else _beyond(distance, memory.limits.by_name(name)),
+            "outlier_paper": None if in_baseline else _beyond(distance, memory.limits.paper),
+            "reason": reason,
+            "contributions": contributions,
+        }
+
+    def _wall_condition(self, due: DueSet, verdict: Mapping[str, Any]) -> Condition:
+        state, rule = self._memory.alarm, self._alarm_rule
+        limit = self._memory.limits.by_name(self._settings.novelty.limit)
+        return Condition(
+            position=self.position,
+            kind="wall_change",
+            family="damage",
+            severity="high",
+            present=state.active,
+            message=(
+                f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie beyond the "
+                f"limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has changed; inspect"
+                if state.active and limit is not None
+                else ""
+            ),
+            proof={
+                "formula": FORMULA,
+                "rule": {"k": rule.k, "n": rule.n},
+                "set_index": due.set_index,
+                "distance_squared": verdict["distance_squared"],
+                "limit_name": verdict["limit_name"],
+                "limit": limit,
+                "baseline_id": verdict["baseline_id"],
+                "contributions": verdict["contributions"],
+                "extractor_version": EXTRACTOR_VERSION,
+            },
+        )
+
+    def _hole_condition(self, due: DueSet, features: Sequence[ShotFeatures]) -> Condition:
+        rule = self._hole_rule
+        silent = sum("no_psw" in found.flags for found in features)
+        return Condition(
+            position=self.position,
+            kind="hole",
+            family="damage",
+            severity="critical",
+            present=self._memory.hole.hole,
+            latched=True,
+            message=(
+                f"no reflected wave at {self.position} in {silent} of {len(features)} shots, {rule.consecutive_sets} sets "
+                "running: the wall has a hole or the chain lost contact; the transducer strikes no more"
+            ),
+            proof={
+                "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},
+                "set_index": due.set_index,
+                "shots_without_psw": silent,
+                "extractor_version": EXTRACTOR_VERSION,
+            },
+        )
+
+
+def _beyond(distance: float | None, limit: float | None) -> bool | None:
+    return None if distance is None or limit is None else distance > limit
+
+
+def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> dict[str, Any]:
+    return {
+        "set_index": due.set_index,
+        "position": shot.key.position,
+        "shot_index": shot.key.shot_index,
+        "sequence": shot.sequence,
+        "due_h": due.due_h,
+        "extractor_version": EXTRACTOR_VERSION,
+        "quality": found.quality,
+        "n_valid": int(found.valid),
+        **found.values(),
+    }
+
+
+def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> dict[str, Any]:
+    return {
+        "set_index": due.set_index,
+        "position": position,
+        "shot_index": None,
+        "sequence": None,
+        "due_h": due.due_h,
+        "extractor_version": EXTRACTOR_VERSION,
+        "quality": mean.quality,
+        "n_valid": mean.n_valid,
+        **{name: mean.mean[name] for name in ALL_FEATURE_NAMES},
+    }

@@ -1,0 +1,105 @@
+"""``check-config`` and ``status``: what a test will do, and how it stands."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.clock import format_utc, parse_utc
+from daq_service.heartbeat import overdue_s, read_heartbeat
+from daq_service.run import data_folder
+from daq_service.schedule import plan
+from daq_service.settings import Settings, load_settings, settings_schema
+
+PACKED_FRACTION = 0.5
+"""Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
+
+
+def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
+    """Carry out ``check-config``."""
+    if schema:
+        click.echo(json.dumps(settings_schema(), indent=1))
+        return
+    settings = load_settings(config)
+    facts = describe_plan(settings, data_folder(settings, config, data_dir))
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    click.echo(f"{settings.name}: the configuration is good ({settings.configuration_hash()[:12]})")
+    click.echo(f"sets       {facts['sets']}, the last one due at hour {facts['last_due_h']:g}")
+    click.echo(f"strikes    {facts['strikes']} ({settings.schedule.shots_per_set} a set and transducer)")
+    click.echo(f"echoes     {facts['pulse_echo_records']}")
+    click.echo(f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk")
+    click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
+    click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
+    if facts["stored_bytes"] > facts["free_bytes"]:
+        click.echo("WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True)
+
+
+def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
+    """Numbers of a planned test."""
+    start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
+    planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
+    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
+    echoes = len(planned) * len(settings.names_of("pulse_echo"))
+    raw_bytes = 2 * (strikes * settings.twin.adc.record_samples + echoes * settings.twin.echo.record_samples)
+    existing = next(place for place in (folder, *folder.parents) if place.exists())
+    return {
+        "name": settings.name,
+        "configuration_hash": settings.configuration_hash(),
+        "sets": len(planned),
+        "strikes": strikes,
+        "pulse_echo_records": echoes,
+        "raw_bytes": raw_bytes,
+        "stored_bytes": round(PACKED_FRACTION * raw_bytes),
+        "free_bytes": shutil.disk_usage(existing).free,
+        "data_folder": str(folder),
+        "last_due_h": planned[-1].due_h if planned else None,
+        "end_utc": format_utc(planned[-1].due_utc_ns) if planned else None,
+    }
+
+
+def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
+    """Carry out ``status``."""
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    facts = describe_status(folder)
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    click.echo(f"data      {folder}")
+    click.echo(f"recorder  {facts['recorder']}")
+    if facts["counts"] is None:
+        click.echo("no data yet")
+        return
+    click.echo(f"sets      {facts['counts']['sets']}, {facts['counts']['missed_sets']} missed")
+    for name, row in facts["positions"].items():
+        click.echo(f"{name:<9} {json.dumps(row)}")
+
+
+def describe_status(folder: Path) -> dict[str, Any]:
+    """Recorder's state, counts, and the last word on each position."""
+    beat = read_heartbeat(folder) if folder.exists() else None
+    if beat is None:
+        recorder = "never started here"
+    elif (late_s := overdue_s(beat, mono_ns=time.monotonic_ns())) > 0.0:
+        recorder = f"not running: last sign of life {late_s + beat.deadline_s:.0f} s ago while {beat.doing}"
+    else:
+        recorder = f"running, {beat.doing}"
+    try:
+        with open_catalogue(folder, writer=False) as catalogue:
+            return {
+                "recorder": recorder,
+                "counts": catalogue.counts(),
+                "positions": catalogue.positions_state(),
+                "alarms": catalogue.list_alarms(active=True),
+            }
+    except NoDataYetError:
+        return {"recorder": recorder, "counts": None, "positions": {}, "alarms": []}

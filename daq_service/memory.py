@@ -1,0 +1,57 @@
+"""Assessors with the memory that the catalogue and the archive hold: how a restart goes on judging."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from daq_service.archive import read_waveform
+from daq_service.assessment import SolitaryWaveAssessor
+from daq_service.catalogue import Catalogue
+from daq_service.schedule import due_hours
+from daq_service.settings import Settings
+from daq_service.wall_thickness import PulseEchoAssessor
+
+Assessor = SolitaryWaveAssessor | PulseEchoAssessor
+
+
+def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -> Mapping[str, Assessor]:
+    """One assessor a position, judging as if the recorder had never been away."""
+    # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
+    last_baseline_set = sum(hour <= settings.baseline.hours for hour in due_hours(settings.schedule.phases)) - 1
+    assessors: dict[str, Assessor] = {}
+    for number, (position, place) in enumerate(settings.positions.items(), 1):
+        if place.method == "pulse_echo":
+            assessors[position] = _pulse_echo(position, settings, catalogue, folder)
+        else:
+            assessor = SolitaryWaveAssessor(
+                position, settings, last_baseline_set=last_baseline_set, baseline_id=number
+            )
+            assessor.restore(
+                set_features=catalogue.list_features(position, scope="set"),
+                verdicts=catalogue.list_verdicts(position),
+                baseline=catalogue.baseline(position),
+                flags_by_set=_last_flags(position, settings, catalogue),
+            )
+            assessors[position] = assessor
+    return assessors
+
+
+def _last_flags(position: str, settings: Settings, catalogue: Catalogue) -> list[list[list[str]]]:
+    """Flags of each shot of the sets that the hole rule still looks at."""
+    rows = [row for row in catalogue.list_sets(position, limit=None) if row["n_taken"]]
+    recent = sorted(row["set_index"] for row in rows)[-settings.alarms.hole_sets :]
+    return [[shot["flags"] for shot in catalogue.list_shots(position, index)] for index in recent]
+
+
+def _pulse_echo(position: str, settings: Settings, catalogue: Catalogue, folder: Path) -> PulseEchoAssessor:
+    assessor = PulseEchoAssessor(position, settings)
+    rows = catalogue.list_thickness(position)
+    read = [row for row in rows if row["travel_time_s"] is not None]
+    reference = None
+    if read:
+        first = read[0]["set_index"]
+        (file,) = [row["file"] for row in catalogue.list_sets(position, limit=None) if row["set_index"] == first]
+        reference = read_waveform(folder / file, position, 0)
+    assessor.restore(reference=reference, thickness_rows=rows)
+    return assessor

@@ -1,0 +1,448 @@
+"""The recorder: the whole line from strike to alarm, in reading order.
+
+`schedule` says which set is due; `take_set` strikes and reads; the archive makes the set durable
+(only now is it acknowledged); the assessors extract, average and judge; `alarms.update` carries the
+alarms; one transaction stores all of it, and its events are the news. No stage calls an earlier one.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from analysis.features import ShotFeatures, extract_features
+from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
+from daq_service.alarms import Condition, Moment, update
+from daq_service.archive import Archive, PositionRecord, SetRecord, StoreTimings, read_set, set_files
+from daq_service.assessment import Assessment, SolitaryWaveAssessor
+from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.clock import NS_PER_H, SimulatedClock, WallClock, boot_id, parse_utc
+from daq_service.errors import RigError
+from daq_service.heartbeat import Heartbeat, read_heartbeat
+from daq_service.live import LivePicture
+from daq_service.memory import restored_assessors
+from daq_service.operator_commands import Operator
+from daq_service.provenance import provenance
+from daq_service.rows import Transaction, set_row
+from daq_service.schedule import DueSet, plan
+from daq_service.settings import Settings
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+
+log = logging.getLogger(__name__)
+
+DEADLINE_MARGIN_S = 60.0
+"""Added to the longest bounded call: storing a set on a slow disk, reductions, compiling kernels."""
+
+RETIRED = "a hole was found here: the transducer strikes no more"
+
+RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
+Teller = Callable[..., None]
+
+
+def record(
+    settings: Settings,
+    folder: Path,
+    open_rig: RigOpener,
+    *,
+    stop: threading.Event,
+    tell: Teller,
+    restarted_because: str = "",
+) -> bool:
+    """Follow the schedule to its end; the caller owns the folder.
+
+    Returns
+    -------
+    bool
+        True when every planned set has its row, False when ``stop`` came first.
+
+    Raises
+    ------
+    StorageError, RigError
+        What cannot be mended here; every taken shot is stored.
+    """
+    cause = _why_not_running(folder, restarted_because)
+    with ExitStack() as stack:
+        catalogue = stack.enter_context(
+            open_catalogue(folder, writer=True, configuration_hash=settings.configuration_hash())
+        )
+        epoch_ns = _experiment_epoch(catalogue, settings)
+        clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
+        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + DEADLINE_MARGIN_S)
+        heartbeat.beat("opening the rig")
+        rig = stack.enter_context(open_rig(settings, clock, epoch_ns))
+        recorder = Recorder(
+            settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
+        )
+        return recorder.run(not_running_because=cause)
+
+
+def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
+    """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
+    simulated = settings.clock.kind == "simulated"
+    row = catalogue.create_experiment(
+        name=settings.name,
+        configuration_hash=settings.configuration_hash(),
+        configuration=settings.model_dump(mode="json"),
+        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else time.time_ns(),
+        clock=settings.clock.kind,
+        solimon_version=version("solimon"),
+    )
+    return int(row["epoch_utc_ns"])
+
+
+def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
+    """Where a simulated clock goes on: at the end of the last committed set."""
+    ended = [row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None]
+    return max(ended, default=epoch_ns)
+
+
+def _clock(settings: Settings, start_ns: int) -> SimulatedClock | WallClock:
+    if settings.clock.kind == "wall":
+        return WallClock()
+    return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+
+
+def _why_not_running(folder: Path, restarted_because: str) -> str:
+    if restarted_because:
+        return f"the recorder {restarted_because}"
+    beat = read_heartbeat(folder)
+    if beat is None:
+        return "the recorder had not been started"
+    return f"the recorder was down; it was last seen {beat.doing}"
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Taken:
+    """A set while it is taken: whatever ends it early, what came before stays."""
+
+    shots: list[Shot] = field(default_factory=list)
+    echoes: list[PulseEchoRecord] = field(default_factory=list)
+    missed: list[MissedShot] = field(default_factory=list)
+    features: dict[int, ShotFeatures] = field(default_factory=dict)
+    error: InstrumentError | None = None
+    started_ns: int = 0
+    ended_ns: int = 0
+
+    def count(self, position: str) -> int:
+        return sum(item.key.position == position for item in [*self.shots, *self.echoes])
+
+
+@dataclass(slots=True, kw_only=True)
+class StorageCost:
+    """What making sets durable has cost so far, in seconds of wall time."""
+
+    sets: int = 0
+    image_s: float = 0.0
+    write_s: float = 0.0
+    fsync_s: float = 0.0
+    directory_fsync_s: float = 0.0
+
+    def add(self, timings: StoreTimings) -> None:
+        """Count one more set."""
+        self.sets += 1
+        self.image_s += timings.image_s
+        self.write_s += timings.write_s
+        self.fsync_s += timings.fsync_s
+        self.directory_fsync_s += timings.directory_fsync_s
+
+
+class Recorder:
+    """Owns the line while a test runs."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        folder: Path,
+        catalogue: RecorderCatalogue,
+        rig: Rig,
+        epoch_ns: int,
+        *,
+        heartbeat: Heartbeat,
+        stop: threading.Event,
+        tell: Teller,
+    ) -> None:
+        self._settings = settings
+        self._catalogue = catalogue
+        self._rig = rig
+        self._epoch_ns = epoch_ns
+        self._heartbeat = heartbeat
+        self._stop = stop
+        self._tell = tell
+        self._doing = "starting"
+        self._archive = Archive(folder)
+        self._live = LivePicture(folder, rig.kind)
+        # Simulated time has one frame whatever machine it runs on.
+        self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
+        self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
+        self._provenance = provenance(settings, rig)
+        self._alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
+        self._retired = {position for position, kind in self._alarms if kind == "hole"}
+        self._next_sequence = catalogue.next_sequence()
+        self._timings = StorageCost()
+        done = catalogue.committed_sets()
+        self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
+        self._assessors = restored_assessors(settings, catalogue, folder)
+        self._operator = Operator(catalogue, rig.clock, self._alarms, stop=stop, store=self._commit)
+
+    def run(self, *, not_running_because: str) -> bool:
+        """Take every set that is still due; False when told to stop."""
+        done = self._catalogue.committed_sets()
+        started = {"rig": self._rig.kind, "sets_done": len(done), "before": not_running_because}
+        self._say("recorder_started", started)
+        for number, due in enumerate(self._plan):
+            if due.set_index in done:
+                continue
+            following = self._plan[number + 1] if number + 1 < len(self._plan) else None
+            if not (self._adopt(due) or self._miss(due, following, not_running_because)):
+                self._take_when_due(due)
+            if self._stop.is_set():
+                break
+            self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        finished = not self._stop.is_set()
+        self._say("schedule_done" if finished else "recorder_stopped", {"storage_cost": asdict(self._timings)})
+        return finished
+
+    # One set -----------------------------------------------------------------------------------
+
+    def _take_when_due(self, due: DueSet) -> None:
+        self._doing = f"waiting for set {due.set_index}"
+        if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
+            return
+        self._doing = f"taking set {due.set_index}"
+        taken = self._take(due)
+        if not taken.shots and not taken.echoes:
+            if self._stop.is_set():
+                return  # the set is still due after a restart
+            self._miss_all(due, taken)
+        else:
+            self._store_and_judge(due, taken)
+        if taken.error is not None:
+            raise RigError(
+                f"set {due.set_index} ended early: {taken.error}; the {len(taken.shots)} shots before it are stored"
+            ) from taken.error
+
+    def _take(self, due: DueSet) -> _Taken:
+        """Strike and read; whatever happens, what came before it is kept."""
+        taken = _Taken(started_ns=self._rig.clock.utc_ns())
+        set_plan = SetPlan(
+            due=due,
+            positions={
+                name: place.method
+                for name, place in self._settings.positions.items()
+                if name not in self._retired
+            },
+            shots_per_set=self._settings.schedule.shots_per_set,
+            shot_interval_s=self._settings.schedule.shot_interval_s,
+            read_timeout_s=self._settings.rig.read_timeout_s,
+        )
+        measurements = take_set(
+            self._rig,
+            set_plan,
+            first_sequence=self._next_sequence,
+            boot_id=self._boot_id,
+            idle=self._idle,
+        )
+        try:
+            for measurement in measurements:
+                self._keep(measurement, taken, due)
+        except InstrumentError as error:
+            log.exception("set %d: the rig failed", due.set_index)
+            taken.error = error
+        taken.ended_ns = self._rig.clock.utc_ns()
+        return taken
+
+    def _keep(self, measurement: Measurement, taken: _Taken, due: DueSet) -> None:
+        if isinstance(measurement, MissedShot):
+            log.warning("set %d, %s: %s", due.set_index, measurement.key, measurement.cause)
+            taken.missed.append(measurement)
+            return
+        if isinstance(measurement, Shot):
+            taken.shots.append(measurement)
+            taken.features[measurement.sequence] = extract_features(measurement.waveform)
+        else:
+            taken.echoes.append(measurement)
+        if self._live.due(measurement.key.position):
+            self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
+
+    def _store_and_judge(self, due: DueSet, taken: _Taken) -> None:
+        """First durable, then judged: nobody hears of a shot that a power cut could take away."""
+        self._doing = f"storing set {due.set_index}"
+        record = SetRecord(
+            set_index=due.set_index,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            started_utc_ns=taken.started_ns,
+            ended_utc_ns=taken.ended_ns,
+            rig_kind=self._rig.kind,
+            positions=self._position_records(taken),
+            shots=taken.shots,
+            echoes=taken.echoes,
+            provenance=self._provenance,
+        )
+        stored = self._archive.store_set(record)
+        self._timings.add(stored.timings)
+        self._next_sequence += len(taken.shots) + len(taken.echoes)
+        self._judge(due, record, stored.file, taken.features)
+
+    def _position_records(self, taken: _Taken) -> list[PositionRecord]:
+        return [
+            PositionRecord(
+                position=name,
+                method=place.method,
+                n_planned=self._n_planned(name),
+                cause=self._shortfall(name, taken),
+                label=place.label,
+                serial_number=place.serial_number,
+            )
+            for name, place in self._settings.positions.items()
+            if name not in self._retired
+        ]
+
+    def _n_planned(self, position: str) -> int:
+        place = self._settings.positions[position]
+        return 1 if place.method == "pulse_echo" else self._settings.schedule.shots_per_set
+
+    def _shortfall(self, position: str, taken: _Taken) -> str:
+        """Why a position has fewer records than planned; empty if it has all."""
+        if taken.count(position) == self._n_planned(position):
+            return ""
+        missed = [item.cause for item in taken.missed if item.key.position == position]
+        if taken.error is not None:
+            return str(taken.error)
+        return f"{len(missed)} missed: {missed[0]}" if missed else "the recorder was told to stop"
+
+    # After the set is durable --------------------------------------------------------------------
+
+    def _judge(
+        self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]
+    ) -> None:
+        """Assess every position; store rows, alarms and events in one transaction."""
+        self._doing = f"judging set {due.set_index}"
+        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+        causes = {position.position: position.cause for position in record.positions}
+        transaction = Transaction()
+        for position, place in self._settings.positions.items():
+            if position not in causes:
+                transaction.sets.append(
+                    set_row(due, position, method=place.method, state="retired", cause=RETIRED, n_planned=0)
+                )
+                continue
+            measurements = [item for item in record.records if item.key.position == position]
+            assessment = self._assess(position, due, measurements, features)
+            row = set_row(
+                due,
+                position,
+                method=place.method,
+                state="done" if not causes[position] else "partial" if measurements else "missed",
+                cause=causes[position] or None,
+                n_planned=self._n_planned(position),
+                n_taken=len(measurements),
+                n_valid=assessment.n_valid,
+                started_utc_ns=record.started_utc_ns,
+                ended_utc_ns=record.ended_utc_ns,
+                file=file if measurements else None,
+            )
+            transaction.add_position(row, measurements, assessment, moment)
+            for condition in assessment.conditions:
+                self._carry_alarm(condition, moment, transaction)
+        self._commit(transaction)
+
+    def _assess(
+        self,
+        position: str,
+        due: DueSet,
+        measurements: Sequence[Shot | PulseEchoRecord],
+        features: Mapping[int, ShotFeatures],
+    ) -> Assessment:
+        if not measurements:
+            return Assessment()
+        assessor = self._assessors[position]
+        if isinstance(assessor, SolitaryWaveAssessor):
+            shots = [item for item in measurements if isinstance(item, Shot)]
+            return assessor.assess(due, shots, [features[shot.sequence] for shot in shots])
+        echoes = [item for item in measurements if isinstance(item, PulseEchoRecord)]
+        return assessor.assess(due, echoes[0])
+
+    def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+        change = update(self._alarms.get((condition.position, condition.kind)), condition, moment)
+        if change is not None:
+            transaction.add_alarm(change, moment)
+            log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row["message"])
+
+    def _commit(self, transaction: Transaction) -> None:
+        """Store it; what later sets build on is taken over only after that."""
+        committed = self._catalogue.commit_set(transaction.rows())
+        for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
+            self._alarms[(row["position"], row["kind"])] = {**row, "id": alarm_id}
+            if row["kind"] == "hole":
+                self._retired.add(row["position"])
+
+    # Sets that were taken already, or cannot be taken any more -----------------------------------
+
+    def _adopt(self, due: DueSet) -> bool:
+        """A file without rows: the last recorder died between its rename and its commit."""
+        path = self._orphans.get(due.set_index)
+        if path is None:
+            return False
+        record = read_set(path)
+        features = {shot.sequence: extract_features(shot.waveform) for shot in record.shots}
+        self._judge(due, record, f"{path.parent.name}/{path.name}", features)
+        self._next_sequence = self._catalogue.next_sequence()
+        log.warning("set %d: rows made again from %s", due.set_index, path)
+        # Simulated time goes on where that set ended; the wall clock is past it anyway.
+        self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
+        return True
+
+    def _miss(self, due: DueSet, following: DueSet | None, cause: str) -> bool:
+        """Write gap rows for a set whose time is over: the next one is due already."""
+        interval_ns = NS_PER_H if following is None else following.due_utc_ns - due.due_utc_ns
+        if self._rig.clock.utc_ns() < due.due_utc_ns + interval_ns:
+            return False
+        self._gap(due, dict.fromkeys(self._settings.positions, cause))
+        return True
+
+    def _miss_all(self, due: DueSet, taken: _Taken) -> None:
+        """Not one record: rows with the causes, but no file."""
+        self._gap(due, {name: self._shortfall(name, taken) for name in self._settings.positions})
+
+    def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
+        moment = Moment(utc_ns=self._rig.clock.utc_ns(), due_h=due.due_h, set_index=due.set_index)
+        transaction = Transaction()
+        for position, place in self._settings.positions.items():
+            retired = position in self._retired
+            row = set_row(
+                due,
+                position,
+                method=place.method,
+                state="retired" if retired else "missed",
+                cause=RETIRED if retired else causes[position],
+                n_planned=0 if retired else self._n_planned(position),
+            )
+            transaction.add_position(row, [], Assessment(), moment)
+        self._commit(transaction)
+        log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+
+    # Operator and supervisor ---------------------------------------------------------------------
+
+    def _idle(self) -> bool:
+        """Called while waiting and between shots: the only place where the heartbeat advances."""
+        self._heartbeat.beat(self._doing)
+        self._operator.listen(self._hour())
+        return not self._stop.is_set()
+
+    def _hour(self) -> float:
+        return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
+
+    def _say(self, kind: str, payload: Mapping[str, Any]) -> None:
+        self._catalogue.add_event(
+            utc_ns=self._rig.clock.utc_ns(), topic="service", kind=kind, payload=payload
+        )

@@ -1,0 +1,101 @@
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, update
+
+
+def condition(present: bool, **values: Any) -> Condition:
+    defaults = {"position": "B", "kind": "wall_change", "family": "damage", "severity": "high", "message": "3 of 5"}
+    return Condition(present=present, **{**defaults, **values})
+
+
+def moment(set_index: int = 0) -> Moment:
+    return Moment(utc_ns=1_000 + set_index, due_h=0.5 * set_index, set_index=set_index)
+
+
+def raised(**values: Any) -> dict[str, Any]:
+    change = update(None, condition(True, **values), moment())
+    assert change is not None
+    return {"id": 7, **change.row}
+
+
+def test_a_condition_raises_an_unacknowledged_alarm() -> None:
+    change = update(None, condition(True, proof={"limit": 24.3}), moment(3))
+    assert change is not None
+    assert change.event_kind == "alarm_raised"
+    assert change.row["state"] == "unacknowledged"
+    assert (change.row["raised_h"], change.row["raised_set_index"]) == (1.5, 3)
+    assert change.row["proof"] == {"limit": 24.3}
+
+
+def test_no_condition_and_no_alarm_is_no_change() -> None:
+    assert update(None, condition(False), moment()) is None
+
+
+def test_a_standing_condition_is_told_once() -> None:
+    assert update(raised(), condition(True), moment(1)) is None
+
+
+def test_a_cleared_alarm_waits_for_its_acknowledgement() -> None:
+    change = update(raised(), condition(False), moment(4))
+    assert change is not None
+    assert change.row["state"] == "returned_unacknowledged"
+    assert change.row["cleared_utc_ns"] == moment(4).utc_ns
+    seen = acknowledge(change.row, "ann", "looked at it", moment(5))
+    assert (seen.row["state"], seen.row["acknowledged_by"], seen.row["note"]) == ("normal", "ann", "looked at it")
+
+
+def test_an_acknowledged_alarm_ends_with_its_condition() -> None:
+    seen = acknowledge(raised(), "ann", "", moment(1)).row
+    assert seen["state"] == "acknowledged"
+    change = update(seen, condition(False), moment(2))
+    assert change is not None
+    assert change.row["state"] == "normal"
+
+
+def test_a_condition_that_returns_asks_for_attention_again() -> None:
+    cleared = update(raised(), condition(False), moment(1))
+    assert cleared is not None
+    again = update(cleared.row, condition(True), moment(2))
+    assert again is not None
+    assert (again.row["state"], again.event_kind) == ("unacknowledged", "alarm_returned")
+
+
+def test_a_closed_alarm_stays_in_the_history() -> None:
+    closed = {**raised(), "state": "normal"}
+    change = update(closed, condition(True), moment(9))
+    assert change is not None
+    assert "id" not in change.row, "a new appearance is a new row"
+
+
+def test_a_hole_does_not_heal() -> None:
+    assert update(raised(kind="hole"), condition(False, kind="hole", latched=True), moment(1)) is None
+
+
+def test_severity_only_rises_and_asks_for_attention() -> None:
+    seen = acknowledge(raised(), "ann", "", moment(1)).row
+    assert update(seen, condition(True, severity="low"), moment(2)) is None
+    worse = update(seen, condition(True, severity="critical"), moment(2))
+    assert worse is not None
+    assert (worse.row["severity"], worse.row["state"]) == ("critical", "unacknowledged")
+
+
+def test_nothing_to_acknowledge_is_said() -> None:
+    seen = acknowledge(raised(), "ann", "", moment(1)).row
+    with pytest.raises(ValueError, match="nothing to acknowledge"):
+        acknowledge(seen, "ann", "", moment(2))
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=30))
+def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(history: list[bool]) -> None:
+    row: dict[str, Any] | None = None
+    for index, present in enumerate(history):
+        change = update(row, condition(present), moment(index))
+        row = row if change is None else {"id": index, **change.row}
+    appeared = any(history)
+    assert (row is not None and row["state"] in ACTIVE_STATES) == appeared
+    if row is not None:
+        assert (row["state"] == "unacknowledged") == history[-1]

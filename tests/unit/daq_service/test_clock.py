@@ -1,0 +1,87 @@
+import pytest
+
+from daq_service.clock import NS_PER_H, NS_PER_S, SimulatedClock, format_utc, parse_utc
+
+
+def always() -> bool:
+    return True
+
+
+class FakeWall:
+    """Wall time that passes only by sleeping."""
+
+    def __init__(self) -> None:
+        self.now_ns = 5 * NS_PER_S
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += round(seconds * NS_PER_S)
+
+
+def test_a_time_survives_being_written_and_read() -> None:
+    assert format_utc(parse_utc("2024-01-01T12:30:00.250Z")) == "2024-01-01T12:30:00.250Z"
+
+
+def test_a_time_east_of_greenwich_is_turned_into_utc() -> None:
+    assert parse_utc("2024-01-01T02:00:00+02:00") == parse_utc("2024-01-01T00:00:00Z")
+
+
+def test_a_time_without_an_offset_is_refused() -> None:
+    with pytest.raises(ValueError, match="no UTC offset"):
+        parse_utc("2024-01-01T00:00:00")
+
+
+def test_the_simulated_clock_jumps_without_sleeping() -> None:
+    wall = FakeWall()
+    clock = SimulatedClock(0, sleep=wall.sleep, wall_ns=wall)
+    assert clock.wait_until(350 * NS_PER_H, always)
+    assert clock.utc_ns() == 350 * NS_PER_H
+    assert wall.now_ns == 5 * NS_PER_S
+
+
+def test_a_time_in_the_past_does_not_set_the_clock_back() -> None:
+    clock = SimulatedClock(NS_PER_H)
+    assert clock.wait_until(0, always)
+    assert clock.utc_ns() == NS_PER_H
+
+
+def test_a_paced_clock_takes_the_wall_time_of_its_pace() -> None:
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=5.0, sleep=wall.sleep, wall_ns=wall)
+    assert clock.wait_until(10 * NS_PER_H, always)
+    assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
+
+
+def test_work_between_two_waits_is_part_of_the_pace() -> None:
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=5.0, sleep=wall.sleep, wall_ns=wall)
+    clock.wait_until(5 * NS_PER_H, always)
+    wall.sleep(0.7)
+    clock.wait_until(10 * NS_PER_H, always)
+    assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
+
+
+def test_finish_now_ends_the_pacing() -> None:
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=1e-6, sleep=wall.sleep, wall_ns=wall)
+
+    def idle() -> bool:
+        clock.finish_now()
+        return True
+
+    assert clock.wait_until(NS_PER_H, idle)
+    assert clock.utc_ns() == NS_PER_H
+
+
+def test_a_wait_ends_as_soon_as_idle_says_so() -> None:
+    wall = FakeWall()
+    clock = SimulatedClock(0, pace_h_per_s=1.0, sleep=wall.sleep, wall_ns=wall)
+    assert not clock.wait_until(NS_PER_H, lambda: wall.now_ns < 5.5 * NS_PER_S)
+    assert clock.utc_ns() == 0, "time that nobody waited for must not pass"
+
+
+def test_a_pace_of_zero_is_refused() -> None:
+    with pytest.raises(ValueError, match="must be positive"):
+        SimulatedClock(0, pace_h_per_s=0.0)
