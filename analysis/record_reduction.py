@@ -43,7 +43,8 @@ class ExtractionSettings:
     window_half_width_s: float = 90e-6
     """Half-width of the area windows, and reach of the autocorrelation gate beyond ISW and PSW."""
     autocorrelation_search_half_width_s: float = 40e-6
-    autocorrelation_smoothing_s: float = 10e-6
+    autocorrelation_triangle_s: float = 10e-6
+    """Base of the triangle that smooths the autocorrelation."""
     block_s: float = 1e-6
     """Longest block mean the record is reduced to."""
     missed_below_snr: float = 3.0
