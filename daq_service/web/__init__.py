@@ -1,0 +1,1 @@
+"""The web service: REST, server-sent events, live waveforms and the dashboard."""

@@ -1,0 +1,97 @@
+"""The FastAPI application: shared parts, guards, problem details, one router a resource."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from fastapi import APIRouter, FastAPI
+
+from daq_service.settings import Settings
+from daq_service.web import (
+    alarms,
+    assets,
+    commands,
+    features,
+    fits,
+    health,
+    info,
+    problem,
+    sets,
+    stream,
+    thickness,
+    transducers,
+    trends,
+    verdicts,
+    waveforms,
+)
+from daq_service.web.answers import JsonAnswer
+from daq_service.web.context import Context, context_of
+from daq_service.web.guards import RequestGuard
+from daq_service.web.version import API_VERSION
+
+RESOURCES = (
+    info,
+    health,
+    transducers,
+    sets,
+    features,
+    thickness,
+    verdicts,
+    trends,
+    fits,
+    waveforms,
+    alarms,
+    commands,
+    stream,
+)
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    context = context_of(app)
+    await context.hub.start()
+    await context.live.start()
+    try:
+        yield
+    finally:
+        context.close_streams()
+        await context.hub.join()
+        await context.live.join()
+        context.catalogue_access.close()
+
+
+def create_app(settings: Settings, data_folder: Path) -> FastAPI:
+    """Build the service of one data folder; it reads, and writes only operator commands.
+
+    Parameters
+    ----------
+    data_folder
+        May still be empty: answers are 503 "no data yet" until the recorder has stored something.
+    """
+    app = FastAPI(
+        title="solimon",
+        version=API_VERSION,
+        description=(
+            "State, history and live stream of a test with highly nonlinear solitary waves. Values are "
+            "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
+            "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
+        ),
+        openapi_url="/api/v1/openapi.json",
+        # Their pages load scripts from elsewhere; this service works offline.
+        docs_url=None,
+        redoc_url=None,
+        default_response_class=JsonAnswer,
+        lifespan=_lifespan,
+    )
+    app.state.context = Context(settings, data_folder)
+    app.add_middleware(RequestGuard)
+    problem.install(app)
+    app.include_router(health.probes)
+    api = APIRouter(prefix="/api/v1")
+    for resource in RESOURCES:
+        api.include_router(resource.router)
+    app.include_router(api)
+    app.include_router(assets.router)
+    return app

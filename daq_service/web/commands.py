@@ -1,0 +1,132 @@
+"""`/api/v1/commands`: orders for the recorder. A row is written here; the recorder carries it out."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Request
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.responses import Response
+
+from daq_service.web.alarms import LARGEST_ID, check_waiting
+from daq_service.web.answers import JsonAnswer, with_utc
+from daq_service.web.context import Context, ContextOf
+from daq_service.web.info import is_paced
+from daq_service.web.models import CommandRow, problems
+from daq_service.web.problem import conflict, not_found
+
+router = APIRouter(tags=["commands"])
+_STRICT = ConfigDict(extra="forbid")
+Author = Annotated[str, Field(min_length=1, max_length=80, description="Who gives the order")]
+
+
+class NoArguments(BaseModel):
+    """The order needs none."""
+
+    model_config = _STRICT
+
+
+class AlarmArguments(BaseModel):
+    """Which alarm was seen."""
+
+    model_config = _STRICT
+    alarm_id: int = Field(ge=1, le=LARGEST_ID)
+    note: str = Field(default="", max_length=2000)
+
+
+class FinishNow(BaseModel):
+    """Stop pacing: the rest of the simulated test runs as fast as it goes."""
+
+    model_config = _STRICT
+    kind: Literal["finish_now"]
+    author: Author = "operator"
+    arguments: NoArguments = NoArguments()
+
+
+class Stop(BaseModel):
+    """End the recording after the current set."""
+
+    model_config = _STRICT
+    kind: Literal["stop"]
+    author: Author = "operator"
+    arguments: NoArguments = NoArguments()
+
+
+class AcknowledgeAlarm(BaseModel):
+    """An operator has seen an alarm."""
+
+    model_config = _STRICT
+    kind: Literal["acknowledge_alarm"]
+    author: Author = "operator"
+    arguments: AlarmArguments
+
+
+class Acknowledgement(BaseModel):
+    """Body of an acknowledgement."""
+
+    model_config = _STRICT
+    author: Author = "operator"
+    note: str = Field(default="", max_length=2000)
+
+
+Command = Annotated[FinishNow | Stop | AcknowledgeAlarm, Field(discriminator="kind")]
+ACCEPTED = problems(403, 404, 409, 413, 422, 503)
+
+
+@router.post(
+    "/commands", operation_id="create_command", status_code=202, response_model=CommandRow, responses=ACCEPTED
+)
+def create_command(command: Command, context: ContextOf, request: Request) -> Response:
+    """Write an order; it is carried out when the recorder reads it (see its `state`)."""
+    if isinstance(command, FinishNow) and not is_paced(context.settings):
+        raise conflict(
+            "This test is not paced: it already runs as fast as its clock allows.",
+            "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
+        )
+    if isinstance(command, AcknowledgeAlarm):
+        check_waiting(context, command.arguments.alarm_id)
+    elif (state := context.freshness().recorder) in {"finished", "stopped"}:
+        raise conflict(f"The recorder has {state}: nobody would carry this out.", "Start it again first.")
+    return _written(context, command.author, command.kind, command.arguments.model_dump())
+
+
+@router.post(
+    "/alarms/{alarm_id}/acknowledge",
+    operation_id="acknowledge_alarm",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def acknowledge_alarm(
+    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, context: ContextOf
+) -> Response:
+    """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
+    check_waiting(context, alarm_id)
+    return _written(context, body.author, "acknowledge_alarm", {"alarm_id": alarm_id, "note": body.note})
+
+
+@router.get(
+    "/commands/{command_id}",
+    operation_id="get_command",
+    response_model=CommandRow,
+    responses=problems(404, 422, 503),
+)
+def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
+    """Tell what became of an order."""
+    return JsonAnswer(_row(context, command_id))
+
+
+def _written(context: Context, author: str, kind: str, arguments: dict[str, Any]) -> Response:
+    command_id = context.catalogue().add_command(author, kind, arguments)
+    return JsonAnswer(
+        _row(context, command_id), status_code=202, headers={"Location": f"/api/v1/commands/{command_id}"}
+    )
+
+
+def _row(context: Context, command_id: int) -> dict[str, Any]:
+    row = context.catalogue().command(command_id)
+    if row is None:
+        raise not_found(
+            f"There is no command {command_id}.", "Ids come from the answer that accepted the command."
+        )
+    return with_utc(row, 0)

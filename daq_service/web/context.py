@@ -1,0 +1,211 @@
+"""What the routes share: settings, data folder, catalogue, hub, live pictures, freshness."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import Depends, FastAPI, Request, WebSocket
+
+from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
+from daq_service.heartbeat import Beat, overdue_s, read_heartbeat
+from daq_service.settings import Settings
+from daq_service.web.answers import NS_PER_H, rfc3339, with_utc
+from daq_service.web.hub import EventHub
+from daq_service.web.live_pictures import LivePictures
+from daq_service.web.problem import no_data_yet, not_found
+
+LOOK_BACK_EVENTS = 20
+"""The recorder's farewell is among its last events: behind it come at most answers to commands."""
+FAREWELLS = {"schedule_done": "finished", "recorder_stopped": "stopped"}
+
+
+class CatalogueAccess:
+    """Opens the catalogue when it is first there, once, for all threads."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._lock = threading.Lock()
+        self._catalogue: Catalogue | None = None
+
+    def get(self) -> Catalogue:
+        """Return the open catalogue.
+
+        Raises
+        ------
+        NoDataYetError
+            Before the first record.
+        """
+        with self._lock:
+            if self._catalogue is None:
+                self._catalogue = open_catalogue(self._folder)
+            return self._catalogue
+
+    def close(self) -> None:
+        """Close it; the next `get` opens it again."""
+        with self._lock:
+            if self._catalogue is not None:
+                self._catalogue.close()
+                self._catalogue = None
+
+
+class CatalogueEvents:
+    """The catalogue's events as the hub wants them (`hub.EventSource`)."""
+
+    def __init__(self, access: CatalogueAccess) -> None:
+        self._access = access
+        self._epoch_utc_ns: int | None = None
+
+    def last_id(self) -> int | None:
+        """Id of the newest event; None before the first record."""
+        try:
+            return self._access.get().last_event_id()
+        except NoDataYetError:
+            return None
+
+    def after(self, event_id: int, topics: Collection[str] | None, limit: int) -> Sequence[Mapping[str, Any]]:
+        """Events behind an id, with RFC 3339 times."""
+        try:
+            catalogue = self._access.get()
+        except NoDataYetError:
+            return []
+        if self._epoch_utc_ns is None:
+            self._epoch_utc_ns = int(catalogue.experiment_row()["epoch_utc_ns"])
+        chosen = None if topics is None else sorted(topics)
+        rows = catalogue.events_after(event_id, chosen, limit)
+        epoch_utc_ns = self._epoch_utc_ns
+        return [
+            {**with_utc(row, epoch_utc_ns), "payload": with_utc(row["payload"], epoch_utc_ns)} for row in rows
+        ]
+
+
+class Context:
+    """One application's shared parts; built by `app.create_app`, reached by `ContextOf`."""
+
+    def __init__(self, settings: Settings, data_folder: Path) -> None:
+        self.settings = settings
+        self.data_folder = data_folder
+        self.catalogue_access = CatalogueAccess(data_folder)
+        self.events = CatalogueEvents(self.catalogue_access)
+        self.hub = EventHub(self.events)
+        self.live = LivePictures(data_folder / "live", settings.positions)
+        self._has_data = False
+
+    def catalogue(self) -> Catalogue:
+        """Open catalogue, or the problem "no data yet" before the first set."""
+        try:
+            catalogue = self.catalogue_access.get()
+        except NoDataYetError:
+            raise no_data_yet() from None
+        if not self._has_data:
+            if not catalogue.list_sets(limit=1):
+                raise no_data_yet()
+            self._has_data = True
+        return catalogue
+
+    def close_streams(self) -> None:
+        """End every open stream; called before the server waits for its answers."""
+        self.hub.close()
+        self.live.close()
+
+    def known(self, position: str) -> str:
+        """Check the name of a position (it becomes part of file names).
+
+        Raises
+        ------
+        Problem
+            404: this experiment has no such position.
+        """
+        if position not in self.settings.positions:
+            raise not_found(
+                f"There is no position {position!r}.",
+                f"The positions are {', '.join(self.settings.positions)}.",
+            )
+        return position
+
+    def freshness(self) -> Freshness:
+        """How fresh the catalogue is at this moment."""
+        return Freshness(self)
+
+
+class Freshness:
+    """Age of the data on both clocks, taken once an answer."""
+
+    def __init__(self, context: Context) -> None:
+        catalogue = context.catalogue()
+        self.epoch_utc_ns = int(catalogue.experiment_row()["epoch_utc_ns"])
+        self.clock = context.settings.clock.kind
+        self.last_event_id = catalogue.last_event_id()
+        newest = catalogue.events_after(max(0, self.last_event_id - LOOK_BACK_EVENTS), None, LOOK_BACK_EVENTS)
+        last = newest[-1] if newest else None
+        wall_ns = time.time_ns()
+        self._written_ns: int | None = None if last is None else int(last["wall_utc_ns"])
+        self.wall_age_s = None if self._written_ns is None else max(0.0, (wall_ns - self._written_ns) / 1e9)
+        if self.clock == "wall":
+            self.now_utc_ns = wall_ns
+        else:
+            # A simulated clock stands still while nobody works: the last event tells its time.
+            self.now_utc_ns = self.epoch_utc_ns if last is None else int(last["utc_ns"])
+        self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
+        self.recorder = recorder_state(read_heartbeat(context.data_folder), [row["kind"] for row in newest])
+
+    def as_of(self) -> dict[str, Any]:
+        """Answer part `as_of`."""
+        return {
+            "clock": self.clock,
+            "now_utc": rfc3339(self.now_utc_ns),
+            "now_h": self.now_h,
+            "last_write_wall_utc": rfc3339(self._written_ns),
+            "wall_age_s": self.wall_age_s,
+            "recorder": self.recorder,
+        }
+
+    def age_h(self, due_h: float) -> float:
+        """Age on the experiment's clock of what belongs to an hour; not negative."""
+        return max(0.0, self.now_h - due_h)
+
+    def row(self, row: Mapping[str, Any], *, at: str = "due_h") -> dict[str, Any]:
+        """Row of the catalogue as it leaves the service: times as text, age beside."""
+        return with_utc({**row}, self.epoch_utc_ns) | {"age_h": self.age_h(row[at])}
+
+
+def recorder_state(beat: Beat | None, newest_kinds: Sequence[str]) -> str:
+    """Word for the recorder.
+
+    Returns
+    -------
+    str
+        "finished" or "stopped" where it said so itself, else "running", "silent" (past its
+        deadline, or of another boot) or "absent" (never ran).
+    """
+    for kind in reversed(newest_kinds):
+        if kind in FAREWELLS:
+            return FAREWELLS[kind]
+        if kind == "recorder_started":
+            break
+    if beat is None:
+        return "absent"
+    now_ns = time.monotonic_ns()
+    return "running" if beat.mono_ns <= now_ns and overdue_s(beat, mono_ns=now_ns) <= 0.0 else "silent"
+
+
+def context_of(app: FastAPI) -> Context:
+    """Shared parts of an application."""
+    context = app.state.context
+    assert isinstance(context, Context)
+    return context
+
+
+def _context(request: Request) -> Context:
+    return context_of(request.app)
+
+
+def _socket_context(websocket: WebSocket) -> Context:
+    return context_of(websocket.app)
+
+
+ContextOf = Annotated[Context, Depends(_context)]
+SocketContextOf = Annotated[Context, Depends(_socket_context)]

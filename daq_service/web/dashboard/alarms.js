@@ -1,0 +1,122 @@
+// The alarm list: what waits for an operator first, each with its proof.
+
+import { get, post } from "./api.js";
+import { el, setText } from "./dom.js";
+import { hour, utc } from "./format.js";
+import { SEVERITIES, chip } from "./icons.js";
+
+const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
+const RANK = { critical: 0, high: 1, medium: 2, low: 3 };
+/** @type {Record<string, string>} */
+const WORDS = {
+  unacknowledged: "not acknowledged",
+  acknowledged: "acknowledged",
+  returned_unacknowledged: "returned to normal, not acknowledged",
+  normal: "closed",
+};
+
+export class SolimonAlarms extends HTMLElement {
+  connectedCallback() {
+    /** @type {any[]} */
+    this.items = [];
+    /** @type {Map<number, string>} what became of our orders, by alarm */
+    this.orders = new Map();
+    /** @type {Set<number>} alarms whose proof is open */
+    this.opened = new Set();
+    this.setAttribute("role", "region");
+    this.setAttribute("aria-labelledby", "alarms-title");
+    this.count = el("p", { "aria-live": "polite", text: "None so far" });
+    this.list = el("ul", { class: "alarm-list" });
+    this.none = el("p", { class: "no-alarms", text: "No alarm has been raised in this test." });
+    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)), this.none, this.list);
+  }
+
+  /** @param {any[]} items */
+  update(items) {
+    this.items = [...items].sort(
+      (a, b) =>
+        Number(WAITING.has(b.state)) - Number(WAITING.has(a.state)) ||
+        Number(b.state !== "normal") - Number(a.state !== "normal") ||
+        RANK[/** @type {"critical"} */ (a.severity)] - RANK[/** @type {"critical"} */ (b.severity)] ||
+        b.raised_h - a.raised_h,
+    );
+    const waiting = items.filter((item) => WAITING.has(item.state)).length;
+    setText(this.count, items.length ? `${waiting} waiting for acknowledgement, ${items.length} in this test` : "None so far");
+    this.dataset.count = String(items.length);
+    this.none.hidden = items.length > 0;
+    this.list.hidden = items.length === 0;
+    this.render();
+  }
+
+  render() {
+    const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.focus;
+    this.list.replaceChildren(...this.items.map((item) => this.item(item)));
+    if (focused) /** @type {HTMLElement | null} */ (this.list.querySelector(`[data-focus="${focused}"]`))?.focus();
+  }
+
+  /** @param {any} alarm @returns {HTMLElement} */
+  item(alarm) {
+    const waiting = WAITING.has(alarm.state);
+    const order = this.orders.get(alarm.id);
+    const proof = el("details", {}, el("summary", { text: "Proof", "data-focus": `proof-${alarm.id}` }), el("pre", { class: "proof", tabindex: "0", text: JSON.stringify(alarm.proof, null, 1) }));
+    /** @type {HTMLDetailsElement} */ (proof).open = this.opened.has(alarm.id);
+    proof.addEventListener("toggle", () => (/** @type {HTMLDetailsElement} */ (proof).open ? this.opened.add(alarm.id) : this.opened.delete(alarm.id)));
+    const foot = el("div", { class: "alarm-foot" }, proof);
+    if (waiting) {
+      const button = el("button", { class: "button small", type: "button", "data-focus": `ack-${alarm.id}`, disabled: order !== undefined, text: order ?? "Acknowledge" });
+      button.setAttribute("aria-label", `Acknowledge: ${alarm.message}`);
+      button.addEventListener("click", () => this.acknowledge(alarm.id));
+      foot.append(button);
+    }
+    const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
+    const item = el(
+      "li",
+      { class: "alarm" },
+      el(
+        "div",
+        { class: "alarm-head" },
+        chip(SEVERITIES[alarm.severity] ?? SEVERITIES.low),
+        el("strong", { text: `${alarm.position ?? "Service"} · hour ${hour(alarm.raised_h)}` }),
+        el("span", { class: "quiet", text: utc(alarm.raised_utc) }),
+      ),
+      el("p", { class: "alarm-message", text: alarm.message }),
+      el("p", { class: "quiet small", text: `${alarm.family} alarm, ${WORDS[alarm.state] ?? alarm.state}${who}` }),
+      foot,
+    );
+    item.dataset.alarm = String(alarm.id);
+    item.dataset.open = String(alarm.state !== "normal");
+    return item;
+  }
+
+  /** @param {number} id */
+  async acknowledge(id) {
+    this.orders.set(id, "Sending");
+    this.render();
+    try {
+      const command = await post(`/alarms/${id}/acknowledge`, { author: "dashboard" });
+      this.orders.set(id, "Sent");
+      this.render();
+      await this.follow(id, command.id);
+    } catch (error) {
+      this.orders.delete(id);
+      this.render();
+      this.dispatchEvent(new CustomEvent("trouble", { detail: String(/** @type {Error} */ (error).message) }));
+    }
+  }
+
+  /** Until the recorder has answered; its event brings the new state. @param {number} id @param {number} command */
+  async follow(id, command) {
+    for (let attempt = 0; attempt < 20; attempt++) {
+      await new Promise((resolve) => setTimeout(resolve, 500));
+      const row = await get(`/commands/${command}`);
+      if (row.state === "done") return;
+      if (row.state === "refused") {
+        this.orders.delete(id);
+        this.render();
+        throw new Error(row.result ?? "the recorder refused the acknowledgement");
+      }
+    }
+    this.orders.set(id, "Waiting for the recorder");
+    this.render();
+  }
+}

@@ -1,0 +1,51 @@
+// Numbers and times as text. "–" is what the API calls null: not available.
+
+/** @typedef {number | null | undefined} Maybe */
+
+export const NONE = "–";
+
+/**
+ * @param {Maybe} value
+ * @param {number} digits after the point
+ */
+export function fixed(value, digits) {
+  return value === null || value === undefined || !Number.isFinite(value) ? NONE : value.toFixed(digits);
+}
+
+/**
+ * @param {Maybe} value
+ * @param {number} scale e.g. 1e6 for s to µs
+ * @param {number} digits
+ * @param {string} unit
+ */
+export function quantity(value, scale, digits, unit) {
+  const text = fixed(value === null || value === undefined ? value : value * scale, digits);
+  return text === NONE || !unit ? text : `${text} ${unit}`;
+}
+
+/** Three significant digits without an exponent up to a million. @param {Maybe} value */
+export function significant(value) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
+  const size = Math.abs(value);
+  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return value.toExponential(2);
+  return String(Number(value.toPrecision(3)));
+}
+
+/** @param {number} seconds */
+export function duration(seconds) {
+  if (seconds < 1) return "under 1 s";
+  if (seconds < 90) return `${Math.round(seconds)} s`;
+  if (seconds < 5400) return `${Math.round(seconds / 60)} min`;
+  if (seconds < 48 * 3600) return `${(seconds / 3600).toFixed(1)} h`;
+  return `${(seconds / 86400).toFixed(1)} d`;
+}
+
+/** @param {Maybe} hours */
+export function hour(hours) {
+  return fixed(hours, 1);
+}
+
+/** RFC 3339 to a short UTC text. @param {string | null | undefined} text */
+export function utc(text) {
+  return text ? `${text.slice(0, 10)} ${text.slice(11, 16)} UTC` : NONE;
+}

@@ -1,0 +1,229 @@
+// The newest record of a position, as the recorder's live picture shows it.
+
+import uPlot from "./vendor/uplot/uPlot.esm.js";
+import { color, el, setText } from "./dom.js";
+import { NONE, fixed, hour, quantity } from "./format.js";
+
+/** @typedef {import("./streams.js").Record_} Record_ */
+
+const PULSES = [
+  { name: "ISW", long: "incident", time: "isw_time_s", height: "isw_amplitude_v" },
+  { name: "PSW", long: "primary reflected", time: "psw_time_s", height: "psw_amplitude_v" },
+  { name: "SSW", long: "secondary reflected", time: "ssw_time_s", height: "ssw_amplitude_v" },
+];
+const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
+
+export class SolimonWaveform extends HTMLElement {
+  constructor() {
+    super();
+    /** @type {Record_ | null} */
+    this.record = null;
+    /** @type {any} */
+    this.plot = null;
+    this.received = 0;
+    this.changes = 0;
+  }
+
+  connectedCallback() {
+    this.heading = el("h2", { text: "Live waveform", id: "waveform-title" });
+    this.subtitle = el("p", { text: "The newest record of the selected position" });
+    this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
+    this.toggle.setAttribute("aria-label", "Live waveform: show as a table");
+    this.readouts = el("dl", { class: "readouts" });
+    this.box = el("div", { class: "plot", role: "img", tabindex: "0" });
+    this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
+    this.box.append(this.emptyText);
+    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Live waveform, table", hidden: true });
+    this.readout = el("p", { class: "readout" });
+    this.setAttribute("role", "group");
+    this.setAttribute("aria-labelledby", "waveform-title");
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), el("div", { class: "card-actions" }, this.toggle)),
+      this.readouts,
+      this.box,
+      this.tableBox,
+      this.readout,
+    );
+    this.toggle.addEventListener("click", () => {
+      const shown = this.tableBox.hidden;
+      this.tableBox.hidden = !shown;
+      this.box.hidden = shown;
+      this.toggle.setAttribute("aria-pressed", String(shown));
+      if (shown) this.fillTable();
+    });
+    this.box.addEventListener("keydown", (event) => this.onKey(event));
+    new ResizeObserver(() => this.resize()).observe(this.box);
+  }
+
+  /** @param {string} position @param {string} label */
+  select(position, label) {
+    this.record = null;
+    this.plot?.destroy();
+    this.plot = null;
+    this.emptyText.hidden = false;
+    setText(this.heading, `Live waveform · ${position}`);
+    setText(this.subtitle, label);
+    setText(this.readout, "");
+    this.label = label;
+    this.readouts.replaceChildren();
+    delete this.dataset.sequence;
+  }
+
+  /** @param {Record_} record */
+  show(record) {
+    const sameKind = this.record?.header.method === record.header.method && this.record?.volts.length === record.volts.length;
+    this.record = record;
+    this.received = performance.now();
+    this.changes += 1;
+    this.dataset.sequence = String(record.header.sequence);
+    this.dataset.samples = String(record.volts.length);
+    this.emptyText.hidden = true;
+    const { header } = record;
+    setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, set ${header.set_index}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
+    this.fillReadouts();
+    this.box.setAttribute("aria-label", `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`);
+    if (this.plot && sameKind) this.plot.setData([record.micros, record.volts]);
+    else this.draw();
+    if (!this.tableBox.hidden) this.fillTable();
+  }
+
+  fillReadouts() {
+    const { header, volts } = /** @type {Record_} */ (this.record);
+    const groups = [];
+    if (header.method === "solitary_wave") {
+      for (const pulse of PULSES) {
+        const time = header.marks[pulse.time];
+        const height = header.marks[pulse.height];
+        groups.push([`${pulse.name} (${pulse.long})`, time === null ? NONE : `${quantity(time, 1e6, 1, "µs")} · ${quantity(height, 1, 3, "V")}`]);
+      }
+      const { isw_time_s: isw, psw_time_s: psw, isw_amplitude_v: a, psw_amplitude_v: b } = header.marks;
+      groups.push(["Peak to peak, PSW − ISW", isw === null || psw === null ? NONE : quantity(psw - isw, 1e6, 2, "µs")]);
+      groups.push(["PSW / ISW", a && b ? fixed(b / a, 3) : NONE]);
+    } else {
+      let peak = 0;
+      for (const value of volts) peak = Math.max(peak, Math.abs(value));
+      groups.push(["Samples", `${volts.length} at ${fixed(header.sample_rate_hz / 1e6, 0)} MS/s`], ["Largest amplitude", quantity(peak, 1, 3, "V")]);
+    }
+    this.readouts.replaceChildren(...groups.map(([name, value]) => el("div", {}, el("dt", { text: name }), el("dd", { text: value }))));
+  }
+
+  fillTable() {
+    if (!this.record) return;
+    const { micros, volts } = this.record;
+    const step = Math.max(1, Math.ceil(volts.length / 400));
+    const body = el("tbody");
+    for (let k = 0; k < volts.length; k += step) {
+      body.append(el("tr", {}, el("td", { text: micros[k].toFixed(2) }), el("td", { text: volts[k].toFixed(4) })));
+    }
+    const head = el("tr", {}, el("th", { scope: "col", text: "Time from the trigger (µs)" }), el("th", { scope: "col", text: "Sensor voltage (V)" }));
+    this.tableBox.replaceChildren(el("table", {}, el("caption", { text: `Every ${step}th of ${volts.length} samples; all of them are in the API` }), el("thead", {}, head), body));
+  }
+
+  /** @param {KeyboardEvent} event */
+  onKey(event) {
+    const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -20, PageDown: 20 }[event.key];
+    if (step === undefined || !this.plot) return;
+    event.preventDefault();
+    const left = Math.max(0, (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3);
+    this.plot.setCursor({ left: Math.min(left, this.plot.over.clientWidth), top: this.plot.over.clientHeight / 2 });
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.box;
+    if (this.plot && width && height) this.plot.setSize({ width, height });
+    else if (!this.plot && this.record) this.draw();
+  }
+
+  /** Draw anew, e.g. in the colours of another theme. */
+  draw() {
+    this.plot?.destroy();
+    this.plot = null;
+    const { clientWidth: width, clientHeight: height } = this.box;
+    if (!this.record || !width || !height) return;
+    const axis = {
+      stroke: color("--quiet"),
+      font: FONT,
+      labelFont: FONT,
+      grid: { stroke: color("--grid"), width: 1 },
+      ticks: { stroke: color("--grid"), width: 1, size: 4 },
+      labelGap: 2,
+    };
+    this.plot = new uPlot(
+      {
+        width,
+        height,
+        padding: [18, 12, 0, 0],
+        legend: { show: false },
+        cursor: { drag: { x: true, y: false } },
+        scales: {
+          x: { time: false },
+          y: {
+            range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => {
+              const pad = Math.max(0.08 * (max - min), 1e-3);
+              return [min - pad, max + pad];
+            },
+          },
+        },
+        axes: [
+          { ...axis, label: "Time from the trigger (µs)", size: 34, labelSize: 18 },
+          { ...axis, label: "Sensor voltage (V)", size: 52, labelSize: 18 },
+        ],
+        series: [{}, { stroke: color("--data"), width: 1.5, points: { show: false } }],
+        hooks: {
+          draw: [(/** @type {any} */ u) => this.drawMarks(u)],
+          setCursor: [
+            (/** @type {any} */ u) => {
+              const index = u.cursor.idx;
+              const record = this.record;
+              setText(this.readout, record && index !== null && index !== undefined ? `${record.micros[index].toFixed(2)} µs · ${record.volts[index].toFixed(4)} V` : "");
+            },
+          ],
+        },
+      },
+      /** @type {any} */ ([this.record.micros, this.record.volts]),
+      this.box,
+    );
+  }
+
+  /** @param {any} u */
+  drawMarks(u) {
+    const { header } = /** @type {Record_} */ (this.record);
+    if (header.method !== "solitary_wave") return;
+    const { ctx, bbox } = u;
+    const ratio = devicePixelRatio;
+    ctx.save();
+    ctx.font = `600 ${12 * ratio}px system-ui, "Liberation Sans", Arial, sans-serif`;
+    ctx.textAlign = "center";
+    ctx.textBaseline = "bottom";
+    for (const pulse of PULSES) {
+      const time = header.marks[pulse.time];
+      const height = header.marks[pulse.height];
+      if (time === null || height === null) continue;
+      const x = u.valToPos(time * 1e6, "x", true);
+      const y = u.valToPos(height, "y", true);
+      if (x < bbox.left || x > bbox.left + bbox.width) continue;
+      ctx.strokeStyle = color("--fit");
+      ctx.fillStyle = color("--fit");
+      ctx.lineWidth = 1.5 * ratio;
+      ctx.setLineDash([4 * ratio, 4 * ratio]);
+      ctx.beginPath();
+      ctx.moveTo(x, y);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+      ctx.setLineDash([]);
+      ctx.beginPath();
+      ctx.arc(x, y, 4 * ratio, 0, 2 * Math.PI);
+      ctx.fill();
+      ctx.fillStyle = color("--ink");
+      ctx.fillText(pulse.name, x, Math.max(y - 7 * ratio, 14 * ratio));
+    }
+    ctx.restore();
+  }
+
+  /** What is drawn, for tests and for the curious; copies. */
+  snapshot() {
+    return this.record === null
+      ? null
+      : { header: structuredClone(this.record.header), volts: [...this.record.volts], micros: [...this.record.micros], changes: this.changes, drawn: Boolean(this.plot) };
+  }
+}

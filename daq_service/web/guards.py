@@ -1,0 +1,161 @@
+"""What stands before every route: host, origin and size of a request, headers of an answer.
+
+Plain ASGI, because Starlette's `BaseHTTPMiddleware` would buffer the streams.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Mapping
+from typing import Any
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from daq_service.web.problem import Problem, problem_response
+
+LARGEST_BODY_BYTES = 64 * 1024
+ALLOWED_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+ANSWER_HEADERS: Mapping[str, str] = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class RequestGuard:
+    """Refuses foreign hosts and origins and oversized bodies; names the request; sets the headers.
+
+    A browser page of another site can send requests to this machine. `Host` stops DNS rebinding,
+    `Origin` and `Sec-Fetch-Site` stop cross-site writes and WebSockets, which no browser keeps
+    within its origin by itself. Programs that are no browser send no Origin and are let through:
+    whoever runs on this machine as this user could write the data folder anyway.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a good request on, answer a bad one."""
+        if scope["type"] not in {"http", "websocket"}:
+            await self._app(scope, receive, send)
+            return
+        name = uuid.uuid4().hex
+        scope.setdefault("state", {})["request_id"] = name
+        headers = Headers(scope=scope)
+        problem = _refusal(scope, headers)
+
+        async def send_with_headers(message: Message) -> None:
+            if message["type"] in {"http.response.start", "websocket.http.response.start"}:
+                answer = MutableHeaders(scope=message)
+                for key, value in ANSWER_HEADERS.items():
+                    answer.setdefault(key, value)
+                answer.setdefault("Cache-Control", "no-store")
+                answer["X-Request-ID"] = name
+            await send(message)
+
+        if scope["type"] == "websocket":
+            if problem is not None:
+                await problem_response(scope, problem)(scope, receive, send_with_headers)
+                return
+            await self._app(scope, receive, send_with_headers)
+            return
+        if problem is not None:
+            await problem_response(scope, problem)(scope, receive, send_with_headers)
+            return
+        if scope["method"] in SAFE_METHODS:
+            await self._app(scope, receive, send_with_headers)
+            return
+        body = await _read_body(receive)
+        if body is None:
+            refusal = problem_response(scope, _too_large(f"more than {LARGEST_BODY_BYTES}"))
+            await refusal(scope, receive, send_with_headers)
+            return
+        await self._app(scope, _replayed(body, receive), send_with_headers)
+
+
+async def _read_body(receive: Receive) -> bytes | None:
+    """Whole body of a write; None once it passes the limit, whatever Content-Length said."""
+    body = b""
+    while True:
+        message = await receive()
+        part: bytes = message.get("body", b"")
+        body += part
+        if len(body) > LARGEST_BODY_BYTES:
+            return None
+        if message["type"] != "http.request" or not message.get("more_body", False):
+            return body
+
+
+def _replayed(body: bytes, receive: Receive) -> Receive:
+    """`receive` that hands out the body once, then what the server says."""
+    waiting = [body]
+
+    async def replay() -> Message:
+        if waiting:
+            return {"type": "http.request", "body": waiting.pop(), "more_body": False}
+        return await receive()
+
+    return replay
+
+
+def _too_large(size: str) -> Problem:
+    return Problem(
+        413,
+        "body-too-large",
+        "The request body is too large",
+        f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.",
+        "Commands are small: shorten the note.",
+    )
+
+
+def _refusal(scope: Scope, headers: Headers) -> Problem | None:
+    host = headers.get("host", "")
+    hostname = _hostname(host)
+    if hostname not in ALLOWED_HOSTS:
+        return Problem(
+            400,
+            "foreign-host",
+            "Unknown host name",
+            f"Host is {host!r}; this service answers to {', '.join(sorted(ALLOWED_HOSTS))} only.",
+            "Open the address that the service printed.",
+        )
+    writes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
+    if writes and not same_origin(headers):
+        return Problem(
+            403,
+            "foreign-origin",
+            "Request from another origin",
+            f"Origin is {headers.get('origin')!r}, but the request went to {host!r}.",
+            "Only the service's own dashboard and programs without a browser may write or follow waveforms.",
+        )
+    size = headers.get("content-length", "0")
+    if scope["type"] == "http" and (not size.isdigit() or int(size) > LARGEST_BODY_BYTES):
+        return _too_large(size)
+    return None
+
+
+def _hostname(netloc: str) -> str | None:
+    try:
+        return urlsplit(f"//{netloc}").hostname
+    except ValueError:
+        return None
+
+
+def same_origin(headers: Headers) -> bool:
+    """Tell that no browser of another origin sent this request."""
+    if headers.get("sec-fetch-site", "same-origin") not in {"same-origin", "none"}:
+        return False
+    origin = headers.get("origin")
+    if origin is None:
+        return True
+    parts: Any = urlsplit(origin)
+    return parts.scheme in {"http", "https"} and parts.netloc == headers.get("host", "")

@@ -1,0 +1,189 @@
+"""Tails the catalogue's events in a thread and hands each, encoded once, to every stream.
+
+A client is only a cursor: the id of the last event it got. It never owns a queue, so a slow one
+costs nothing; when the ring has moved past its cursor it is told so by a `gap` and skips.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import bisect
+import logging
+import threading
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import orjson
+
+from daq_service.errors import SolimonError
+
+log = logging.getLogger(__name__)
+POLL_INTERVAL_S = 0.03
+RING_EVENTS = 4096
+HEARTBEAT_INTERVAL_S = 15.0
+PAGE_EVENTS = 500
+UNREADABLE_INTERVAL_S = 0.5
+"""Pause after the catalogue could not be read: absent before the first record, or in trouble."""
+
+
+@dataclass(frozen=True, slots=True)
+class EncodedEvent:
+    """One event as the bytes that go out."""
+
+    id: int
+    topic: str
+    frame: bytes
+
+
+class EventSource(Protocol):
+    """Where events come from."""
+
+    def last_id(self) -> int | None:
+        """Id of the newest event; None while there is no catalogue."""
+        ...
+
+    def after(self, event_id: int, topics: Collection[str] | None, limit: int) -> Sequence[Mapping[str, Any]]:
+        """Events behind an id in order, as rows of the API."""
+        ...
+
+
+def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
+    """Row to a frame of the stream (WHATWG HTML, server-sent events)."""
+    data = orjson.dumps(row)
+    frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)
+    return EncodedEvent(row["id"], row["topic"], frame)
+
+
+class EventHub:
+    """The newest events in memory, and a wake-up for all who wait for the next one.
+
+    Everything but `_tail` runs on the event loop, so nothing needs a lock.
+    """
+
+    def __init__(
+        self,
+        source: EventSource,
+        *,
+        poll_interval_s: float = POLL_INTERVAL_S,
+        ring_events: int = RING_EVENTS,
+        heartbeat_interval_s: float = HEARTBEAT_INTERVAL_S,
+    ) -> None:
+        self._source = source
+        self._poll_interval_s = poll_interval_s
+        self._ring_events = ring_events
+        self.heartbeat_interval_s = heartbeat_interval_s
+        self._events: list[EncodedEvent] = []
+        self._complete_after: int | None = None
+        self._closed = False
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._tick: asyncio.Future[None] | None = None
+        self._heartbeat: asyncio.TimerHandle | None = None
+        self.clients = 0
+
+    async def start(self) -> None:
+        """Tail from now on."""
+        self._loop = asyncio.get_running_loop()
+        self._tick = self._loop.create_future()
+        self._thread = threading.Thread(target=self._tail, name="event-tail", daemon=True)
+        self._thread.start()
+        self._beat()
+
+    def close(self) -> None:
+        """Let every stream say `bye` and end; may be called again."""
+        self._closed = True
+        self._stop.set()
+        if self._heartbeat is not None:
+            self._heartbeat.cancel()
+        self._wake()
+
+    async def join(self) -> None:
+        """Wait for the tailing thread after `close`."""
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.join)
+
+    @property
+    def closed(self) -> bool:
+        """True once streams must end."""
+        return self._closed
+
+    @property
+    def complete_after(self) -> int | None:
+        """The ring holds every event with a greater id; None until the tail has begun."""
+        return self._complete_after
+
+    @property
+    def last_id(self) -> int:
+        """Id of the newest event known here."""
+        return self._events[-1].id if self._events else (self._complete_after or 0)
+
+    def after(self, event_id: int) -> list[EncodedEvent]:
+        """Events of the ring behind an id."""
+        return self._events[bisect.bisect_right(self._events, event_id, key=lambda event: event.id) :]
+
+    async def changed(self) -> None:
+        """Wait for new events, the heartbeat or the end."""
+        if not self._closed:
+            assert self._tick is not None
+            await asyncio.shield(self._tick)
+
+    def _wake(self) -> None:
+        if self._tick is not None and not self._tick.done():
+            self._tick.set_result(None)
+            if not self._closed:
+                self._tick = self._loop.create_future()
+
+    def _beat(self) -> None:
+        self._wake()
+        self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._beat)
+
+    def _begin(self, event_id: int) -> None:
+        self._complete_after = event_id
+        self._wake()
+
+    def _append(self, events: list[EncodedEvent]) -> None:
+        self._events.extend(events)
+        # Cut only at twice the size, so that the cost an event stays constant.
+        if len(self._events) > 2 * self._ring_events:
+            self._complete_after = self._events[-self._ring_events - 1].id
+            del self._events[: -self._ring_events]
+        self._wake()
+
+    def _tail(self) -> None:
+        """Body of the thread: poll, encode, pass to the loop."""
+        last: int | None = None
+        began = False
+        trouble = ""
+        while not self._stop.is_set():
+            pause_s = self._poll_interval_s
+            try:
+                if last is None:
+                    last = self._source.last_id()
+                    if last is None:
+                        # No catalogue yet: whoever waits now sees the experiment from its first event.
+                        self._pass_on(self._begin, 0) if not began else None
+                        began, pause_s = True, UNREADABLE_INTERVAL_S
+                    elif began:
+                        last = 0
+                    else:
+                        self._pass_on(self._begin, last)
+                else:
+                    rows = self._source.after(last, None, PAGE_EVENTS)
+                    if rows:
+                        last = rows[-1]["id"]
+                        self._pass_on(self._append, [encode_event(row) for row in rows])
+                        pause_s = 0.0 if len(rows) == PAGE_EVENTS else pause_s
+                trouble = ""
+            except SolimonError as error:
+                if str(error) != trouble:
+                    log.warning("cannot read events: %s", error)
+                trouble, pause_s = str(error), UNREADABLE_INTERVAL_S
+            self._stop.wait(pause_s)
+
+    def _pass_on(self, function: Callable[[Any], None], argument: Any) -> None:
+        try:
+            self._loop.call_soon_threadsafe(function, argument)
+        except RuntimeError:
+            # The loop is gone: the service ends.
+            self._stop.set()

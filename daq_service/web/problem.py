@@ -1,0 +1,185 @@
+"""Problem details (RFC 9457): every error answer of the service has one shape.
+
+::
+
+    Problem (raised by the routes)
+    ├── type      urn:solimon:problem:<name>, stable
+    ├── title, status, detail, hint
+    ├── instance  the path that was asked for
+    ├── request_id, also in the header X-Request-ID and in the log
+    └── errors    of a 422: [{in, pointer (RFC 6901), detail}]
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any
+
+import orjson
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.types import Scope
+
+from daq_service.errors import SolimonError, StorageError
+
+MEDIA_TYPE = "application/problem+json"
+TYPE_PREFIX = "urn:solimon:problem:"
+log = logging.getLogger(__name__)
+
+
+class InvalidPart(BaseModel):
+    """One refused part of a request."""
+
+    model_config = ConfigDict(extra="forbid", populate_by_name=True)
+    location: str = Field(alias="in", description="path, query, header or body")
+    pointer: str = Field(description="JSON pointer (RFC 6901) to the value inside that part")
+    detail: str
+
+
+class ProblemDetails(BaseModel):
+    """Body of every error answer."""
+
+    model_config = ConfigDict(extra="forbid")
+    type: str
+    title: str
+    status: int
+    detail: str
+    hint: str
+    instance: str
+    request_id: str
+    errors: list[InvalidPart] | None = None
+
+
+class Problem(Exception):  # noqa: N818 - the RFC's word
+    """An answer that is not the one asked for."""
+
+    def __init__(self, status: int, name: str, title: str, detail: str, hint: str) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.name = name
+        self.title = title
+        self.detail = detail
+        self.hint = hint
+
+
+def no_data_yet() -> Problem:
+    """Say that nothing is recorded so far."""
+    return Problem(
+        503,
+        "no-data-yet",
+        "No data yet",
+        "No record has been stored in this data folder so far.",
+        "Ask again when the recorder has stored its first set; /readyz turns 200 then.",
+    )
+
+
+def not_found(what: str, hint: str) -> Problem:
+    """Say that there is no such thing."""
+    return Problem(404, "not-found", "Not found", what, hint)
+
+
+def conflict(detail: str, hint: str) -> Problem:
+    """Refuse what does not fit the present state."""
+    return Problem(409, "conflict", "Conflict with the present state", detail, hint)
+
+
+def request_id(scope: Scope) -> str:
+    """Name of this request, given by `guards.RequestGuard`."""
+    return str(scope.get("state", {}).get("request_id", ""))
+
+
+def problem_response(
+    scope: Scope, problem: Problem, errors: Sequence[dict[str, Any]] | None = None
+) -> Response:
+    """Turn a problem into its answer."""
+    body: dict[str, Any] = {
+        "type": TYPE_PREFIX + problem.name,
+        "title": problem.title,
+        "status": problem.status,
+        "detail": problem.detail,
+        "hint": problem.hint,
+        "instance": scope.get("path", ""),
+        "request_id": request_id(scope),
+    }
+    if errors is not None:
+        body["errors"] = list(errors)
+    headers = {"Cache-Control": "no-store"}
+    if problem.status == 503:
+        headers["Retry-After"] = "1"
+    return Response(orjson.dumps(body), problem.status, headers, MEDIA_TYPE)
+
+
+def json_pointer(parts: Sequence[str | int]) -> str:
+    """JSON pointer (RFC 6901) of a path of keys and indices."""
+    return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
+
+
+def install(app: FastAPI) -> None:
+    """Answer every error of the application as problem details."""
+
+    async def on_problem(request: Request, error: Exception) -> Response:
+        assert isinstance(error, Problem)
+        return problem_response(request.scope, error)
+
+    async def on_invalid(request: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        errors = [
+            {"in": str(part["loc"][0]), "pointer": json_pointer(part["loc"][1:]), "detail": part["msg"]}
+            for part in error.errors()
+        ]
+        problem = Problem(
+            422,
+            "invalid-request",
+            "The request is not valid",
+            "; ".join(f"{part['in']} {part['pointer']}: {part['detail']}" for part in errors),
+            "Correct the parts listed in `errors`; /api/v1/openapi.json describes them.",
+        )
+        return problem_response(request.scope, problem, errors)
+
+    async def on_http(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        problem = Problem(
+            error.status_code,
+            {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}.get(
+                error.status_code, "http-error"
+            ),
+            str(error.detail),
+            f"{request.method} {request.url.path}: {error.detail}.",
+            "/api/v1/openapi.json lists the paths and methods.",
+        )
+        response = problem_response(request.scope, problem)
+        response.headers.update(error.headers or {})
+        return response
+
+    async def on_storage(request: Request, error: Exception) -> Response:
+        assert isinstance(error, SolimonError)
+        log.error("request %s %s: %s", request_id(request.scope), request.url.path, error)
+        problem = Problem(
+            503,
+            "storage-unavailable",
+            "The data folder cannot be read",
+            str(error),
+            "Look at the recorder's log; `solimon status` tells what it does.",
+        )
+        return problem_response(request.scope, problem)
+
+    async def on_fault(request: Request, error: Exception) -> Response:
+        log.error("request %s %s failed", request_id(request.scope), request.url.path, exc_info=error)
+        problem = Problem(
+            500,
+            "internal-error",
+            "The service failed",
+            f"{type(error).__name__} while answering; the cause stands in the log.",
+            f"Look for request {request_id(request.scope)} in logs/web.log and report it.",
+        )
+        return problem_response(request.scope, problem)
+
+    app.add_exception_handler(Problem, on_problem)
+    app.add_exception_handler(RequestValidationError, on_invalid)
+    app.add_exception_handler(HTTPException, on_http)
+    app.add_exception_handler(StorageError, on_storage)
+    app.add_exception_handler(Exception, on_fault)

@@ -1,0 +1,127 @@
+"""Our own uvicorn server: binds the port itself, and ends in bounded time with streams open."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import uvicorn
+from fastapi import FastAPI
+
+from daq_service.errors import BusyError, UsageError
+from daq_service.web.context import context_of
+
+LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
+LONGEST_SHUTDOWN_S = 1
+"""Streams close at once; this bounds a request that hangs in a thread."""
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to the caller when it brings its own stop event."""
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI, stop: threading.Event | None) -> None:
+        super().__init__(config)
+        self._app = app
+        self._stop = stop
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Install uvicorn's handlers only where nobody else decides when to stop."""
+        if self._stop is not None:
+            yield
+            return
+        with super().capture_signals():
+            yield
+
+    async def on_tick(self, counter: int) -> bool:
+        """Look at the stop event, ten times a second."""
+        if self._stop is not None and self._stop.is_set():
+            self.should_exit = True
+        return await super().on_tick(counter)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Say goodbye to the streams first: uvicorn waits for every open answer."""
+        context_of(self._app).close_streams()
+        await super().shutdown(sockets)
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Listen on a loopback address; port 0 takes a free one.
+
+    Raises
+    ------
+    UsageError
+        The address is reachable from elsewhere, which needs access tokens.
+    BusyError
+        Somebody else has the port.
+    """
+    if host not in LOOPBACK:
+        raise UsageError(
+            f"web.host is {host!r}; only {', '.join(LOOPBACK)} are allowed: this version has no access "
+            "tokens, so it serves this machine only. Use an SSH tunnel to look at it from another one"
+        )
+    address = LOOPBACK[host]
+    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
+            # On Windows SO_REUSEADDR would let a second service steal the port.
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((address, port))
+        listener.listen(2048)
+        listener.setblocking(False)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise BusyError(
+                f"port {port} of {address} is in use; stop the other service, or choose another port "
+                "(`web.port`, `--port`; 0 takes a free one)"
+            ) from error
+        if error.errno in {errno.EACCES, errno.EPERM}:
+            raise UsageError(
+                f"port {port} of {address} is reserved; choose one above 1023 (`web.port`)"
+            ) from error
+        raise UsageError(f"cannot listen on {address}, port {port}: {error.strerror}") from error
+    return listener
+
+
+def serve(
+    app: FastAPI,
+    host: str,
+    port: int,
+    *,
+    on_bound: Callable[[str], None],
+    stop: threading.Event | None = None,
+) -> None:
+    """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
+
+    Parameters
+    ----------
+    on_bound
+        Called with the URL once connections are accepted.
+    """
+    listener = bind(host, port)
+    try:
+        config = uvicorn.Config(
+            app,
+            loop="asyncio",
+            http="httptools",
+            ws="websockets-sansio",
+            ws_ping_interval=20.0,
+            log_config=None,
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
+            lifespan="on",
+        )
+        address, bound_port = listener.getsockname()[:2]
+        shown = f"[{address}]" if ":" in address else address
+        on_bound(f"http://{shown}:{bound_port}/")
+        asyncio.run(_Server(config, app, stop).serve(sockets=[listener]))
+    finally:
+        listener.close()

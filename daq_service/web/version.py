@@ -1,0 +1,16 @@
+"""Versions the service tells."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+API_VERSION = "1.0.0"
+"""Of the interface under /api/v1, not of the distribution."""
+
+
+def distribution_version() -> str:
+    """Version of the installed solimon, or "unknown" in a bare checkout."""
+    try:
+        return version("solimon")
+    except PackageNotFoundError:
+        return "unknown"
