@@ -10,6 +10,8 @@ from typing import Any
 
 from sqlalchemy import Connection, Table, bindparam, func, insert, select, update
 
+from sqlalchemy.dialects.sqlite import insert as upsert
+
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueWriteError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue, Row
@@ -41,6 +43,8 @@ class SetCommit:
     events
         ``wall_utc_ns`` may be left out: it is the time of the commit. A row may have the key
         ``alarm_index``, which alarm of ``alarms`` it tells of: ``alarm_id`` is put into its payload.
+    verdicts
+        A row of a set and position that have one replaces it.
     """
 
     sets: Rows = ()
@@ -147,7 +151,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, features, commit.features)
             _insert(connection, thickness, commit.thickness)
             baseline_ids = [_insert_one(connection, baselines, row) for row in commit.baselines]
-            _insert(connection, verdicts, commit.verdicts)
+            _judge(connection, commit.verdicts)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
             event_ids = [
                 _insert_one(connection, events, row) for row in _event_rows(commit.events, alarm_ids)
@@ -204,6 +208,16 @@ class RecorderCatalogue(Catalogue):
 def _insert(connection: Connection, table: Table, rows: Rows) -> None:
     if rows:
         connection.execute(insert(table), storable(table, rows))
+
+
+def _judge(connection: Connection, rows: Rows) -> None:
+    """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
+    if not rows:
+        return
+    statement = upsert(verdicts)
+    given = storable(verdicts, rows)
+    changed = {name: statement.excluded[name] for name in given[0] if name not in ("set_index", "position")}
+    connection.execute(statement.on_conflict_do_update(["set_index", "position"], set_=changed), given)
 
 
 def _insert_one(connection: Connection, table: Table, row: Mapping[str, Any]) -> int:

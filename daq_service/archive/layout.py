@@ -1,0 +1,368 @@
+"""The NeXus HDF5 image of one set.
+
+::
+
+    / NXroot            @default=entry @creator @solimon_format_version
+    /entry NXentry      @default=preview, title, start_time, end_time, program_name, set_index, due_h, ...
+      instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
+      <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
+      <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
+      <position>_truth        NXcollection: what a simulated rig knows of each record
+      shots                   NXcollection: one row a record: key, stamps, checksum, flags
+      positions               NXcollection: what was planned, and why it fell short
+      preview                 NXdata: mean, min, max in volts of each transducer
+      provenance              NXnote: JSON
+
+Records of a position that differ in rate, length, type or calibration go to groups of their own
+(``B_waveforms_2``): a set is never refused for it. Features are not in the file of this version:
+they are computed after it is durable, and the catalogue has them.
+"""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+from daq_service.archive.nexus import (
+    add_field,
+    add_group,
+    add_hard_link,
+    image_file,
+    image_of,
+    open_root,
+    set_attributes,
+)
+from daq_service.archive.records import SetRecord, waveform_crc32
+from daq_service.archive.units import unit_of
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+FORMAT_VERSION = "1.0"
+"""Raised in its first number when an older reader would misunderstand the file."""
+CLIPPED = 1
+"""Bit of ``shots/flags``."""
+_PREVIEW_POINTS = 500
+_NS_PER_S = 1_000_000_000
+
+Record = Shot | PulseEchoRecord
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RecordGroup:
+    """Records that share one array: same position, kind, rate, length, type and calibration."""
+
+    name: str
+    position: str
+    records: list[Record]
+
+    @property
+    def waveform(self) -> Waveform:
+        return self.records[0].waveform
+
+    @property
+    def is_echo(self) -> bool:
+        return isinstance(self.records[0], PulseEchoRecord)
+
+    @property
+    def sampling(self) -> tuple[float, int, int]:
+        """What a time axis depends on."""
+        return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
+
+    def counts(self) -> Any:
+        """Stack the counts, shape (n_records, n_samples)."""
+        return np.stack([record.waveform.counts for record in self.records])
+
+
+def build_image(record: SetRecord) -> bytes:
+    """Bytes of the set's file; the same set gives the same bytes."""
+    groups = _grouped(record.records)
+    with image_file() as file:
+        set_attributes(
+            open_root(file),
+            {
+                "NX_class": "NXroot",
+                "default": "entry",
+                "creator": "solimon",
+                "creator_version": _version(record),
+                "file_time": iso_utc(record.ended_utc_ns),
+                "solimon_format_version": FORMAT_VERSION,
+            },
+        )
+        entry = add_group(file, "entry", "NXentry", {"default": "preview"})
+        _add_facts(entry, record)
+        _add_detectors(entry, record, groups)
+        _add_records(entry, record, groups)
+        _add_truth(entry, record)
+        _add_shots(entry, record)
+        _add_positions(entry, record)
+        _add_preview(entry, groups)
+        _add_provenance(entry, record)
+        return image_of(file)
+
+
+def iso_utc(utc_ns: int) -> str:
+    """RFC 3339 time with nanoseconds (ISO 8601, as NeXus wants it)."""
+    whole, rest = divmod(utc_ns, _NS_PER_S)
+    return f"{datetime.fromtimestamp(whole, tz=UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+
+
+def _version(record: SetRecord) -> str:
+    return str(record.provenance.get("solimon_version", ""))
+
+
+def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
+    found: dict[tuple[Any, ...], list[Record]] = {}
+    for record in records:
+        waveform = record.waveform
+        calibration = waveform.calibration
+        key = (
+            record.key.position,
+            isinstance(record, PulseEchoRecord),
+            waveform.counts.dtype.str,
+            waveform.counts.size,
+            waveform.sample_rate_hz,
+            waveform.pretrigger_samples,
+            calibration.coefficients_v.tobytes(),
+            calibration.resolution_bits,
+            calibration.range_v,
+            calibration.date,
+        )
+        found.setdefault(key, []).append(record)
+    groups: list[_RecordGroup] = []
+    taken: dict[str, int] = {}
+    for (position, is_echo, *_), members in found.items():
+        base = f"{position}_pulse_echo" if is_echo else f"{position}_waveforms"
+        taken[base] = taken.get(base, 0) + 1
+        name = base if taken[base] == 1 else f"{base}_{taken[base]}"
+        groups.append(_RecordGroup(name, position, members))
+    return groups
+
+
+def _add_facts(entry: Any, record: SetRecord) -> None:
+    provenance = record.provenance
+    hash_ = str(provenance.get("configuration_hash", ""))
+    sequences = [shot.sequence for shot in record.records]
+    # Named by its content: the same set has the same name wherever it is written.
+    identity = f"{hash_}/{record.set_index}/{record.started_utc_ns}/{sequences}"
+    add_field(entry, "title", f"Set {record.set_index}, hour {record.due_h:g}")
+    add_field(entry, "start_time", iso_utc(record.started_utc_ns))
+    add_field(entry, "end_time", iso_utc(record.ended_utc_ns))
+    add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
+    add_field(entry, "program_name", "solimon", version=_version(record), configuration=hash_)
+    add_field(entry, "set_index", np.int64(record.set_index))
+    add_field(entry, "due_h", np.float64(record.due_h), units="h")
+    for name in ("due_utc_ns", "started_utc_ns", "ended_utc_ns"):
+        add_field(entry, name, np.int64(getattr(record, name)), units="ns", start="1970-01-01T00:00:00Z")
+
+
+def _add_detectors(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+    serial_numbers = {position.position: position.serial_number for position in record.positions}
+    instrument = add_group(entry, "instrument", "NXinstrument")
+    add_field(instrument, "name", record.rig_kind)
+    for group in groups:
+        waveform = group.waveform
+        calibration = waveform.calibration
+        scale, offset = _nexus_scale(waveform)
+        detector = add_group(instrument, group.name, "NXdetector", {"position": group.position})
+        add_field(detector, "serial_number", serial_numbers[group.position])
+        add_field(detector, "sample_rate", np.float64(waveform.sample_rate_hz), units="Hz")
+        add_field(detector, "pretrigger_samples", np.int64(waveform.pretrigger_samples))
+        add_field(detector, "input_range", np.float64(calibration.range_v), units="V")
+        add_field(detector, "resolution_bits", np.int64(calibration.resolution_bits))
+        add_field(
+            detector,
+            "calibration_coefficients",
+            calibration.coefficients_v,
+            units="V",
+            long_name="volts = sum of coefficient[k] * counts**k",
+        )
+        add_field(detector, "calibration_date", calibration.date)
+        add_field(detector, "scaling_factor", np.float64(scale), units="V")
+        add_field(detector, "offset", np.float64(offset))
+
+
+def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
+    """Linear part of the calibration for viewers, after NXdata: volts = (counts + offset) * scale."""
+    constant, slope = (float(c) for c in waveform.calibration.coefficients_v[:2])
+    return slope, constant / slope if slope else 0.0
+
+
+def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+    time_axes: dict[tuple[float, int, int], Any] = {}
+    start = iso_utc(record.due_utc_ns)
+    for group in groups:
+        signal = "record" if group.is_echo else "waveform"
+        data = add_group(
+            entry,
+            group.name,
+            "NXdata",
+            {"signal": signal, "axes": ["shot_time", "time"], "position": group.position},
+        )
+        scale, offset = _nexus_scale(group.waveform)
+        counts = group.counts()
+        add_field(
+            data,
+            signal,
+            counts,
+            chunk=(1, counts.shape[1]) if counts.shape[1] else None,
+            units="counts",
+            long_name="ADC counts",
+            scaled_units="V",
+            scale_factor=scale,
+            add_offset=float(group.waveform.calibration.coefficients_v[0]),
+        )
+        add_field(data, f"{signal}_scaling_factor", np.float64(scale), units="V")
+        add_field(data, f"{signal}_offset", np.float64(offset))
+        _add_time_axis(data, group, time_axes)
+        shot_time_s = [(shot.stamp.utc_ns - record.due_utc_ns) / _NS_PER_S for shot in group.records]
+        add_field(data, "shot_time", np.array(shot_time_s), units="s", start=start, long_name="time of shot")
+        add_field(data, "shot_id", np.array([shot.sequence for shot in group.records], dtype=np.int64))
+        echoes = [echo for echo in group.records if isinstance(echo, PulseEchoRecord)]
+        if echoes:
+            add_field(data, "gain", np.array([echo.gain_db for echo in echoes]), units="dB")
+            add_field(data, "offset", np.array([echo.offset_v for echo in echoes]), units="V")
+            add_field(data, "averages", np.array([echo.averages for echo in echoes], dtype=np.int64))
+
+
+def _add_time_axis(data: Any, group: _RecordGroup, time_axes: dict[tuple[float, int, int], Any]) -> None:
+    """Add the time axis; groups sampled alike share one by a hard link."""
+    known = time_axes.get(group.sampling)
+    if known is not None:
+        add_hard_link(data, "time", known, "time")
+        return
+    time_axes[group.sampling] = data
+    add_field(
+        data,
+        "time",
+        group.waveform.time_s(),
+        units="s",
+        long_name="time from trigger",
+        target=f"/entry/{group.name}/time",
+    )
+
+
+def _add_truth(entry: Any, record: SetRecord) -> None:
+    for position in record.positions:
+        records = [shot for shot in record.records if shot.key.position == position.position]
+        names = sorted(set().union(*(shot.truth for shot in records))) if records else []
+        if not names:
+            continue
+        truth = add_group(
+            entry, f"{position.position}_truth", "NXcollection", {"position": position.position}
+        )
+        add_field(truth, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
+        for name in names:
+            known = [name in shot.truth for shot in records]
+            values = np.array([shot.truth.get(name, np.nan) for shot in records], dtype=np.float64)
+            field = add_field(truth, name, values, units=unit_of(name))
+            if not all(known):
+                set_attributes(field, {"known": np.array(known, dtype=np.uint8)})
+
+
+def _add_shots(entry: Any, record: SetRecord) -> None:
+    records = record.records
+    table = add_group(entry, "shots", "NXcollection")
+    add_field(table, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
+    add_field(table, "position", [shot.key.position for shot in records])
+    for name in ("shot_index", "attempt"):
+        add_field(table, name, np.array([getattr(shot.key, name) for shot in records], dtype=np.int64))
+    add_field(
+        table,
+        "utc_ns",
+        np.array([shot.stamp.utc_ns for shot in records], dtype=np.int64),
+        units="ns",
+        start="1970-01-01T00:00:00Z",
+    )
+    add_field(
+        table,
+        "mono_ns",
+        np.array([shot.stamp.mono_ns for shot in records], dtype=np.int64),
+        units="ns",
+        long_name="monotonic clock; comparable within one boot_id",
+    )
+    add_field(table, "boot_id", [shot.stamp.boot_id for shot in records])
+    add_field(
+        table,
+        "crc32",
+        np.array([waveform_crc32(shot.waveform) for shot in records], dtype=np.uint32),
+        long_name="CRC-32 (zlib) of the counts, little-endian",
+    )
+    add_field(
+        table,
+        "flags",
+        np.array([CLIPPED if shot.waveform.clipped else 0 for shot in records], dtype=np.uint8),
+        flag_masks=np.uint8(CLIPPED),
+        flag_meanings="clipped",
+    )
+
+
+def _add_positions(entry: Any, record: SetRecord) -> None:
+    positions = record.positions
+    taken = [shot.key.position for shot in record.records]
+    table = add_group(entry, "positions", "NXcollection")
+    add_field(table, "name", [row.position for row in positions])
+    for name in ("method", "label", "serial_number", "cause"):
+        add_field(table, name, [getattr(row, name) for row in positions])
+    add_field(table, "n_planned", np.array([row.n_planned for row in positions], dtype=np.int64))
+    add_field(table, "n_taken", np.array([taken.count(row.position) for row in positions], dtype=np.int64))
+
+
+def _add_preview(entry: Any, groups: Sequence[_RecordGroup]) -> None:
+    """Mean, lowest and highest volts over the shots and a few samples of each transducer.
+
+    One NXdata has one time axis: the groups sampled like the first transducer are shown.
+    """
+    first = next((group for group in groups if not group.is_echo), groups[0])
+    shown = [group for group in groups if group.sampling == first.sampling and group.is_echo == first.is_echo]
+    width = max(1, -(-first.waveform.counts.size // _PREVIEW_POINTS))
+    starts = np.arange(0, first.waveform.counts.size, width)
+    names = [group.name.replace("_waveforms", "").replace("_pulse_echo", "") for group in shown]
+    curves = [f"{name}_{kind}" for kind in ("mean", "min", "max") for name in names]
+    preview = add_group(
+        entry,
+        "preview",
+        "NXdata",
+        {
+            "signal": curves[0],
+            "axes": ["time"],
+            "title": "Mean, min and max of the shots",
+            **({"auxiliary_signals": curves[1:]} if curves[1:] else {}),
+        },
+    )
+    for name, group in zip(names, shown, strict=True):
+        for kind, values in _envelope(group, starts).items():
+            add_field(preview, f"{name}_{kind}", values, units="V", long_name=f"{group.position} {kind} (V)")
+    add_field(preview, "time", first.waveform.time_s()[starts], units="s", long_name="time from trigger (s)")
+
+
+def _envelope(group: _RecordGroup, starts: Any) -> dict[str, Any]:
+    """Mean, min and max in V of all records between neighbouring starts, shape (n_starts,) each.
+
+    Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference
+    that its curvature makes to a mean is far below what a picture shows.
+    """
+    if not starts.size:
+        return dict.fromkeys(("mean", "min", "max"), np.zeros(0, dtype=np.float32))
+    counts = group.counts()
+    widths = np.diff(np.append(starts, counts.shape[1]))
+    reduced = {
+        "mean": np.add.reduceat(counts.mean(axis=0), starts) / widths,
+        "min": np.minimum.reduceat(counts.min(axis=0), starts),
+        "max": np.maximum.reduceat(counts.max(axis=0), starts),
+    }
+    calibrate = np.polynomial.Polynomial(group.waveform.calibration.coefficients_v)
+    return {kind: calibrate(values).astype(np.float32) for kind, values in reduced.items()}
+
+
+def _add_provenance(entry: Any, record: SetRecord) -> None:
+    text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
+    note = add_group(entry, "provenance", "NXnote")
+    add_field(note, "type", "application/json")
+    add_field(note, "description", "configuration, host and versions that made this set")
+    add_field(note, "date", iso_utc(record.ended_utc_ns))
+    add_field(note, "data", [text], chunk=(1,))

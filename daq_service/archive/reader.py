@@ -1,0 +1,332 @@
+"""Read sets back, bit for bit; every record is checked against its CRC-32.
+
+Only complete files have their name, and they never change: any number of readers may open them
+while the recorder goes on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
+from daq_service.archive.records import PositionRecord, SetRecord, waveform_crc32
+from hardware_drivers.measurement import (
+    Calibration,
+    PulseEchoRecord,
+    Shot,
+    ShotKey,
+    Stamp,
+    Waveform,
+)
+
+if TYPE_CHECKING:
+    import h5py
+
+# What h5py raises on damaged or foreign files, besides our own errors.
+_HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
+_READABLE_FORMAT = "1."
+
+_Columns = Mapping[str, list[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """What cannot be read any more; `position` None: not a shot but another part of the file."""
+
+    reason: str
+    sequence: int | None = None
+    position: str | None = None
+    shot_index: int | None = None
+
+    def __str__(self) -> str:
+        if self.position is None:
+            return self.reason
+        return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
+
+
+def read_set(path: Path, *, skip_damaged: bool = False) -> SetRecord:
+    """Read a set as it was stored.
+
+    Parameters
+    ----------
+    skip_damaged
+        Leave damaged records out; `verify_set` names them.
+
+    Raises
+    ------
+    CorruptArchiveError
+        A record is damaged (all of them are named) or the file as a whole.
+    SetNotFoundError
+        There is no such file.
+    """
+    with _opened(path) as entry:
+        records, damages = _read_records(entry)
+        if damages and not (skip_damaged and records):
+            raise CorruptArchiveError(
+                f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
+                "this file belongs back from a copy"
+            )
+        return SetRecord(
+            set_index=int(entry["set_index"][()]),
+            due_utc_ns=int(entry["due_utc_ns"][()]),
+            due_h=float(entry["due_h"][()]),
+            started_utc_ns=int(entry["started_utc_ns"][()]),
+            ended_utc_ns=int(entry["ended_utc_ns"][()]),
+            rig_kind=_text(entry["instrument/name"][()]),
+            positions=_read_positions(entry),
+            shots=[record for record in records if isinstance(record, Shot)],
+            echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+            provenance=json.loads(_text(entry["provenance/data"][0])),
+        )
+
+
+def read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
+    """Read one record of a set, a shot's or (index 0) a pulse-echo record's; of several attempts the last.
+
+    Raises
+    ------
+    SetNotFoundError
+        There is no such file or record.
+    CorruptArchiveError
+        The record does not match its checksums.
+    """
+    with _opened(path) as entry:
+        table = _read_table(entry)
+        rows = [
+            row
+            for row, name in enumerate(table["position"])
+            if name == position and table["shot_index"][row] == shot_index
+        ]
+        if not rows:
+            raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
+        row = max(rows, key=lambda row: int(table["attempt"][row]))
+        for name in _group_names(entry):
+            if _text(entry[name].attrs["position"]) != position:
+                continue
+            group = _Group(entry, name)
+            if table["shot_id"][row] in group.sequences:
+                found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
+                if isinstance(found, Waveform):
+                    return found
+                raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
+        raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
+
+
+def verify_set(path: Path) -> list[Damage]:
+    """Read everything in a file and list what is damaged.
+
+    Raises
+    ------
+    CorruptArchiveError
+        The file as a whole cannot be read.
+    SetNotFoundError
+        There is no such file.
+    """
+    with _opened(path) as entry:
+        _, damages = _read_records(entry)
+        unreadable: list[Damage] = []
+        arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
+        _read_everything(entry, "", arrays, unreadable)
+        return damages + unreadable
+
+
+class _Group:
+    """One NXdata of records and its detector."""
+
+    def __init__(self, entry: h5py.Group, name: str) -> None:
+        self.data = entry[name]
+        self.signal = self.data[_text(self.data.attrs["signal"])]
+        self.sequences: list[int] = self.data["shot_id"][()].tolist()
+        detector = entry["instrument"][name]
+        self.sample_rate_hz = float(detector["sample_rate"][()])
+        self.pretrigger_samples = int(detector["pretrigger_samples"][()])
+        self.calibration = Calibration(
+            coefficients_v=detector["calibration_coefficients"][()],
+            resolution_bits=int(detector["resolution_bits"][()]),
+            range_v=float(detector["input_range"][()]),
+            date=_text(detector["calibration_date"][()]),
+        )
+
+    def waveform(self, row: int, crc32: int) -> Waveform | str:
+        """Record of a row, or what is wrong with it."""
+        try:
+            counts = self.signal[row]
+        except _HDF5_ERRORS as error:
+            return f"unreadable ({error})"
+        waveform = Waveform(
+            counts=counts.astype(counts.dtype.newbyteorder("="), copy=False),
+            sample_rate_hz=self.sample_rate_hz,
+            pretrigger_samples=self.pretrigger_samples,
+            calibration=self.calibration,
+        )
+        found = waveform_crc32(waveform)
+        return waveform if found == crc32 else f"CRC-32 is {found:08x}, stored as {crc32:08x}"
+
+    def echo_settings(self, row: int) -> dict[str, Any]:
+        """Receiver settings of a pulse-echo record."""
+        return {
+            "gain_db": float(self.data["gain"][row]),
+            "offset_v": float(self.data["offset"][row]),
+            "averages": int(self.data["averages"][row]),
+        }
+
+
+def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
+    """Every readable record in order, and the damaged ones."""
+    table = _read_table(entry)
+    set_index = int(entry["set_index"][()])
+    truths = _read_truths(entry)
+    row_of = {sequence: row for row, sequence in enumerate(table["shot_id"])}
+    trouble = dict.fromkeys(row_of, "no readable array holds it")
+    found: dict[int, Shot | PulseEchoRecord] = {}
+    for name in _group_names(entry):
+        try:
+            group = _Group(entry, name)
+        except _HDF5_ERRORS as error:
+            trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}
+            continue
+        is_echo = "gain" in group.data
+        for row, sequence in enumerate(group.sequences):
+            waveform = group.waveform(row, table["crc32"][row_of[sequence]])
+            if isinstance(waveform, str):
+                trouble[sequence] = waveform
+                continue
+            common: dict[str, Any] = {
+                "sequence": sequence,
+                "key": _key(table, row_of[sequence], set_index),
+                "stamp": _stamp(table, row_of[sequence]),
+                "waveform": waveform,
+                "truth": truths.get(sequence, {}),
+            }
+            found[sequence] = (
+                PulseEchoRecord(**common, **group.echo_settings(row)) if is_echo else Shot(**common)
+            )
+    damages = [
+        _damage(table, row, trouble[sequence]) for sequence, row in row_of.items() if sequence not in found
+    ]
+    return [found[sequence] for sequence in row_of if sequence in found], damages
+
+
+def _read_table(entry: h5py.Group) -> _Columns:
+    table = entry["shots"]
+    names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
+    columns = {name: table[name][()].tolist() for name in names}
+    return {
+        name: [_text(value) if isinstance(value, bytes) else value for value in values]
+        for name, values in columns.items()
+    }
+
+
+def _key(table: _Columns, row: int, set_index: int) -> ShotKey:
+    return ShotKey(
+        position=table["position"][row],
+        set_index=set_index,
+        shot_index=table["shot_index"][row],
+        attempt=table["attempt"][row],
+    )
+
+
+def _stamp(table: _Columns, row: int) -> Stamp:
+    return Stamp(utc_ns=table["utc_ns"][row], mono_ns=table["mono_ns"][row], boot_id=table["boot_id"][row])
+
+
+def _damage(table: _Columns, row: int, reason: str) -> Damage:
+    return Damage(
+        sequence=table["shot_id"][row],
+        position=table["position"][row],
+        shot_index=table["shot_index"][row],
+        reason=reason,
+    )
+
+
+def _read_truths(entry: h5py.Group) -> dict[int, dict[str, float]]:
+    truths: dict[int, dict[str, float]] = {}
+    for group_name in entry:
+        if not group_name.endswith("_truth"):
+            continue
+        group = entry[group_name]
+        sequences = group["shot_id"][()].tolist()
+        for name in group:
+            if name == "shot_id":
+                continue
+            field = group[name]
+            known = field.attrs.get("known", np.ones(len(sequences)))
+            for sequence, value, is_known in zip(sequences, field[()].tolist(), known, strict=True):
+                if is_known:
+                    truths.setdefault(sequence, {})[name] = value
+    return truths
+
+
+def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
+    table = entry["positions"]
+    texts = {
+        name: [_text(value) for value in table[name][()]]
+        for name in ("name", "method", "label", "cause", "serial_number")
+    }
+    return [
+        PositionRecord(
+            position=texts["name"][row],
+            method=texts["method"][row],
+            n_planned=n_planned,
+            cause=texts["cause"][row],
+            label=texts["label"][row],
+            serial_number=texts["serial_number"][row],
+        )
+        for row, n_planned in enumerate(table["n_planned"][()].tolist())
+    ]
+
+
+def _group_names(entry: h5py.Group) -> list[str]:
+    """NXdata groups that hold records: those that have a detector."""
+    return [name for name in entry["instrument"] if name != "name"]
+
+
+def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadable: list[Damage]) -> None:
+    for name in group:
+        path = f"{place}{name}"
+        try:
+            item = group[name]
+            dict(item.attrs)
+            if hasattr(item, "shape"):
+                if path not in left_out:
+                    item[()]
+                continue
+        except _HDF5_ERRORS as error:
+            unreadable.append(Damage(reason=f"{path} is unreadable ({error})"))
+            continue
+        _read_everything(item, f"{path}/", left_out, unreadable)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.Group]:
+    """Entry of a set's file; errors below are translated."""
+    # Half a tenth of a second that whoever only writes or lists need not spend.
+    import h5py
+
+    try:
+        # No lock: a complete file never changes.
+        with h5py.File(path, "r", locking=False) as file:
+            version = _text(file.attrs.get("solimon_format_version", ""))
+            if not version.startswith(_READABLE_FORMAT):
+                raise CorruptArchiveError(
+                    f"{path} has format {version or 'unknown'}, this version reads {_READABLE_FORMAT}x; "
+                    "a newer version may read it"
+                )
+            yield file["entry"]
+    except FileNotFoundError as error:
+        raise SetNotFoundError(f"there is no file {path}") from error
+    except PermissionError as error:
+        raise ArchiveError(f"{path} cannot be read: {error}; give this user the right to read it") from error
+    except _HDF5_ERRORS as error:
+        raise CorruptArchiveError(f"{path} is damaged: {error}; bring the file back from a copy") from error
+
+
+def _text(value: Any) -> str:
+    return value.decode() if isinstance(value, bytes) else str(value)

@@ -1,0 +1,156 @@
+"""What the archive takes and gives: one set of measurements, and the name of its file."""
+
+from __future__ import annotations
+
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+SETS_FOLDER = "sets"
+TEMPORARY_SUFFIX = ".tmp"
+_NAME = re.compile(r"set_(\d{6,})_\d{8}T\d{6}Z\.h5")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionRecord:
+    """What was planned for a position in this set, and why it fell short.
+
+    Attributes
+    ----------
+    method
+        ``solitary_wave`` or ``pulse_echo``.
+    n_planned
+        Records wanted.
+    cause
+        Why fewer were taken; empty where the set is complete.
+    serial_number
+        Of the transducer; empty if unknown.
+    """
+
+    position: str
+    method: str
+    n_planned: int
+    cause: str = ""
+    label: str = ""
+    serial_number: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetRecord:
+    """Everything taken at one due time.
+
+    Attributes
+    ----------
+    due_h
+        Hours since the experiment's epoch.
+    started_utc_ns, ended_utc_ns
+        Experiment time of the first and after the last measurement.
+    positions
+        Every position that was planned, also one of which nothing was taken.
+    provenance
+        JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
+
+    Raises
+    ------
+    ValueError
+        No record at all (such a set has no file), a record of another set or of a position that
+        is not in `positions`, or a sequence twice.
+    """
+
+    set_index: int
+    due_utc_ns: int
+    due_h: float
+    started_utc_ns: int
+    ended_utc_ns: int
+    rig_kind: str
+    positions: Sequence[PositionRecord]
+    shots: Sequence[Shot] = ()
+    echoes: Sequence[PulseEchoRecord] = ()
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "shots", "echoes"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        records = self.records
+        if not records:
+            raise ValueError(f"set {self.set_index} has no record; a set without one has rows but no file")
+        names = [position.position for position in self.positions]
+        if len(set(names)) != len(names):
+            raise ValueError(f"set {self.set_index} names a position twice: {names}")
+        for record in records:
+            if record.key.set_index != self.set_index or record.key.position not in names:
+                raise ValueError(
+                    f"shot {record.sequence} is of set {record.key.set_index}, {record.key.position!r}; "
+                    f"this is set {self.set_index} of positions {names}"
+                )
+        if len({record.sequence for record in records}) != len(records):
+            raise ValueError(f"set {self.set_index} has a sequence twice; each record needs its own")
+
+    @property
+    def records(self) -> list[Shot | PulseEchoRecord]:
+        """Shots and pulse-echo records in the order in which they were taken."""
+        return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StoreTimings:
+    """Where the time of storing went."""
+
+    image_s: float
+    write_s: float
+    fsync_s: float
+    directory_fsync_s: float
+
+    @property
+    def total_s(self) -> float:
+        """All together."""
+        return self.image_s + self.write_s + self.fsync_s + self.directory_fsync_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StoredSet:
+    """A durable set.
+
+    Attributes
+    ----------
+    file
+        Relative to the data folder, with forward slashes: the catalogue's ``sets.file``.
+    crc32
+        Sequence of each record to the CRC-32 of its counts: the catalogue's ``shots.crc32``.
+    """
+
+    path: Path
+    file: str
+    n_bytes: int
+    crc32: Mapping[int, int]
+    timings: StoreTimings
+
+
+def waveform_crc32(waveform: Waveform) -> int:
+    """CRC-32 (zlib's) of a record's counts as little-endian bytes."""
+    counts = waveform.counts
+    return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), copy=False).tobytes())
+
+
+def set_file_name(set_index: int, due_utc_ns: int) -> str:
+    """Name of a set's file; names sort by time."""
+    due = datetime.fromtimestamp(due_utc_ns // 1_000_000_000, tz=UTC)
+    return f"set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5"
+
+
+def set_files(folder: Path) -> dict[int, Path]:
+    """Find the complete sets of a data folder: set index to file, in the order of the sets."""
+    found = {}
+    for path in (folder / SETS_FOLDER).glob("set_*.h5"):
+        match = _NAME.fullmatch(path.name)
+        if match is not None:
+            found[int(match[1])] = path
+    return dict(sorted(found.items()))

@@ -1,0 +1,41 @@
+"""Unit of a quantity from the suffix of its name, as NeXus (UDUNITS) writes it."""
+
+from __future__ import annotations
+
+_UNITS = {
+    "s": "s",
+    "ms": "ms",
+    "us": "us",
+    "h": "h",
+    "hz": "Hz",
+    "m": "m",
+    "n": "N",
+    "v": "V",
+    "a": "A",
+    "pa": "Pa",
+    "kg": "kg",
+    "k": "K",
+    "c": "degC",
+    "rad": "rad",
+    "j": "J",
+    "db": "dB",
+    "v_s": "V s",
+    "n_s": "N s",
+    "ns": "ns",
+}
+
+
+def unit_of(name: str) -> str:
+    """Derive the unit of a name such as ``drop_height_m`` or ``velocity_m_per_s``; empty where it has none.
+
+    NeXus writes a number without unit, such as a fraction, with an empty unit.
+    """
+    numerator, _, denominator = name.rpartition("_per_")
+    if numerator:
+        return f"{unit_of(numerator)}/{_UNITS[denominator]}" if denominator in _UNITS else ""
+    words = name.split("_")
+    for count in (2, 1):
+        # The name itself is no suffix: a quantity called "n" has no unit.
+        if len(words) > count and "_".join(words[-count:]) in _UNITS:
+            return _UNITS["_".join(words[-count:])]
+    return ""
