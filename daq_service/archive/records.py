@@ -10,8 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 SETS_FOLDER = "sets"

@@ -311,7 +311,7 @@ class Catalogue:
         after_id: int = 0,
         limit: int | None = None,
     ) -> list[Row]:
-        """Alarms in the order they were raised; ``active``: False only those back to normal, True the others."""
+        """Alarms in the order they were raised; ``active`` False: those back to normal, True: the others."""
         statement = select(alarms).where(alarms.c.id > after_id).order_by(alarms.c.id).limit(limit)
         statement = _where_equal(statement, alarms, position=position)
         if active is not None:

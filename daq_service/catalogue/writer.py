@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 from sqlalchemy import Connection, Table, bindparam, func, insert, select, update
-
-from sqlalchemy.dialects.sqlite import insert as upsert
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueWriteError, OtherExperimentError
@@ -44,7 +42,8 @@ class SetCommit:
         ``wall_utc_ns`` may be left out: it is the time of the commit. A row may have the key
         ``alarm_index``, which alarm of ``alarms`` it tells of: ``alarm_id`` is put into its payload.
     verdicts
-        A row of a set and position that have one replaces it.
+        A row ``in_baseline`` replaces that of the same set and position: the baseline's own
+        distances are known only when it is complete. Every other verdict is final.
     """
 
     sets: Rows = ()
@@ -150,12 +149,10 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, shots, commit.shots)
             _insert(connection, features, commit.features)
             _insert(connection, thickness, commit.thickness)
-            baseline_ids = [_insert_one(connection, baselines, row) for row in commit.baselines]
+            baseline_ids = _insert_for_ids(connection, baselines, commit.baselines)
             _judge(connection, commit.verdicts)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
-            event_ids = [
-                _insert_one(connection, events, row) for row in _event_rows(commit.events, alarm_ids)
-            ]
+            event_ids = _insert_for_ids(connection, events, _event_rows(commit.events, alarm_ids))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -212,22 +209,30 @@ def _insert(connection: Connection, table: Table, rows: Rows) -> None:
 
 def _judge(connection: Connection, rows: Rows) -> None:
     """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
+    new = []
+    for row in storable(verdicts, rows):
+        waiting = update(verdicts).where(
+            verdicts.c.position == row["position"],
+            verdicts.c.set_index == row["set_index"],
+            verdicts.c.in_baseline,
+        )
+        if not (row["in_baseline"] and connection.execute(waiting.values(row)).rowcount):
+            new.append(row)
+    _insert(connection, verdicts, new)
+
+
+def _insert_for_ids(connection: Connection, table: Table, rows: Rows) -> list[int]:
+    """Insert rows and return their ids in the same order."""
     if not rows:
-        return
-    statement = upsert(verdicts)
-    given = storable(verdicts, rows)
-    changed = {name: statement.excluded[name] for name in given[0] if name not in ("set_index", "position")}
-    connection.execute(statement.on_conflict_do_update(["set_index", "position"], set_=changed), given)
-
-
-def _insert_one(connection: Connection, table: Table, row: Mapping[str, Any]) -> int:
-    result = connection.execute(insert(table).values(storable(table, [row])[0]))
-    return int(result.inserted_primary_key[0])  # type: ignore[index]
+        return []
+    statement = insert(table).returning(table.c.id, sort_by_parameter_order=True)
+    return [int(identity) for identity in connection.execute(statement, storable(table, rows)).scalars()]
 
 
 def _store_alarm(connection: Connection, row: Mapping[str, Any]) -> int:
     if row.get("id") is None:
-        return _insert_one(connection, alarms, {key: value for key, value in row.items() if key != "id"})
+        new = {key: value for key, value in row.items() if key != "id"}
+        return _insert_for_ids(connection, alarms, [new])[0]
     (values,) = storable(alarms, [row])
     alarm_id = int(values.pop("id"))
     changed = connection.execute(
@@ -238,14 +243,16 @@ def _store_alarm(connection: Connection, row: Mapping[str, Any]) -> int:
     return alarm_id
 
 
-def _event_rows(rows: Rows, alarm_ids: Sequence[int]) -> Iterable[Row]:
+def _event_rows(rows: Rows, alarm_ids: Sequence[int]) -> list[Row]:
     now_ns = time.time_ns()
+    complete = []
     for given in rows:
         row = {"wall_utc_ns": now_ns, **given}
         alarm_index = row.pop("alarm_index", None)
         if alarm_index is not None:
             row["payload"] = {**row["payload"], "alarm_id": alarm_ids[alarm_index]}
-        yield row
+        complete.append(row)
+    return complete
 
 
 __all__ = ["Committed", "OtherExperimentError", "RecorderCatalogue", "SetCommit"]
