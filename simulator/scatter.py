@@ -81,12 +81,13 @@ def scattered_strike(
     """Drop height, tilt and sensitivity of one shot.
 
     The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
-    powers of it, scatter evenly to both sides. The set's part is drawn from the set alone, so all
-    its shots share it.
+    powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
+    of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
+    shots share it.
     """
     set_key = ShotKey(position=key.position, set_index=key.set_index, shot_index=0)
-    set_part = generator(seed, Purpose.SET_SCATTER, key=set_key).standard_normal(2)
-    shot_part = generator(seed, Purpose.SHOT_SCATTER, key=key).standard_normal(2)
+    set_part = _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
+    shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
     log_drop = scatter.scale * float(
@@ -113,3 +114,9 @@ def scattered_strike(
             * np.exp(drift.sensitivity_per_k * warmer_k - sensor.tilt_loss_per_rad * tilt_rad)
         ),
     )
+
+
+def _unit_draws(random: np.random.Generator) -> tuple[float, float]:
+    """One normal and one uniform number, each of mean 0 and variance 1: for drop height and tilt."""
+    half_width = np.sqrt(3.0)
+    return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

@@ -63,16 +63,16 @@ class ScatterParameters:
 
     scale: Annotated[float, Ge(0.0), Le(10.0)] = 1.0
     """Multiplies the four standard deviations below: 1 as assumed, 0 off."""
-    set_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.045
+    set_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.058
     """SD of a set's drop height, as a fraction of the nominal one (assumption)."""
-    shot_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
+    shot_drop_height_sd_fraction: Annotated[float, Ge(0.0), Le(0.2)] = 0.05
     """SD of a shot's drop height about its set's, as a fraction of the nominal one (assumption)."""
-    mean_tilt_rad: Annotated[float, Ge(0.0), Le(0.1)] = 0.03
+    mean_tilt_rad: Annotated[float, Ge(0.0), Le(0.1)] = 0.0175
     """Tilt about which the sensor disk scatters, on top of the chain's; kept at scale 0 (assumption)."""
-    set_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.005
-    """SD of a set's tilt (assumption)."""
-    shot_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.003
-    """SD of a shot's tilt about its set's (assumption)."""
+    set_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.0034
+    """SD of a set's tilt (assumption); drawn evenly over the disk's play, sqrt(3) SD to both sides."""
+    shot_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.002
+    """SD of a shot's tilt about its set's (assumption); drawn evenly too."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -120,14 +120,18 @@ class DriftParameters:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseParameters:
-    """Electronic noise at the digitizer's input: white up to half the sampling rate."""
+    """Noise at the digitizer's input: white up to half the sampling rate, and a slow part."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     enabled: bool = True
     """Off: counts are the rounded signal itself."""
     rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.025
-    """RMS at the input (assumption: 40 dB below an incident wave of 2.5 V)."""
+    """RMS of the white part (assumption: 40 dB below an incident wave of 2.5 V)."""
+    slow_rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.012
+    """RMS of the slow part: vibration of chain and cable, 0.5 % of the incident wave (assumption)."""
+    slow_bandwidth_hz: Annotated[float, Gt(0.0), Le(1e9)] = 20e3
+    """The slow part is even from one cycle a record up to this frequency (assumption)."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -139,9 +143,9 @@ class SensorParameters:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
-    sensitivity_v_per_n: Annotated[float, Gt(0.0), Le(100.0)] = 0.0166
-    """Sensitivity without tilt (assumption: the paper's incident wave of some 150 N fills half the range)."""
-    tilt_loss_per_rad: Annotated[float, Ge(0.0), Le(5.0)] = 5.0
+    sensitivity_v_per_n: Annotated[float, Gt(0.0), Le(100.0)] = 0.0192
+    """Sensitivity without tilt (assumption: at the mean tilt 150 N fill half the range)."""
+    tilt_loss_per_rad: Annotated[float, Ge(0.0), Le(50.0)] = 8.5
     """Relative loss of sensitivity a radian of tilt: the disk is pressed on one side (assumption)."""
 
     def __post_init__(self) -> None:
@@ -243,10 +247,10 @@ PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
         # The holes came near 270 and 350 h with a time of flight only about 10 % longer: a pit in a
         # less thinned patch. Onset, unevenness and mean depth are our choice; see docs.
         "B": ThinningParameters(
-            onset_h=24.0, reference_h=270.0, depth_fraction=0.70, unevenness=0.3, hole_h=270.0
+            onset_h=24.0, reference_h=270.0, depth_fraction=0.57, unevenness=0.3, hole_h=270.0
         ),
         "C": ThinningParameters(
-            onset_h=24.0, reference_h=347.0, depth_fraction=0.55, unevenness=0.3, hole_h=347.0
+            onset_h=24.0, reference_h=347.0, depth_fraction=0.41, unevenness=0.3, hole_h=347.0
         ),
         "D": ThinningParameters(),
     }

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 
 from hardware_drivers.measurement import Calibration
-from simulator.scenario import AdcParameters
-from simulator.transduction import adc_calibration, counts_of, triggered_record
+from simulator.scenario import AdcParameters, NoiseParameters
+from simulator.transduction import adc_calibration, counts_of, noise_volts, triggered_record
 
 ADC = AdcParameters()
 CALIBRATION = adc_calibration(ADC)
@@ -35,7 +35,7 @@ def record(force=None, *, gain=GAIN_V_PER_N, adc=ADC, phase=0.0, noise_v=0.0, se
         adc=adc,
         calibration=adc_calibration(adc),
         sampling_phase=phase,
-        noise_rms_v=noise_v,
+        noise=NoiseParameters(rms_v=noise_v, slow_rms_v=0.0),
         random=np.random.default_rng(seed),
     )
 
@@ -94,18 +94,45 @@ def test_a_polynomial_that_is_no_line_is_refused():
 
 
 def test_without_noise_counts_are_the_signal_rounded():
-    found = record(phase=0.37)
-    t = record_time_s(found)
-    volts = GAIN_V_PER_N * np.where(t < 0.0, 0.0, np.interp(t, TIME_S, force_n()))
-    np.testing.assert_array_equal(found.counts, counts_of(volts, CALIBRATION))
+    # At every fifth point of the force's grid: the fraction between two points is the same everywhere.
+    adc = replace(ADC, sample_rate_hz=1e6, record_samples=1_300, pretrigger_samples=90)
+    found = record(adc=adc)
+    place = record_time_s(found, adc) / STEP_S
+    below = np.floor(place).astype(int)
+    assert np.ptp(place - below) < 1e-6
+    padded = np.concatenate([np.zeros(1_000), force_n()])
+    between = lagrange(padded, below + 1_000, (place - below)[0])
+    np.testing.assert_array_equal(found.counts, counts_of(GAIN_V_PER_N * between, CALIBRATION))
 
 
-def test_interpolation_adds_less_than_a_quarter_of_a_code():
-    found = record(phase=0.5)
+def lagrange(values, index, x):
+    """Cubic through the four points around ``index + x``, from the definition of Lagrange's polynomials."""
+    nodes = (-1, 0, 1, 2)
+    total = np.zeros(index.size)
+    for i in nodes:
+        weight = np.prod([(x - j) / (i - j) for j in nodes if j != i])
+        total += weight * values[index + i]
+    return total
+
+
+@pytest.mark.parametrize("step_s", [1e-7, 2e-7, 5e-7])
+def test_interpolation_adds_next_to_nothing(step_s):
+    time_s = np.arange(round(1.5e-3 / step_s)) * step_s
+    found = triggered_record(
+        force_step_s=step_s,
+        dynamic_force_n=force_n(time_s),
+        sensor_gain_v_per_n=GAIN_V_PER_N,
+        adc=ADC,
+        calibration=CALIBRATION,
+        sampling_phase=0.5,
+        noise=NoiseParameters(enabled=False),
+        random=np.random.default_rng(1),
+    )
     exact_v = GAIN_V_PER_N * force_n(record_time_s(found))
     error_v = CALIBRATION.volts(found.counts) - exact_v
-    # Half a code from rounding, a tenth from the chord (h^2 F'' / 8), the bend's 1e-3 of that.
-    assert np.max(np.abs(error_v)) <= 0.62 * CALIBRATION.coefficients_v[1]
+    # Half a code from rounding, 1e-3 wider by the polynomial's bend; the cubic errs by 3/128 h^4 times
+    # the fourth derivative, 3e-7 N or 3e-5 codes.
+    assert np.max(np.abs(error_v)) <= 0.502 * CALIBRATION.coefficients_v[1]
 
 
 def test_a_strong_pulse_clips():
@@ -129,7 +156,7 @@ def test_the_trigger_is_the_first_sample_at_the_level(phase):
     crossing_s = brentq(
         lambda t: GAIN_V_PER_N * pulse_n(t, 160e-6, 150.0) - ADC.trigger_level_v, 80e-6, 160e-6
     )
-    # The first sample not before the crossing; 1 ns for the chord of the force's 0.2-us grid.
+    # The first sample not before the crossing, which is found to 1 ns by a chord of the 0.2-us grid.
     assert -1e-9 <= found.trigger_time_s - crossing_s <= 1.0 / ADC.sample_rate_hz + 1e-9
 
 
@@ -178,13 +205,29 @@ def test_a_force_that_ends_before_the_record_is_refused():
         record(force=force_n()[:6_000])
 
 
-def test_noise_needs_a_generator():
-    with pytest.raises(ValueError, match="pass a generator"):
-        triggered_record(
-            force_step_s=STEP_S,
-            dynamic_force_n=force_n(),
-            sensor_gain_v_per_n=GAIN_V_PER_N,
-            adc=ADC,
-            calibration=CALIBRATION,
-            noise_rms_v=0.01,
-        )
+def test_slow_noise_is_slow_and_of_the_size_asked_for():
+    noise = NoiseParameters(rms_v=0.0, slow_rms_v=0.012, slow_bandwidth_hz=20e3)
+    table = np.array([noise_volts(14_200, 10e6, noise, np.random.default_rng(s)) for s in range(200)])
+    # 28 lines of two parts each and 200 records: four standard errors of a standard deviation; the
+    # interpolation takes up to 1 % off the upper end of the band.
+    assert np.sqrt(np.mean(table**2)) == pytest.approx(0.012, rel=4.0 / np.sqrt(2 * 200 * 56) + 0.01)
+    power = np.mean(np.abs(np.fft.rfft(table * np.hanning(14_200), axis=1)) ** 2, axis=0)
+    frequency_hz = np.fft.rfftfreq(14_200, 1e-7)
+    # Two lines of the window beyond the band; the images of the coarse grid stay 40 dB below it.
+    assert power[frequency_hz > 22e3].sum() < 1e-4 * power.sum()
+    halves = [power[(frequency_hz > low) & (frequency_hz < low + 8e3)].mean() for low in (2e3, 11e3)]
+    # 11 lines of 200 records in each: the ratio's standard error is sqrt(2 / 2,200) = 3 %; four of it.
+    assert halves[1] == pytest.approx(halves[0], rel=0.12)
+
+
+def test_noise_off_leaves_the_signal_alone():
+    off = triggered_record(
+        force_step_s=STEP_S,
+        dynamic_force_n=force_n(),
+        sensor_gain_v_per_n=GAIN_V_PER_N,
+        adc=ADC,
+        calibration=CALIBRATION,
+        noise=NoiseParameters(enabled=False),
+        random=np.random.default_rng(1),
+    )
+    np.testing.assert_array_equal(off.counts, record().counts)
