@@ -22,6 +22,8 @@ KERNEL_WIDTH_PER_FWHM = 2.75
 """Width of a cos^4 pulse over its full width at half maximum: pi / (2 arccos(2^-1/4)) = 2.747."""
 MAD_TO_SD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
+COARSEST_MEDIAN_BIN = 16
+"""In a lower bin of the noise's histogram, one bin would be more than 6 % of the median."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,21 +183,24 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArra
 def noise_rms(samples_v: FloatArray) -> float:
     """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset.
 
-    The median is read from a histogram in bins of 1/64 of the mean, linearly inside a bin: a third of
-    a sort's cost, and finer than the steps of an ADC code.
+    The median is read from a histogram in bins of 1/64 of the mean, linearly inside a bin, at a third of
+    a partition's cost. Where few large differences make the mean, the bins are too wide and the
+    median is taken exactly.
     """
     difference = np.diff(samples_v)
     np.abs(difference, out=difference)
     mean = float(difference.sum()) / difference.size
     if mean == 0.0:
         return 0.0
-    np.multiply(difference, 64.0 / mean, out=difference)
-    # The median is below twice the mean, bin 128: whatever lies beyond bin 255 need not be told apart.
-    np.minimum(difference, 255.0, out=difference)
-    histogram = np.bincount(difference.astype(np.intp))
+    bins = difference * (64.0 / mean)
+    # The median is at most twice the mean, bin 128: whatever lies beyond bin 255 need not be told apart.
+    np.minimum(bins, 255.0, out=bins)
+    histogram = np.bincount(bins.astype(np.intp))
     below = np.cumsum(histogram)
     middle = 0.5 * difference.size
     k = int(np.searchsorted(below, middle))
+    if k < COARSEST_MEDIAN_BIN:
+        return float(MAD_TO_SD * np.median(difference)) / math.sqrt(2.0)
     inside = (middle - (float(below[k]) - float(histogram[k]))) / float(histogram[k])
     return MAD_TO_SD * (k + inside) * mean / 64.0 / math.sqrt(2.0)
 

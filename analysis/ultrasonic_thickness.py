@@ -171,8 +171,9 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
 
     The complex correlation with the reference's analytic signal gives envelope and carrier in one. The
     first envelope maximum in the gate above half of the gate's largest is the first echo; the carrier
-    maximum nearest to it, refined by a parabola, is the travel time. Where another carrier maximum is higher
-    than the nearest one, a slip by one period is possible and the result is suspect.
+    maximum nearest to it, refined by a parabola, is the travel time. Where a neighbouring carrier maximum is
+    higher, or the nearest one lies more than a quarter period from the envelope's, a slip by one period is
+    possible and the result is suspect.
 
     Raises
     ------
@@ -330,11 +331,17 @@ def _first_envelope_maximum(envelope: FloatArray, first: int, last: int) -> int 
 
 
 def _nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
-    """Lag of the carrier maximum nearest to ``coarse``, and whether one of its neighbours is higher."""
+    """Lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
+
+    It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
+    echo's shape has changed then.
+    """
     maxima = np.flatnonzero((carrier[1:-1] > carrier[:-2]) & (carrier[1:-1] >= carrier[2:])) + 1
     k = int(np.argmin(np.abs(maxima - coarse)))
     neighbours = maxima[max(0, k - 1) : k + 2]
-    return int(maxima[k]), bool(carrier[neighbours].max() > carrier[maxima[k]])
+    period = float(np.diff(neighbours).mean()) if neighbours.size > 1 else math.inf
+    doubtful = carrier[neighbours].max() > carrier[maxima[k]] or abs(maxima[k] - coarse) > 0.25 * period
+    return int(maxima[k]), bool(doubtful)
 
 
 def _coefficient(segment: FloatArray, template: FloatArray) -> float:
