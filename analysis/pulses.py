@@ -146,9 +146,9 @@ def _leading(
 ) -> Pulse | None:
     """First pulse between two indices of at least ``fraction`` of the highest there and above ``floor``."""
     inside = [(index, float(record.matched_v[index])) for index in maxima if first <= index <= last]
-    if not inside:
+    highest = max((height for _, height in inside), default=0.0)
+    if highest <= 0.0:
         return None
-    highest = max(height for _, height in inside)
     pulse = _measure(record, next(index for index, height in inside if height >= fraction * highest))
     return None if pulse is None or pulse.amplitude_v < floor else pulse
 

@@ -44,6 +44,9 @@ DEADLINE_MARGIN_S = 60.0
 
 RETIRED = "a hole was found here: the transducer strikes no more"
 
+NOT_ANALYSED = "not_analysed"
+"""Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
+
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 Teller = Callable[..., None]
 
@@ -101,7 +104,9 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
     """Where a simulated clock goes on: at the end of the last committed set."""
-    ended = [row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None]
+    ended = [
+        row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None
+    ]
     return max(ended, default=epoch_ns)
 
 
@@ -134,6 +139,15 @@ class _Taken:
 
     def count(self, position: str) -> int:
         return sum(item.key.position == position for item in [*self.shots, *self.echoes])
+
+
+def features_of(shot: Shot) -> ShotFeatures:
+    """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
+    try:
+        return extract_features(shot.waveform)
+    except Exception:  # noqa: BLE001 a fault of the analysis must never stop the acquisition; it is logged whole
+        log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
+        return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
 
 
 @dataclass(slots=True, kw_only=True)
@@ -208,7 +222,9 @@ class Recorder:
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         finished = not self._stop.is_set()
-        self._say("schedule_done" if finished else "recorder_stopped", {"storage_cost": asdict(self._timings)})
+        self._say(
+            "schedule_done" if finished else "recorder_stopped", {"storage_cost": asdict(self._timings)}
+        )
         return finished
 
     # One set -----------------------------------------------------------------------------------
@@ -267,7 +283,7 @@ class Recorder:
             return
         if isinstance(measurement, Shot):
             taken.shots.append(measurement)
-            taken.features[measurement.sequence] = extract_features(measurement.waveform)
+            taken.features[measurement.sequence] = features_of(measurement)
         else:
             taken.echoes.append(measurement)
         if self._live.due(measurement.key.position):
@@ -322,9 +338,7 @@ class Recorder:
 
     # After the set is durable --------------------------------------------------------------------
 
-    def _judge(
-        self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]
-    ) -> None:
+    def _judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
         """Assess every position; store rows, alarms and events in one transaction."""
         self._doing = f"judging set {due.set_index}"
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
@@ -394,7 +408,7 @@ class Recorder:
         if path is None:
             return False
         record = read_set(path)
-        features = {shot.sequence: extract_features(shot.waveform) for shot in record.shots}
+        features = {shot.sequence: features_of(shot) for shot in record.shots}
         self._judge(due, record, f"{path.parent.name}/{path.name}", features)
         self._next_sequence = self._catalogue.next_sequence()
         log.warning("set %d: rows made again from %s", due.set_index, path)

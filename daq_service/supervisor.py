@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import subprocess
 import sys
 import threading
@@ -153,7 +154,10 @@ class Supervisor:
         child.started_s = time.monotonic()
         child.cause = ""
         reader = threading.Thread(
-            target=self._read_messages, args=(child, child.process), name=f"{child.plan.name}-messages", daemon=True
+            target=self._read_messages,
+            args=(child, child.process),
+            name=f"{child.plan.name}-messages",
+            daemon=True,
         )
         reader.start()
 
@@ -215,9 +219,13 @@ def _how_it_ended(code: int) -> str:
 def leave_when_pipe_closes(stop: threading.Event) -> None:
     """In a child: set ``stop`` once the supervisor's pipe (standard input) closes."""
 
+    pipe = sys.stdin.fileno()
+
     def watch() -> None:
-        # Nothing is ever sent: read returns only at the end of the pipe.
-        sys.stdin.buffer.read()
+        # Nothing is ever sent: the read returns at the end of the pipe. Below Python's buffer, whose
+        # lock a thread waiting in it would take into the interpreter's shutdown.
+        while os.read(pipe, 1):
+            pass
         stop.set()
 
     threading.Thread(target=watch, name="supervisor-pipe", daemon=True).start()
