@@ -24,32 +24,44 @@ FAREWELLS = {"schedule_done": "finished", "recorder_stopped": "stopped"}
 
 
 class CatalogueAccess:
-    """Opens the catalogue when it is first there, once, for all threads."""
+    """Opens the catalogue when it is first there, once a thread.
+
+    Requests run in a pool of threads. A catalogue of its own keeps each thread's SQLite connection
+    out of the others' hands: shared by more than five threads, the catalogue's connection pool
+    closes connections that are in use.
+    """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._lock = threading.Lock()
-        self._catalogue: Catalogue | None = None
+        self._catalogues: dict[threading.Thread, Catalogue] = {}
 
     def get(self) -> Catalogue:
-        """Return the open catalogue.
+        """Return this thread's open catalogue.
 
         Raises
         ------
         NoDataYetError
             Before the first record.
         """
-        with self._lock:
-            if self._catalogue is None:
-                self._catalogue = open_catalogue(self._folder)
-            return self._catalogue
+        thread = threading.current_thread()
+        catalogue = self._catalogues.get(thread)
+        if catalogue is None:
+            catalogue = open_catalogue(self._folder)
+            with self._lock:
+                self._close_those_of_ended_threads()
+                self._catalogues[thread] = catalogue
+        return catalogue
+
+    def _close_those_of_ended_threads(self) -> None:
+        for ended in [thread for thread in self._catalogues if not thread.is_alive()]:
+            self._catalogues.pop(ended).close()
 
     def close(self) -> None:
-        """Close it; the next `get` opens it again."""
+        """Close them all; the next `get` opens again."""
         with self._lock:
-            if self._catalogue is not None:
-                self._catalogue.close()
-                self._catalogue = None
+            while self._catalogues:
+                self._catalogues.popitem()[1].close()
 
 
 class CatalogueEvents:
@@ -147,8 +159,8 @@ class Freshness:
         if self.clock == "wall":
             self.now_utc_ns = wall_ns
         else:
-            # A simulated clock stands still while nobody works: the last event tells its time.
-            self.now_utc_ns = self.epoch_utc_ns if last is None else int(last["utc_ns"])
+            # A simulated clock stands still while nobody works: the newest events tell its time.
+            self.now_utc_ns = max((int(row["utc_ns"]) for row in newest), default=self.epoch_utc_ns)
         self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
         self.recorder = recorder_state(read_heartbeat(context.data_folder), [row["kind"] for row in newest])
 

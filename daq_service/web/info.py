@@ -50,6 +50,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,
                 "n": settings.alarms.n,
+                "thickness_loss_fraction": settings.alarms.thickness_loss_fraction,
             },
             "initial_thickness_m": settings.ultrasound.initial_thickness_m,
             "positions": [

@@ -328,6 +328,7 @@ class LimitInfo(Answer):
     false_alarm_rate: float
     k: int
     n: int
+    thickness_loss_fraction: float = Field(description="Loss that raises the probe's alarm, of the initial wall")
 
 
 class Info(Answer):

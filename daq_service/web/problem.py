@@ -168,7 +168,8 @@ def install(app: FastAPI) -> None:
         return problem_response(request.scope, problem)
 
     async def on_fault(request: Request, error: Exception) -> Response:
-        log.error("request %s %s failed", request_id(request.scope), request.url.path, exc_info=error)
+        # The server logs the traceback right behind this line.
+        log.error("request %s %s failed: %r", request_id(request.scope), request.url.path, error)
         problem = Problem(
             500,
             "internal-error",

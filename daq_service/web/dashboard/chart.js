@@ -8,9 +8,10 @@ import { NONE, fixed } from "./format.js";
 /**
  * @typedef {object} Curve
  * @property {string} label
+ * @property {string} short for the read-out
  * @property {string} key name in the read-only state and in the table
  * @property {string} color custom property
- * @property {"points" | "line"} kind
+ * @property {"points" | "line" | "diamonds"} kind
  * @property {number[]} [dash]
  * @property {boolean} [tabled] false: not a column of the table
  *
@@ -36,6 +37,11 @@ import { NONE, fixed } from "./format.js";
 const LONGEST_TABLE = 500;
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
 
+/** Keeps the powers of ten of a logarithmic axis. @param {any} _u @param {number[]} splits */
+function decades(_u, splits) {
+  return splits.map((v) => (Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-6 ? v : null));
+}
+
 /** @param {Curve} curve */
 function swatch(curve) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
@@ -48,6 +54,9 @@ function swatch(curve) {
     for (const [key, value] of [["cx", "11"], ["cy", "5"], ["r", "3"], ["fill", `var(${curve.color})`]]) {
       line.setAttribute(key, value);
     }
+  } else if (curve.kind === "diamonds") {
+    line.setAttribute("d", "M11 1l4 4l-4 4l-4-4z");
+    line.setAttribute("fill", `var(${curve.color})`);
   } else {
     line.setAttribute("d", "M1 5h20");
     line.setAttribute("stroke", `var(${curve.color})`);
@@ -78,6 +87,7 @@ export class SolimonChart extends HTMLElement {
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     const legend = el("ul", { class: "legend" });
     for (const curve of options.curves) legend.append(el("li", {}, swatch(curve), curve.label));
+    if (options.log) legend.append(el("li", {}, swatch({ ...options.curves[0], color: "--alarm", kind: "diamonds" }), "outlier"));
     this.legend = legend;
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", `${this.id}-title`);
@@ -128,9 +138,9 @@ export class SolimonChart extends HTMLElement {
     const parts = [`hour ${fixed(x[index], 1)}`];
     this.options.curves.forEach((curve, i) => {
       const value = y[i]?.[index];
-      if (value !== null && value !== undefined) parts.push(`${curve.label} ${this.number(value)}`);
+      if (value !== null && value !== undefined) parts.push(`${curve.short} ${this.number(value)}`);
     });
-    if (y[0]?.[index] === null) parts.push(`${this.options.curves[0].label} ${NONE}`);
+    if (y[0]?.[index] === null) parts.push(`${this.options.curves[0].short} ${NONE}`);
     if (quality?.[index]) parts.push(`quality ${quality[index]}`);
     if (this.series.marked?.[index]) parts.push("outlier");
     return parts.join(" · ");
@@ -218,14 +228,19 @@ export class SolimonChart extends HTMLElement {
         y: { distr: log ? 3 : 1, range: (/** @type {any} */ _u, /** @type {number} */ min, /** @type {number} */ max) => this.yRange(min, max) },
       },
       axes: [
-        { ...axis, label: "Time since start (h)", size: 34, labelSize: 18 },
+        { ...axis, label: "Time since start (h)", size: 26, labelSize: 20 },
         {
           ...axis,
           label: this.options.name,
           size: 58,
           labelSize: 18,
           ...(log
-            ? { values: (/** @type {any} */ _u, /** @type {number[]} */ splits) => splits.map((v) => (Number.isInteger(Math.round(Math.log10(v) * 1e6) / 1e6) ? v.toLocaleString("en") : "")) }
+            ? {
+                filter: decades,
+                grid: { ...axis.grid, filter: decades },
+                ticks: { ...axis.ticks, filter: decades },
+                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) => splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
+              }
             : {}),
         },
       ],

@@ -27,8 +27,17 @@ export function quantity(value, scale, digits, unit) {
 export function significant(value) {
   if (value === null || value === undefined || !Number.isFinite(value)) return NONE;
   const size = Math.abs(value);
-  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return value.toExponential(2);
+  if (size !== 0 && (size >= 1e6 || size < 1e-3)) return scientific(value);
   return String(Number(value.toPrecision(3)));
+}
+
+/** Power-of-ten notation, e.g. 5.49 × 10⁻². @param {number} value */
+export function scientific(value) {
+  if (value === 0) return "0";
+  const [mantissa, exponent] = value.toExponential(2).split("e");
+  const power = Number(exponent);
+  const superscript = [...String(power)].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(sign)])).join("");
+  return power === 0 ? mantissa : `${mantissa} × 10${superscript}`;
 }
 
 /** @param {number} seconds */

@@ -5,7 +5,7 @@ import { ProblemError, all, get, post } from "./api.js";
 import { SolimonAlarms } from "./alarms.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
-import { fixed, hour, significant, utc } from "./format.js";
+import { fixed, hour, scientific, significant, utc } from "./format.js";
 import { chip } from "./icons.js";
 import { EventStream, WaveformStream } from "./streams.js";
 import { Tiles } from "./tiles.js";
@@ -57,7 +57,7 @@ const waves = new WaveformStream((record) => waveform.show(record));
 const events = new EventStream({ onEvent, onGap: everything, onState });
 
 function configureCharts() {
-  const fit = { label: "2nd-order fit", key: "fit", color: "--fit", kind: /** @type {"line"} */ ("line"), dash: [7, 4] };
+  const fit = { label: "2nd-order fit", short: "fit", key: "fit", color: "--fit", kind: /** @type {"line"} */ ("line"), dash: [7, 4] };
   charts.distance.configure({
     title: "Mahalanobis squared distance",
     name: "Squared distance D²",
@@ -66,9 +66,9 @@ function configureCharts() {
     log: true,
     empty: "No distance yet: it needs the baseline",
     curves: [
-      { label: "D² of a set", key: "distance_squared", color: "--data", kind: "points" },
-      { label: "predictive F limit", key: "limit_f", color: "--limit", kind: "line" },
-      { label: "paper's mean + 3 SD limit", key: "limit_paper", color: "--limit-other", kind: "line", dash: [2, 4] },
+      { label: "D² of a set", short: "D²", key: "distance_squared", color: "--data", kind: "points" },
+      { label: "predictive F limit", short: "F limit", key: "limit_f", color: "--limit", kind: "line" },
+      { label: "paper's mean + 3 SD limit", short: "paper's limit", key: "limit_paper", color: "--limit-other", kind: "line", dash: [2, 4] },
     ],
   });
   charts.tof.configure({
@@ -77,7 +77,7 @@ function configureCharts() {
     unit: "µs",
     digits: 3,
     empty: "No set yet",
-    curves: [{ label: "time of flight, peak to peak", key: "tof_pp_us", color: "--data", kind: "points" }, fit],
+    curves: [{ label: "time of flight, peak to peak", short: "time of flight", key: "tof_pp_us", color: "--data", kind: "points" }, fit],
   });
   charts.amplitudeRatio.configure({
     title: "Amplitude ratio",
@@ -85,7 +85,7 @@ function configureCharts() {
     unit: "",
     digits: 4,
     empty: "No set yet",
-    curves: [{ label: "amplitude ratio", key: "amplitude_ratio", color: "--data", kind: "points" }, fit],
+    curves: [{ label: "amplitude ratio", short: "amplitude ratio", key: "amplitude_ratio", color: "--data", kind: "points" }, fit],
   });
   charts.thickness.configure({
     title: "Wall thickness",
@@ -93,7 +93,7 @@ function configureCharts() {
     unit: "mm",
     digits: 3,
     empty: "No pulse-echo record yet",
-    curves: [{ label: "thickness, pulse echo", key: "thickness_mm", color: "--data", kind: "points" }, fit],
+    curves: [{ label: "thickness, pulse echo", short: "thickness", key: "thickness_mm", color: "--data", kind: "points" }, fit],
   });
 }
 
@@ -249,6 +249,7 @@ function showInfo() {
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
   byId("finish").hidden = !info.clock.can_finish_now;
+  tiles.lossLimit = info.limits.thickness_loss_fraction;
   showClock(info.as_of);
 }
 
@@ -308,7 +309,7 @@ function fitCurve(fit, x, scale) {
 function equation(fit, scale, unit) {
   if (!fit?.coefficients) return fit?.reason ?? "no fit yet";
   const [c0, c1, c2] = fit.coefficients.map((/** @type {number} */ c) => scale * c);
-  const sign = (/** @type {number} */ value) => (value < 0 ? "− " : "+ ") + Math.abs(value).toExponential(2);
+  const sign = (/** @type {number} */ value) => (value < 0 ? "− " : "+ ") + scientific(Math.abs(value));
   return `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ${fixed(fit.r_squared, 3)} · residual SD ${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`;
 }
 
@@ -333,7 +334,7 @@ function drawAll() {
       quality,
       bandUntil,
       endHour,
-      subtitle: `${at} · ${deciding === "f_predictive" ? "the F limit" : "the paper's limit"} decides (false alarms ${significant(100 * state.info.limits.false_alarm_rate)} % nominal) · alarm at ${state.info.limits.k} of ${state.info.limits.n} · diamonds: outliers`,
+      subtitle: `${at} · ${deciding === "f_predictive" ? `the F limit decides (${significant(100 * state.info.limits.false_alarm_rate)} % false alarms)` : "the paper's limit decides"} · alarm at ${state.info.limits.k} of ${state.info.limits.n}`,
     });
     const tofFit = state.fits.get(`${state.charted} tof_pp_s`);
     charts.tof.update({

@@ -51,6 +51,7 @@ export class Tiles {
     this.states = [];
     this.readAt = 0;
     this.online = false;
+    this.lossLimit = 0;
     /** @type {any} */
     this.asOf = null;
     root.addEventListener("keydown", (event) => this.onKey(event));
@@ -141,7 +142,7 @@ export class Tiles {
       list([
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
-        ["Quality", feature ? `${feature.quality}, ${feature.n_valid} shots` : NONE],
+        ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],
       ]),
     ];
   }
@@ -151,11 +152,12 @@ export class Tiles {
     const row = state.last_thickness;
     const initial = row && row.thickness_m !== null && row.thickness_loss_m !== null ? row.thickness_m + row.thickness_loss_m : null;
     const part = initial ? row.thickness_loss_m / initial : null;
+    const ratio = part === null || !this.lossLimit ? null : part / this.lossLimit;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: "wall thickness" })),
-      el("div", { class: "gauge" }),
+      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: part === null ? "wall thickness" : `${fixed(100 * part, 1)} % lost (alarm at ${fixed(100 * this.lossLimit, 0)} %)` })),
+      gauge(ratio),
       list([
-        ["Loss", part === null ? NONE : `${quantity(row.thickness_loss_m, 1e3, 2, "mm")}, ${fixed(100 * part, 1)} %`],
+        ["Loss", quantity(row?.thickness_loss_m, 1e3, 2, "mm")],
         ["Travel time", quantity(row?.travel_time_s, 1e6, 3, "µs")],
         ["Quality", row ? row.quality : NONE],
       ]),

@@ -32,9 +32,9 @@ export class SolimonWaveform extends HTMLElement {
     this.readouts = el("dl", { class: "readouts" });
     this.box = el("div", { class: "plot", role: "img", tabindex: "0" });
     this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
-    this.box.append(this.emptyText);
+    this.readout = el("p", { class: "plot-readout" });
+    this.box.append(this.emptyText, this.readout);
     this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Live waveform, table", hidden: true });
-    this.readout = el("p", { class: "readout" });
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", "waveform-title");
     this.append(
@@ -42,7 +42,6 @@ export class SolimonWaveform extends HTMLElement {
       this.readouts,
       this.box,
       this.tableBox,
-      this.readout,
     );
     this.toggle.addEventListener("click", () => {
       const shown = this.tableBox.hidden;
@@ -165,7 +164,7 @@ export class SolimonWaveform extends HTMLElement {
           },
         },
         axes: [
-          { ...axis, label: "Time from the trigger (µs)", size: 34, labelSize: 18 },
+          { ...axis, label: "Time from the trigger (µs)", size: 26, labelSize: 20 },
           { ...axis, label: "Sensor voltage (V)", size: 52, labelSize: 18 },
         ],
         series: [{}, { stroke: color("--data"), width: 1.5, points: { show: false } }],
