@@ -1,0 +1,357 @@
+"""Each contract fails an instrument that breaks it in one way."""
+
+import numpy as np
+import pytest
+from clock_contract import ClockContract
+from digitizer_contract import DigitizerContract
+from pulse_echo_unit_contract import PulseEchoUnitContract
+from striker_contract import StrikerContract
+
+from daq_service.clock import SimulatedClock
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
+from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.measurement import Calibration, ShotKey, Waveform
+
+KEYS = tuple(ShotKey(position="C", set_index=0, shot_index=i) for i in (0, 1))
+UNKNOWN = ShotKey(position="nowhere", set_index=0, shot_index=0)
+EPOCH_NS = 10**18
+
+
+def waveform(samples=20, pretrigger=5):
+    return Waveform(
+        counts=np.arange(samples, dtype=np.int16),
+        sample_rate_hz=1e7,
+        pretrigger_samples=pretrigger,
+        calibration=Calibration(coefficients_v=np.array([0.0, 1e-4]), resolution_bits=16, range_v=5.0),
+    )
+
+
+class SoundDigitizer:
+    """Keeps the contract; each subclass below breaks it in one place."""
+
+    def __init__(self):
+        self.armed = None
+        self.struck = False
+        self.records = 0
+
+    def strike(self, key):
+        self.struck = self.armed is not None
+
+    def arm(self, key):
+        if key.position != "C" or self.armed is not None:
+            raise ConfigurationError(f"cannot arm {key.position}")
+        self.armed, self.struck = key, False
+
+    def read(self, timeout_s):
+        if self.armed is None:
+            raise ConfigurationError("not armed")
+        struck = self.struck
+        self.disarm()
+        if not struck:
+            raise AcquisitionTimeoutError("nothing came")
+        self.records += 1
+        return self.record()
+
+    def record(self):
+        return Acquired(waveform=waveform())
+
+    def disarm(self):
+        self.armed, self.struck = None, False
+
+
+class ArmsAnything(SoundDigitizer):
+    def arm(self, key):
+        super().arm(KEYS[0])
+
+
+class ArmsOverAnArmedOne(SoundDigitizer):
+    def arm(self, key):
+        self.armed = None
+        super().arm(key)
+
+
+class StaysArmedAfterReading(SoundDigitizer):
+    def read(self, timeout_s):
+        armed = self.armed
+        acquired = super().read(timeout_s)
+        self.armed = armed
+        return acquired
+
+
+class StaysArmedAfterTimeout(SoundDigitizer):
+    def read(self, timeout_s):
+        armed = self.armed
+        try:
+            return super().read(timeout_s)
+        except AcquisitionTimeoutError:
+            self.armed = armed
+            raise
+
+
+class InventsRecords(SoundDigitizer):
+    def read(self, timeout_s):
+        self.struck = self.struck or self.armed is not None
+        return super().read(timeout_s)
+
+
+class ReadsUnarmed(SoundDigitizer):
+    def read(self, timeout_s):
+        self.armed, self.struck = KEYS[0], True
+        return super().read(timeout_s)
+
+
+class RemembersStrikes(SoundDigitizer):
+    def __init__(self):
+        super().__init__()
+        self.heard = False
+
+    def strike(self, key):
+        self.heard = True
+
+    def arm(self, key):
+        super().arm(key)
+        self.struck = self.heard
+
+    def disarm(self):
+        self.armed = None
+
+
+class GrowingRecords(SoundDigitizer):
+    def record(self):
+        return Acquired(waveform=waveform(samples=20 + self.records))
+
+
+class NoPretrigger(SoundDigitizer):
+    def record(self):
+        return Acquired(waveform=waveform(pretrigger=0))
+
+
+class DisarmsOnce(SoundDigitizer):
+    def disarm(self):
+        if self.armed is None:
+            raise ConfigurationError("not armed")
+        super().disarm()
+
+
+def run(contract, test, **fixtures):
+    """Call one test of a contract; only the fixtures it asks for are passed."""
+    function = getattr(contract, test)
+    wanted = function.__code__.co_varnames[1 : function.__code__.co_argcount]
+    function(contract(), **{name: fixtures[name] for name in wanted})
+
+
+def each_test(contract):
+    return [name for name in dir(contract) if name.startswith("test_")]
+
+
+def digitizer_fixtures(digitizer):
+    return {"digitizer": digitizer, "strike": digitizer.strike, "keys": KEYS, "unknown_key": UNKNOWN}
+
+
+@pytest.mark.parametrize("test", each_test(DigitizerContract))
+def test_a_sound_digitizer_passes(test):
+    run(DigitizerContract, test, **digitizer_fixtures(SoundDigitizer()))
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (ArmsAnything, "test_an_unknown_position_is_refused_by_name"),
+        (ArmsOverAnArmedOne, "test_arming_twice_is_refused"),
+        (StaysArmedAfterReading, "test_reading_disarms"),
+        (StaysArmedAfterTimeout, "test_no_strike_times_out_and_disarms"),
+        (InventsRecords, "test_no_strike_times_out_and_disarms"),
+        (ReadsUnarmed, "test_reading_unarmed_is_refused"),
+        (RemembersStrikes, "test_a_strike_before_arming_is_lost"),
+        (RemembersStrikes, "test_disarming_forgets_the_strike"),
+        (GrowingRecords, "test_records_of_one_position_have_one_shape_and_calibration"),
+        (NoPretrigger, "test_a_strike_on_an_armed_digitizer_is_recorded"),
+        (DisarmsOnce, "test_disarming_is_harmless_at_any_time"),
+        (object, "test_is_a_digitizer"),
+    ],
+)
+def test_a_broken_digitizer_fails(broken, test):
+    digitizer = broken()
+    fixtures = {"digitizer": digitizer} if broken is object else digitizer_fixtures(digitizer)
+    with pytest.raises((AssertionError, InstrumentError, pytest.fail.Exception)):
+        run(DigitizerContract, test, **fixtures)
+
+
+class SoundStriker:
+    def __init__(self):
+        self.levels = []
+
+    def strike(self, key):
+        if key == UNKNOWN:
+            raise ConfigurationError(f"no striker at {key.position}")
+        self.levels += [(key.position, True), (key.position, False)]
+
+    def make_safe(self):
+        pass
+
+
+class LeavesTheCoilOn(SoundStriker):
+    def strike(self, key):
+        super().strike(key)
+        self.levels.pop()
+
+
+class StrikesTwice(SoundStriker):
+    def strike(self, key):
+        super().strike(key)
+        super().strike(key)
+
+
+class StrikesAnotherCoil(SoundStriker):
+    def strike(self, key):
+        super().strike(KEYS[0])
+
+
+class EndsWhenSafe(SoundStriker):
+    def make_safe(self):
+        self.strike = lambda key: None
+
+
+class SafeByAPulse(SoundStriker):
+    def make_safe(self):
+        self.levels.append(("C", True))
+
+
+STRIKER_KEYS = (KEYS[0], ShotKey(position="D", set_index=0, shot_index=0))
+
+
+def striker_fixtures(striker):
+    return {
+        "striker": striker,
+        "coil_levels": lambda: getattr(striker, "levels", ()),
+        "keys": STRIKER_KEYS,
+        "unknown_key": UNKNOWN,
+    }
+
+
+@pytest.mark.parametrize("test", each_test(StrikerContract))
+def test_a_sound_striker_passes(test):
+    run(StrikerContract, test, **striker_fixtures(SoundStriker()))
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (LeavesTheCoilOn, "test_a_strike_is_one_pulse_of_its_own_coil"),
+        (StrikesTwice, "test_a_strike_is_one_pulse_of_its_own_coil"),
+        (StrikesAnotherCoil, "test_a_strike_is_one_pulse_of_its_own_coil"),
+        (StrikesAnotherCoil, "test_an_unknown_position_is_refused_by_name_and_nothing_moves"),
+        (EndsWhenSafe, "test_making_safe_does_not_end_the_experiment"),
+        (SafeByAPulse, "test_making_safe_is_harmless_at_any_time"),
+        (object, "test_is_a_striker"),
+    ],
+)
+def test_a_broken_striker_fails(broken, test):
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        run(StrikerContract, test, **striker_fixtures(broken()))
+
+
+class SoundProbe:
+    def __init__(self):
+        self.shots = 0
+
+    def acquire(self, key, timeout_s):
+        if key == UNKNOWN:
+            raise ConfigurationError(f"no probe at {key.position}")
+        self.shots += 1
+        return self.record()
+
+    def record(self):
+        return Echo(waveform=waveform(pretrigger=0))
+
+
+class WanderingGain(SoundProbe):
+    def record(self):
+        return Echo(waveform=waveform(pretrigger=0), gain_db=float(self.shots))
+
+
+class LateProbe(SoundProbe):
+    def record(self):
+        return Echo(waveform=waveform(pretrigger=5))
+
+
+class BareRecord(SoundProbe):
+    def record(self):
+        return Acquired(waveform=waveform(pretrigger=0))
+
+
+class ProbesAnything(SoundProbe):
+    def acquire(self, key, timeout_s):
+        return self.record()
+
+
+@pytest.mark.parametrize("test", each_test(PulseEchoUnitContract))
+def test_a_sound_probe_passes(test):
+    run(PulseEchoUnitContract, test, pulse_echo=SoundProbe(), keys=KEYS, unknown_key=UNKNOWN)
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (WanderingGain, "test_records_of_one_position_have_one_shape"),
+        (LateProbe, "test_a_record_starts_at_the_firing_pulse_and_names_its_receiver"),
+        (BareRecord, "test_a_record_starts_at_the_firing_pulse_and_names_its_receiver"),
+        (ProbesAnything, "test_an_unknown_position_is_refused_by_name"),
+        (object, "test_is_a_pulse_echo_unit"),
+    ],
+)
+def test_a_broken_probe_fails(broken, test):
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        run(PulseEchoUnitContract, test, pulse_echo=broken(), keys=KEYS, unknown_key=UNKNOWN)
+
+
+class RunsBack(SimulatedClock):
+    def mono_ns(self):
+        self._utc_ns -= 1
+        return self._utc_ns
+
+
+class Seconds(SimulatedClock):
+    def utc_ns(self):
+        return super().utc_ns() / 1e9
+
+
+class WakesEarly(SimulatedClock):
+    def wait_until(self, utc_ns, idle):
+        return super().wait_until(utc_ns - 1, idle)
+
+
+class NeverLooks(SimulatedClock):
+    def wait_until(self, utc_ns, idle):
+        return super().wait_until(utc_ns, lambda: True)
+
+
+class TurnsBack(SimulatedClock):
+    def wait_until(self, utc_ns, idle):
+        self._utc_ns = utc_ns
+        return idle()
+
+
+class Ahead(ClockContract):
+    AHEAD_S = 3600.0
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (RunsBack, "test_times_are_whole_nanoseconds_that_never_run_back"),
+        (Seconds, "test_times_are_whole_nanoseconds_that_never_run_back"),
+        (WakesEarly, "test_waiting_reaches_the_time"),
+        (NeverLooks, "test_waiting_looks_around"),
+        (NeverLooks, "test_waiting_ends_as_soon_as_the_caller_wants"),
+        (TurnsBack, "test_a_time_in_the_past_is_reached_at_once_and_changes_nothing"),
+    ],
+)
+def test_a_broken_clock_fails(broken, test):
+    with pytest.raises(AssertionError):
+        run(Ahead, test, clock=broken(EPOCH_NS))
+
+
+def test_an_object_is_no_clock():
+    with pytest.raises(AssertionError):
+        run(ClockContract, "test_is_a_clock", clock=object())
