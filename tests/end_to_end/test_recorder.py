@@ -1,0 +1,379 @@
+"""The line from strike to alarm, in one process."""
+
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
+
+import daq_service.recorder
+from analysis.features import extract_features
+from daq_service.archive import Archive, ArchiveWriteError, read_set, set_files
+from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.errors import RigError, StorageError
+from daq_service.rig import open_rig
+from daq_service.settings import Settings
+from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError
+from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.measurement import ShotKey
+from simulator.coupled_model import ShotModel
+from simulator.pulse_summary import summarise
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    assert run(small_settings(), folder)
+    return folder
+
+
+def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None:
+    rows = rows_of(finished)
+    assert Counter(row["state"] for row in rows["sets"]) == {"done": 4 * SETS}
+    assert sorted(set_files(finished)) == list(range(SETS))
+    assert len(rows["shots"]) == SETS * (1 + 3 * 3)
+    assert [row["sequence"] for row in rows["shots"]] == list(range(1, len(rows["shots"]) + 1))
+    assert len(rows["set_features"]) == 3 * SETS
+    assert len(rows["thickness"]) == SETS
+
+
+def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
+    """Features computed again from the file alone are those of the catalogue, to the last bit."""
+    stored = {row["sequence"]: row for row in rows_of(finished)["shot_features"]}
+    record = read_set(set_files(finished)[7])
+    assert len(record.shots) == 9
+    for shot in record.shots:
+        values = extract_features(shot.waveform).values()
+        row = stored[shot.sequence]
+        assert {name: row[name] for name in values} == {
+            name: None if np.isnan(value) else value for name, value in values.items()
+        }
+
+
+def test_a_stored_shot_is_what_simulate_gives_at_its_depth_height_and_tilt(finished: Path) -> None:
+    settings = small_settings()
+    record = read_set(set_files(finished)[SETS - 1])
+    shot = next(shot for shot in record.shots if shot.key.position == "B")
+    place = settings.positions["B"]
+    again = summarise(
+        ShotModel(place.chain, place.plate, place.corrosion).shot(
+            depth_fraction=shot.truth["depth_fraction"],
+            drop_height_m=shot.truth["drop_height_m"],
+            tilt_rad=shot.truth["tilt_rad"],
+        )
+    )
+    # The issue's bound; the same code on the same numbers in fact repeats every bit.
+    assert shot.truth["isw_peak_n"] == pytest.approx(again.isw_peak_n, rel=1e-6)
+    assert shot.truth["psw_peak_n"] == pytest.approx(again.psw_peak_n, rel=1e-6)
+    assert shot.truth["tof_s"] * 1e6 == pytest.approx(again.tof_us, rel=1e-6)
+    assert shot.truth["amplitude_ratio"] == pytest.approx(again.amplitude_ratio, rel=1e-6)
+
+
+def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Path) -> None:
+    rows = rows_of(finished)
+    assert [row["position"] for row in rows["baselines"]] == ["B", "C", "D"]
+    assert {row["n_sets"] for row in rows["baselines"]} == {BASELINE_SETS}
+    of_d = [row for row in rows["verdicts"] if row["position"] == "D"]
+    assert [row["set_index"] for row in of_d] == list(range(SETS))
+    baseline, judged = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
+    assert all(row["in_baseline"] and row["outlier"] is None for row in baseline)
+    # Squared distances of a sample from its own mean sum to (n - 1) p, exactly; 1e-9 is rounding.
+    total = sum(row["distance_squared"] for row in baseline)
+    assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
+    assert all(row["outlier"] is not None and row["limit_f"] is not None for row in judged)
+    assert all(sum(row["contributions"].values()) == pytest.approx(row["distance_squared"]) for row in judged)
+
+
+def test_the_same_seed_repeats_every_row_and_another_does_not(finished: Path, tmp_path: Path) -> None:
+    assert run(small_settings(), tmp_path / "same")
+    assert rows_of(tmp_path / "same") == rows_of(finished)
+    assert run(small_settings(twin={"seed": 2}), tmp_path / "other")
+    ours, other = (rows_of(folder)["set_features"] for folder in (finished, tmp_path / "other"))
+    assert all(a["tof_pp_s"] != b["tof_pp_s"] for a, b in zip(ours, other, strict=True))
+
+
+@contextmanager
+def _stopping_rig(stop: threading.Event, key: ShotKey) -> Iterator[Any]:
+    def disturb(taken: ShotKey, acquired: Acquired) -> Acquired:
+        if taken == key:
+            stop.set()
+        return acquired
+
+    yield disturbed_rig(disturb)
+
+
+def test_a_stop_between_sets_changes_no_row(finished: Path, tmp_path: Path) -> None:
+    """Stopped after a set's last shot, then started again: as if nothing had happened."""
+    for last in (5, BASELINE_SETS - 1, BASELINE_SETS + 1):
+        stop = threading.Event()
+        with _stopping_rig(stop, ShotKey(position="D", set_index=last, shot_index=2)) as rig:
+            assert not run(small_settings(), tmp_path, rig=rig, stop=stop)
+    assert run(small_settings(), tmp_path)
+    assert rows_of(tmp_path) == rows_of(finished)
+
+
+def test_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
+    stop = threading.Event()
+    with _stopping_rig(stop, ShotKey(position="C", set_index=4, shot_index=0)) as rig:
+        assert not run(small_settings(), tmp_path, rig=rig, stop=stop)
+    with open_catalogue(tmp_path) as catalogue:
+        states = {row["position"]: row for row in catalogue.list_sets(limit=None) if row["set_index"] == 4}
+    assert {name: row["state"] for name, row in states.items()} == {
+        "A": "done",
+        "B": "done",
+        "C": "partial",
+        "D": "missed",
+    }
+    assert (states["C"]["n_taken"], states["C"]["cause"]) == (1, "the recorder was told to stop")
+    assert len(read_set(set_files(tmp_path)[4]).shots) == 4
+    assert run(small_settings(), tmp_path)
+    assert len(set_files(tmp_path)) == SETS
+
+
+class _KilledError(BaseException):
+    """Stands for SIGKILL: nothing may catch it to tidy up."""
+
+
+@pytest.mark.parametrize("killed_at", [0, 3, BASELINE_SETS - 1, BASELINE_SETS])
+@pytest.mark.parametrize("boundary", ["before the file", "after the file", "after the rows"])
+def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boundary: str, killed_at: int
+) -> None:
+    store_set, commit_set = Archive.store_set, RecorderCatalogue.commit_set
+
+    def killing_store(self: Archive, record: Any) -> Any:
+        if record.set_index != killed_at:
+            return store_set(self, record)
+        if boundary == "before the file":
+            raise _KilledError
+        return store_set(self, record)
+
+    def killing_commit(self: RecorderCatalogue, commit: Any) -> Any:
+        if not commit.sets or commit.sets[0]["set_index"] != killed_at:
+            return commit_set(self, commit)
+        if boundary == "after the file":
+            raise _KilledError
+        committed = commit_set(self, commit)
+        if boundary == "after the rows":
+            raise _KilledError
+        return committed
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Archive, "store_set", killing_store)
+        patch.setattr(RecorderCatalogue, "commit_set", killing_commit)
+        with pytest.raises(_KilledError):
+            run(small_settings(), tmp_path)
+    assert run(small_settings(), tmp_path)
+    assert rows_of(tmp_path) == rows_of(finished)
+
+
+def test_a_missed_strike_leaves_a_partial_set_with_its_cause(tmp_path: Path) -> None:
+    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+        if (key.position, key.set_index, key.shot_index) == ("B", 2, 1):
+            raise AcquisitionTimeoutError("no trigger within 5 s")
+        return acquired
+
+    assert run(small_settings(schedule={"end_h": 2.0}), tmp_path, rig=disturbed_rig(disturb))
+    with open_catalogue(tmp_path) as catalogue:
+        (row,) = [row for row in catalogue.list_sets("B", limit=None) if row["set_index"] == 2]
+        shots = catalogue.list_shots("B", 2)
+    assert (row["state"], row["n_taken"], row["n_valid"]) == ("partial", 2, 2)
+    assert row["cause"] == "1 missed: no trigger within 5 s"
+    assert [shot["shot_index"] for shot in shots] == [0, 2]
+
+
+def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> None:
+    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+        raise AcquisitionTimeoutError("no trigger within 5 s")
+
+    settings = small_settings(
+        schedule={"end_h": 1.0}, positions={"B": {"method": "solitary_wave"}, "D": {"method": "solitary_wave"}}
+    )
+    settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
+    assert run(settings, tmp_path, rig=disturbed_rig(disturb))
+    with open_catalogue(tmp_path) as catalogue:
+        rows = catalogue.list_sets(limit=None)
+        assert catalogue.counts()["missed_sets"] == 2
+    assert [row["state"] for row in rows] == ["missed", "missed"]
+    assert all("no trigger within 5 s" in row["cause"] for row in rows)
+    assert set_files(tmp_path) == {}
+
+
+def test_a_rig_that_fails_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
+    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+        if (key.position, key.set_index, key.shot_index) == ("C", 1, 2):
+            raise ConnectionLostError("the chassis is gone")
+        return acquired
+
+    with pytest.raises(RigError, match="the chassis is gone") as failure:
+        run(small_settings(), tmp_path, rig=disturbed_rig(disturb))
+    assert failure.value.exit_code == 3
+    assert len(read_set(set_files(tmp_path)[1]).shots) == 5
+    with open_catalogue(tmp_path) as catalogue:
+        states = {row["position"]: row["state"] for row in catalogue.list_sets(limit=None) if row["set_index"] == 1}
+    assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
+
+
+def test_a_hole_retires_its_transducer_and_the_others_go_on(tmp_path: Path) -> None:
+    thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
+    assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 5.0}), tmp_path)
+    with open_catalogue(tmp_path) as catalogue:
+        states = [row["state"] for row in catalogue.list_sets("B", limit=None)]
+        others = {row["state"] for row in catalogue.list_sets("D", limit=None)}
+        (alarm,) = catalogue.list_alarms(position="B")
+        counts = catalogue.counts()
+    # The hole opens at 3.0 h, the set due then; the second silent one retires the transducer.
+    assert states == ["done"] * 7 + ["retired"] * 3
+    assert others == {"done"}
+    assert (alarm["kind"], alarm["severity"], alarm["raised_h"]) == ("hole", "critical", 3.5)
+    assert counts["missed_sets"] == 0
+    assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}), tmp_path)
+    with open_catalogue(tmp_path) as catalogue:
+        assert catalogue.list_sets("B", limit=None)[-1]["state"] == "retired", "a restart must not strike again"
+
+
+def test_a_shot_that_cannot_be_analysed_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def failing(waveform: Any) -> Any:
+        calls.append(waveform)
+        if len(calls) == 4:
+            raise ZeroDivisionError("a fault of the analysis")
+        return extract_features(waveform)
+
+    calls: list[Any] = []
+    monkeypatch.setattr(daq_service.recorder, "extract_features", failing)
+    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    shots = rows_of(tmp_path)["shots"]
+    flagged = [shot for shot in shots if "not_analysed" in shot["flags"]]
+    assert [(shot["position"], shot["shot_index"], shot["valid"]) for shot in flagged] == [("C", 0, False)]
+    assert len(read_set(set_files(tmp_path)[0]).shots) == 9
+
+
+def test_a_full_disk_stops_the_recorder_and_loses_no_earlier_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store_set = Archive.store_set
+
+    def full(self: Archive, record: Any) -> Any:
+        if record.set_index == 3:
+            raise ArchiveWriteError("No space left on device; free some space")
+        return store_set(self, record)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Archive, "store_set", full)
+        with pytest.raises(StorageError, match="free some space"):
+            run(small_settings(), tmp_path)
+    assert sorted(set_files(tmp_path)) == [0, 1, 2]
+    assert run(small_settings(schedule={"end_h": 3.0}), tmp_path)
+    assert sorted(set_files(tmp_path)) == list(range(6))
+
+
+def test_a_folder_of_another_configuration_is_refused_untouched(tmp_path: Path) -> None:
+    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    before = rows_of(tmp_path)
+    with pytest.raises(StorageError, match="another folder"):
+        run(small_settings(twin={"seed": 99}), tmp_path)
+    assert rows_of(tmp_path) == before
+
+
+class _LateClock:
+    """A wall clock on which the experiment has been running, unattended, for some hours."""
+
+    def __init__(self, clock: Clock, late_ns: int) -> None:
+        self._clock = clock
+        self._late_ns = late_ns
+
+    def utc_ns(self) -> int:
+        return self._clock.utc_ns() + self._late_ns
+
+    def mono_ns(self) -> int:
+        return self.utc_ns()
+
+    def wait_until(self, utc_ns: int, idle: Any) -> bool:
+        return self._clock.wait_until(utc_ns - self._late_ns, idle)
+
+
+def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tmp_path: Path) -> None:
+    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+
+    @contextmanager
+    def late_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+        # 1.03 h are over already (the last set's end): now it is 3.2 h.
+        late = _LateClock(clock, round(2.17 * 3.6e12))
+        with open_rig(settings, late, epoch_utc_ns) as rig:
+            yield replace(rig, clock=late)
+
+    assert run(
+        small_settings(schedule={"end_h": 4.0}), tmp_path, rig=late_rig, restarted_because="was killed by signal 9"
+    )
+    with open_catalogue(tmp_path) as catalogue:
+        rows = catalogue.list_sets("D", limit=None)
+        gaps = [event for event in catalogue.events_after(0, ["sets"]) if event["kind"] == "set_missed"]
+    assert [row["state"] for row in rows] == ["done"] * 2 + ["missed"] * 3 + ["done"] * 3
+    assert {row["cause"] for row in rows[2:5]} == {"the recorder was killed by signal 9"}
+    # The set due at 3.0 h is taken late, at 3.2 h: its time is not over before the next one's.
+    assert rows[5]["started_utc_ns"] - rows[5]["due_utc_ns"] > 0.1 * 3.6e12
+    assert len(gaps) == 3 * 4
+
+
+def _order(folder: Path, kind: str, **arguments: Any) -> int:
+    with open_catalogue(folder) as catalogue:
+        return catalogue.add_command("ann", kind, arguments)
+
+
+def _answer(folder: Path, command_id: int) -> tuple[str, str]:
+    with open_catalogue(folder) as catalogue:
+        row = catalogue.command(command_id)
+    assert row is not None
+    return row["state"], row["result"]
+
+
+def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
+    thinning = {"B": {"onset_h": 0.0, "reference_h": 1.0, "depth_fraction": 0.5, "hole_h": 1.0}}
+    settings = small_settings(twin={"thinning": thinning}, schedule={"end_h": 3.0})
+    assert run(settings, tmp_path)
+    orders = {
+        "unknown": _order(tmp_path, "self_destruct"),
+        "seen": _order(tmp_path, "acknowledge_alarm", alarm_id=1, note="plate inspected"),
+        "again": _order(tmp_path, "acknowledge_alarm", alarm_id=1),
+        "absent": _order(tmp_path, "acknowledge_alarm", alarm_id=99),
+        "finish": _order(tmp_path, "finish_now"),
+        "stop": _order(tmp_path, "stop"),
+    }
+    paced = small_settings(
+        twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4}
+    )
+    assert not run(paced, tmp_path)
+    answers = {name: _answer(tmp_path, order) for name, order in orders.items()}
+    assert answers["unknown"][0] == "refused"
+    assert "unknown order" in answers["unknown"][1]
+    assert answers["seen"] == ("done", "acknowledged")
+    assert answers["again"][0] == answers["absent"][0] == "refused"
+    assert answers["finish"][0] == answers["stop"][0] == "done"
+    with open_catalogue(tmp_path) as catalogue:
+        alarm = catalogue.alarm(1)
+    assert alarm is not None
+    assert (alarm["state"], alarm["acknowledged_by"], alarm["note"]) == ("acknowledged", "ann", "plate inspected")
+
+
+def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:
+    assert run(small_settings(baseline={"hours": 3.0}, schedule={"end_h": 5.0}), tmp_path)
+    with open_catalogue(tmp_path) as catalogue:
+        baseline = catalogue.baseline("D")
+        verdict = catalogue.list_verdicts("D")[-1]
+    assert baseline is not None
+    assert (baseline["limit_f"], baseline["limit_paper"], baseline["n_sets"]) == (None, None, 6)
+    assert "6 sets" in baseline["limit_reason"]
+    assert (verdict["outlier"], verdict["distance_squared"]) == (None, None)
+    assert verdict["reason"] == baseline["limit_reason"]
+
+
+def test_a_test_carried_on_for_longer_has_the_same_rows(finished: Path, tmp_path: Path) -> None:
+    assert run(small_settings(schedule={"end_h": 4.0}), tmp_path)
+    assert run(small_settings(), tmp_path)
+    assert rows_of(tmp_path) == rows_of(finished)
