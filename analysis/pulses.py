@@ -193,13 +193,16 @@ def _odd(width: float) -> int:
 
 
 def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
-    """First and last index of the stretch around ``peak`` that stays above ``level``."""
+    """First and last index of the stretch around ``peak`` that stays above ``level``.
+
+    The last lies before the first if ``peak`` itself does not.
+    """
     below = values <= level
-    left = np.flatnonzero(below[:peak])
-    right = np.flatnonzero(below[peak:])
-    first = int(left[-1]) + 1 if left.size else 0
-    last = peak + int(right[0]) - 1 if right.size else values.size - 1
-    return first, last
+    if below[peak]:
+        return peak, peak - 1
+    # argmax gives the first True, or 0 if there is none: then the stretch reaches the end.
+    left, right = int(np.argmax(below[peak::-1])), int(np.argmax(below[peak:]))
+    return (peak - left + 1 if left else 0), (peak + right - 1 if right else values.size - 1)
 
 
 def _width_at(values: FloatArray, peak: int, level: float) -> float:
