@@ -65,7 +65,13 @@ def take_set(
     for position in plan.of_method("pulse_echo"):
         if not rig.clock.wait_until(start_ns, idle):
             return
-        yield _echo(rig, plan, ShotKey(position=position, set_index=plan.due.set_index, shot_index=0), sequence, boot_id)
+        yield _echo(
+            rig,
+            plan,
+            ShotKey(position=position, set_index=plan.due.set_index, shot_index=0),
+            sequence,
+            boot_id,
+        )
     strikes = itertools.product(plan.of_method("solitary_wave"), range(plan.shots_per_set))
     for number, (position, shot_index) in enumerate(strikes):
         if not rig.clock.wait_until(start_ns + round(number * plan.shot_interval_s * NS_PER_S), idle):
@@ -74,7 +80,9 @@ def take_set(
         yield _strike(rig, plan, key, sequence, boot_id)
 
 
-def _strike(rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str) -> Shot | MissedShot:
+def _strike(
+    rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
+) -> Shot | MissedShot:
     """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards."""
     stamp = _stamp(rig, boot_id)
     try:

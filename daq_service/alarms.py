@@ -74,7 +74,14 @@ def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) 
         if state == "returned_unacknowledged":
             return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None)
         if SEVERITIES.index(condition.severity) > SEVERITIES.index(row["severity"]):
-            return _to(row, "unacknowledged", moment, "alarm_worsened", severity=condition.severity, message=condition.message)
+            return _to(
+                row,
+                "unacknowledged",
+                moment,
+                "alarm_worsened",
+                severity=condition.severity,
+                message=condition.message,
+            )
         return None
     if condition.latched:
         return None
@@ -128,4 +135,6 @@ def _new_row(condition: Condition, moment: Moment) -> dict[str, Any]:
 
 
 def _to(row: Mapping[str, Any], state: State, moment: Moment, event_kind: str, **values: Any) -> Change:
-    return Change(row={**row, **values, "state": state, "changed_utc_ns": moment.utc_ns}, event_kind=event_kind)
+    return Change(
+        row={**row, **values, "state": state, "changed_utc_ns": moment.utc_ns}, event_kind=event_kind
+    )

@@ -16,7 +16,14 @@ import numpy as np
 
 from analysis.baseline import Baseline, fit_baseline
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
-from analysis.features import ALL_FEATURE_NAMES, EXTRACTOR_VERSION, FEATURE_NAMES, SetFeatures, ShotFeatures, mean_features
+from analysis.features import (
+    ALL_FEATURE_NAMES,
+    EXTRACTOR_VERSION,
+    FEATURE_NAMES,
+    SetFeatures,
+    ShotFeatures,
+    mean_features,
+)
 from analysis.novelty import distance_squared, named_contributions
 from analysis.sequential import AlarmRule, AlarmState, HoleRule, HoleState, next_alarm_state, next_hole_state
 from analysis.threshold import f_predictive_limit, paper_limit
@@ -93,13 +100,17 @@ class SolitaryWaveAssessor:
         Id that this position's baseline will have.
     """
 
-    def __init__(self, position: str, settings: Settings, *, last_baseline_set: int, baseline_id: int) -> None:
+    def __init__(
+        self, position: str, settings: Settings, *, last_baseline_set: int, baseline_id: int
+    ) -> None:
         self.position = position
         self._settings = settings
         self._last_baseline_set = last_baseline_set
         self._baseline_id = baseline_id
         self._alarm_rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
-        self._hole_rule = HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets)
+        self._hole_rule = HoleRule(
+            shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets
+        )
         self._memory = _Memory()
 
     def restore(
@@ -147,7 +158,9 @@ class SolitaryWaveAssessor:
             n_valid=mean.n_valid,
             retire=memory.hole.hole,
             shot_flags={shot.sequence: found.flags for shot, found in zip(shots, features, strict=True)},
-            invalid=frozenset(shot.sequence for shot, found in zip(shots, features, strict=True) if not found.valid),
+            invalid=frozenset(
+                shot.sequence for shot, found in zip(shots, features, strict=True) if not found.valid
+            ),
             note=mean.reason,
         )
 
@@ -161,7 +174,9 @@ class SolitaryWaveAssessor:
             return None, [self._judged(due, mean)]
         self._remember_healthy(memory, due.set_index, due.due_h, mean.quality, mean.mean)
         if due.set_index < self._last_baseline_set:
-            return None, [self._row(due.set_index, due.due_h, in_baseline=True, reason="the baseline is being recorded")]
+            return None, [
+                self._row(due.set_index, due.due_h, in_baseline=True, reason="the baseline is being recorded")
+            ]
         return self._close_baseline(last=due)
 
     def _remember_healthy(
@@ -237,7 +252,12 @@ class SolitaryWaveAssessor:
         ]
         if last is not None and (not indices or indices[-1] != last.set_index):
             rows.append(
-                self._row(last.set_index, last.due_h, in_baseline=True, reason="left out of the baseline: too few valid shots")
+                self._row(
+                    last.set_index,
+                    last.due_h,
+                    in_baseline=True,
+                    reason="left out of the baseline: too few valid shots",
+                )
             )
         return row, rows
 

@@ -15,7 +15,9 @@ from daq_service.errors import EXIT_INTERRUPTED, SolimonError
 
 CONFIG = click.argument("config", required=False, type=click.Path(dir_okay=False, path_type=Path))
 DATA_DIR = click.option(
-    "--data-dir", type=click.Path(file_okay=False, path_type=Path), help="Data folder; default: the configuration's."
+    "--data-dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Data folder; default: the configuration's.",
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
@@ -31,10 +33,24 @@ def cli() -> None:
 
 
 @cli.command()
-@click.option("--hours", type=click.FloatRange(min=0.0, min_open=True), help="Stop the test at this hour; default: its end, 350 h.")
+@click.option(
+    "--hours",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Stop the test at this hour; default: its end, 350 h.",
+)
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
-@click.option("--pace", type=click.FloatRange(min=0.0, min_open=True), help="Hours of test a second; default 5, with --exit as fast as it goes.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, show_default=True, help="Port of the dashboard; 0 takes a free one.")
+@click.option(
+    "--pace",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Hours of test a second; default 5, with --exit as fast as it goes.",
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    show_default=True,
+    help="Port of the dashboard; 0 takes a free one.",
+)
 @click.option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
 @DATA_DIR
@@ -49,7 +65,9 @@ def demo(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
-@click.option("--port", type=click.IntRange(0, 65535), help="Port of the dashboard; default: the configuration's.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port of the dashboard; default: the configuration's."
+)
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
 def run(**options: Any) -> None:
     """Record and serve under a supervisor that restarts what fails."""

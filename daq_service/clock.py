@@ -120,7 +120,9 @@ class SimulatedClock:
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
         """Jump, or walk at the pace, to ``utc_ns``; a time in the past is reached at once."""
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
-            due_wall_ns = self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
+            due_wall_ns = (
+                self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
+            )
             left_s = (due_wall_ns - self._wall_ns()) / NS_PER_S
             if left_s <= 0.0:
                 break

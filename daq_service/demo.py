@@ -67,7 +67,10 @@ def run_demo(
 
     with stop_on_signals() as stop:
         supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=not no_web), folder, on_message=on_message, give_up=True
+            child_plans(config, folder, port=port, web=not no_web),
+            folder,
+            on_message=on_message,
+            give_up=True,
         )
         code = supervisor.run(stop, stay=not exit_when_done and not no_web)
         interrupted = stop.is_set()
@@ -133,7 +136,9 @@ class _Say:
         done, due_h = int(message["done"]), float(message["due_h"])
         tenth = 10 * done // max(self._planned, 1)
         if sys.stderr.isatty():
-            click.echo(f"\rhour {due_h:6.1f}  set {done} of {self._planned} ", nl=done == self._planned, err=True)
+            click.echo(
+                f"\rhour {due_h:6.1f}  set {done} of {self._planned} ", nl=done == self._planned, err=True
+            )
         elif tenth > self._shown_tenth:
             self._shown_tenth = tenth
             click.echo(f"hour {due_h:.1f}, set {done} of {self._planned}", err=True)

@@ -45,7 +45,9 @@ def prepare_data_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir") from error
+        raise StorageError(
+            f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir"
+        ) from error
     kind = network_filesystem(folder)
     if kind is not None:
         raise StorageError(

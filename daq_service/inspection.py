@@ -36,11 +36,15 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     click.echo(f"sets       {facts['sets']}, the last one due at hour {facts['last_due_h']:g}")
     click.echo(f"strikes    {facts['strikes']} ({settings.schedule.shots_per_set} a set and transducer)")
     click.echo(f"echoes     {facts['pulse_echo_records']}")
-    click.echo(f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk")
+    click.echo(
+        f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk"
+    )
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
     if facts["stored_bytes"] > facts["free_bytes"]:
-        click.echo("WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True)
+        click.echo(
+            "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
+        )
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:

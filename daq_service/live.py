@@ -47,7 +47,9 @@ class LivePicture:
         last = self._written_ns.get(position)
         return last is None or time.monotonic_ns() - last >= SHORTEST_INTERVAL_NS
 
-    def show(self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None) -> None:
+    def show(
+        self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
+    ) -> None:
         """Replace the picture of a position. A failing disk costs the picture, not the shot."""
         waveform, key = measurement.waveform, measurement.key
         values = {} if features is None else features.values()

@@ -18,7 +18,9 @@ Assessor = SolitaryWaveAssessor | PulseEchoAssessor
 def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -> Mapping[str, Assessor]:
     """One assessor a position, judging as if the recorder had never been away."""
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
-    last_baseline_set = sum(hour <= settings.baseline.hours for hour in due_hours(settings.schedule.phases)) - 1
+    last_baseline_set = (
+        sum(hour <= settings.baseline.hours for hour in due_hours(settings.schedule.phases)) - 1
+    )
     assessors: dict[str, Assessor] = {}
     for number, (position, place) in enumerate(settings.positions.items(), 1):
         if place.method == "pulse_echo":
@@ -51,7 +53,9 @@ def _pulse_echo(position: str, settings: Settings, catalogue: Catalogue, folder:
     reference = None
     if read:
         first = read[0]["set_index"]
-        (file,) = [row["file"] for row in catalogue.list_sets(position, limit=None) if row["set_index"] == first]
+        (file,) = [
+            row["file"] for row in catalogue.list_sets(position, limit=None) if row["set_index"] == first
+        ]
         reference = read_waveform(folder / file, position, 0)
     assessor.restore(reference=reference, thickness_rows=rows)
     return assessor

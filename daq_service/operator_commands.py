@@ -62,7 +62,9 @@ class Operator:
                 log.warning("command %d (%s) refused: %s", command["id"], command["kind"], error)
                 self._catalogue.finish_command(command["id"], "refused", str(error))
             else:
-                log.info("command %d (%s) of %s: %s", command["id"], command["kind"], command["author"], result)
+                log.info(
+                    "command %d (%s) of %s: %s", command["id"], command["kind"], command["author"], result
+                )
                 self._catalogue.finish_command(command["id"], "done", result)
 
     def _obey(self, command: Mapping[str, Any], hour: float) -> str:

@@ -44,7 +44,9 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
             clock=clock,
             epoch_utc_ns=epoch_utc_ns,
             transducers=transducers,
-            probed_thickness_m={name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")},
+            probed_thickness_m={
+                name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")
+            },
             shots_per_set=settings.schedule.shots_per_set,
             executor=executor,
         )

@@ -59,7 +59,9 @@ def log_to(path: Path) -> None:
     handler = logging.handlers.RotatingFileHandler(
         path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, encoding="utf-8"
     )
-    handler.setFormatter(logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S"))
+    handler.setFormatter(
+        logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
+    )
     root = logging.getLogger()
     root.addHandler(handler)
     root.setLevel(logging.INFO)
@@ -95,15 +97,21 @@ def child_plans(config: Path | None, folder: Path, *, port: int | None, web: boo
     """Command lines of the children."""
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
     plans = [
-        ChildPlan(name="recorder", arguments=["record", *common, "--restarted-because", "{cause}"], watched=True)
+        ChildPlan(
+            name="recorder", arguments=["record", *common, "--restarted-because", "{cause}"], watched=True
+        )
     ]
     if web:
         at = [] if port is None else ["--port", str(port)]
-        plans.append(ChildPlan(name="web", arguments=["serve", *common, "--restarted-because", "{cause}", *at]))
+        plans.append(
+            ChildPlan(name="web", arguments=["serve", *common, "--restarted-because", "{cause}", *at])
+        )
     return plans
 
 
-def record_alone(*, config: Path | None, data_dir: Path | None, restarted_because: str, supervised: bool) -> int:
+def record_alone(
+    *, config: Path | None, data_dir: Path | None, restarted_because: str, supervised: bool
+) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
     from daq_service.recorder import record
     from daq_service.rig import open_rig
@@ -137,7 +145,9 @@ def record_alone(*, config: Path | None, data_dir: Path | None, restarted_becaus
 
 def _tell_person(event: str, **values: object) -> None:
     if event == "progress" and sys.stderr.isatty():
-        click.echo(f"\rhour {values['due_h']:.1f}, set {values['done']} of {values['planned']} ", nl=False, err=True)
+        click.echo(
+            f"\rhour {values['due_h']:.1f}, set {values['done']} of {values['planned']} ", nl=False, err=True
+        )
 
 
 def serve_alone(

@@ -79,7 +79,9 @@ class ScheduleSettings(Section):
         before = 0.0
         for phase in self.phases:
             if phase.until_h <= before:
-                raise ValueError(f"until_h is {phase.until_h} h; phases must end one after the other (> {before} h)")
+                raise ValueError(
+                    f"until_h is {phase.until_h} h; phases must end one after the other (> {before} h)"
+                )
             before = phase.until_h
         return self
 
@@ -106,9 +108,15 @@ def _paper_positions() -> dict[str, PositionSettings]:
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
         "A": PositionSettings(method="pulse_echo", label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
-        "B": PositionSettings(method="solitary_wave", label="HNSW transducer, 25.4 mm patch", corrosion=small),
-        "C": PositionSettings(method="solitary_wave", label="HNSW transducer, 50.8 mm patch", corrosion=large),
-        "D": PositionSettings(method="solitary_wave", label="HNSW transducer, pristine control", corrosion=small),
+        "B": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, 25.4 mm patch", corrosion=small
+        ),
+        "C": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, 50.8 mm patch", corrosion=large
+        ),
+        "D": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, pristine control", corrosion=small
+        ),
     }
 
 
@@ -334,7 +342,9 @@ def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
-        merged[key] = _laid_over(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+        merged[key] = (
+            _laid_over(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+        )
     return merged
 
 

@@ -73,11 +73,15 @@ def _specimen(
     place: Any = settings
     if position is not None:
         if position not in settings.positions:
-            raise ValueError(f"no position {position!r}; the configuration has {', '.join(settings.positions)}")
+            raise ValueError(
+                f"no position {position!r}; the configuration has {', '.join(settings.positions)}"
+            )
         place = settings.positions[position]
     given = {"drop_height_m": drop_height_m, "tilt_rad": tilt_rad}
     chain = replace(place.chain, **{name: value for name, value in given.items() if value is not None})
-    patch = place.corrosion if depth_fraction is None else replace(place.corrosion, depth_fraction=depth_fraction)
+    patch = (
+        place.corrosion if depth_fraction is None else replace(place.corrosion, depth_fraction=depth_fraction)
+    )
     return chain, place.plate, patch
 
 

@@ -21,7 +21,9 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
     with open_catalogue(folder, writer=False) as catalogue:
         counts = catalogue.counts()
         positions = {
-            name: _ultrasonic(catalogue, name) if place.method == "pulse_echo" else _solitary(catalogue, settings, name)
+            name: _ultrasonic(catalogue, name)
+            if place.method == "pulse_echo"
+            else _solitary(catalogue, settings, name)
             for name, place in settings.positions.items()
         }
         return {
@@ -44,8 +46,12 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
         limit = baseline["limit_f" if settings.novelty.limit == "f_predictive" else "limit_paper"]
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": _fraction([row for row in judged if row["due_h"] <= SPLIT_H], "outlier"),
-        "outlier_fraction_after_100_h": _fraction([row for row in judged if row["due_h"] > SPLIT_H], "outlier"),
+        "outlier_fraction_before_100_h": _fraction(
+            [row for row in judged if row["due_h"] <= SPLIT_H], "outlier"
+        ),
+        "outlier_fraction_after_100_h": _fraction(
+            [row for row in judged if row["due_h"] > SPLIT_H], "outlier"
+        ),
         "outlier_fraction_after_100_h_paper_limit": _fraction(
             [row for row in judged if row["due_h"] > SPLIT_H], "outlier_paper"
         ),
@@ -54,7 +60,9 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
         "limit": limit,
         "limit_name": settings.novelty.limit,
         "limit_paper": None if baseline is None else baseline["limit_paper"],
-        "limit_reason": "the baseline is still being recorded" if baseline is None else baseline["limit_reason"],
+        "limit_reason": "the baseline is still being recorded"
+        if baseline is None
+        else baseline["limit_reason"],
         "n_baseline": _baseline_size(catalogue, baseline, position),
         "travel_time_us": None,
         "thickness_mm": None,
@@ -83,7 +91,11 @@ def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
 
 def _last_good_feature(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any] | None:
     rows = catalogue.list_features(position, scope="set")
-    good = [row for row in rows if row["n_valid"] >= settings.baseline.minimum_valid_shots and row["tof_pp_s"] is not None]
+    good = [
+        row
+        for row in rows
+        if row["n_valid"] >= settings.baseline.minimum_valid_shots and row["tof_pp_s"] is not None
+    ]
     return good[-1] if good else None
 
 
@@ -109,7 +121,9 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
         f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"
     )
-    click.echo("position  first alarm  outliers to/after 100 h   last ToF    AR     thickness  limit (baseline sets)")
+    click.echo(
+        "position  first alarm  outliers to/after 100 h   last ToF    AR     thickness  limit (baseline sets)"
+    )
     for name, row in summary["positions"].items():
         click.echo(
             f"{name:<8}  {_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "

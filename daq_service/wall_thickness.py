@@ -100,7 +100,10 @@ class PulseEchoAssessor:
     def _too_thin(self, loss_m: float | None) -> bool | None:
         if loss_m is None or not math.isfinite(loss_m):
             return None
-        return loss_m > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
+        return (
+            loss_m
+            > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
+        )
 
     def _condition(self, due: DueSet, row: Mapping[str, Any]) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction

@@ -377,7 +377,10 @@ class Catalogue:
 
 
 def _as_dicts(connection: Connection, statement: Select[Any]) -> list[Row]:
-    return [dict(row) for row in connection.execute(statement).mappings()]
+    result = connection.execute(statement)
+    # SQL's quoted names are a kind of str that JSON refuses as a key.
+    names = [str(name) for name in result.keys()]  # noqa: SIM118 not a dict
+    return [dict(zip(names, row, strict=True)) for row in result]
 
 
 def _newest(
