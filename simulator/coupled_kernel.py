@@ -12,10 +12,11 @@ because the impulse of a dashpot that acts only in contact is gamma [d]_+. Writt
 Each step of length h is linear multistep of order four: Adams-Bashforth predicts the displacements,
 Adams-Moulton corrects impulses and displacements. A mode of the plate, ``q'' + omega^2 q = phi F``, is
 in the same way ``z' = -i omega z + omega phi B`` with ``z = omega q + i (q' - phi B)``; it is advanced
-exactly for the cubic through the last four B. The contact with the plate is solved implicitly with
-Newton's method, so neither its dashpot nor a stiff mode limits the step. Modes above the cut follow
-the force statically: ``w = C (A d^(3/2) + gamma d[d]_+/dt)``, the derivative by the four-point
-backward difference.
+exactly for the cubic through the last four values of the integral I and for the straight line through
+the last two of the dashpot's part S, ``B = I + S``: the line keeps any dashpot on any plate stable,
+and S is a small part of B, so that the lower order is not seen. The contact with the plate is solved
+implicitly with Newton's method. Modes above the cut follow the force statically,
+``w = C (A d^(3/2) + dS/dt)``, the derivative by the four-point backward difference.
 
 Away from touch and release the error falls as h^4; [d]_+ has a kink there, which limits the order to
 two (5/2 without dashpots), with a small constant because a shot has only some twenty such events.
@@ -65,7 +66,7 @@ def integrate(
     retainer_force: float,
     step: float,
     weights: FloatArray,
-    energy_weights: FloatArray,
+    own_weights: FloatArray,
     residual_compliance: float,
     mobility: float,
     sensor_force: FloatArray,
@@ -81,11 +82,12 @@ def integrate(
     step
         h in s.
     weights
-        float64, shape (8, n_modes). With y = phi z / omega, whose real parts add up to the deflection
-        under the chain: cos and sin of omega h, then real and imaginary weights of the newest, the
-        second and the third newest B of the step before (`modal_weights`).
-    energy_weights
-        float64, shape (4, n_modes): omega / phi, phi, real and imaginary weight of this step's own B.
+        float64, shape (10, n_modes). With y = phi z / omega, whose real parts add up to the deflection
+        under the chain: cos and sin of omega h, then real and imaginary weights of I one, two and
+        three steps ago and of S one step ago (`modal_weights`).
+    own_weights
+        float64, shape (6, n_modes): omega / phi, phi, real and imaginary weights of this step's own I
+        and S.
     residual_compliance
         C of the modes above the cut, m/N.
     mobility
@@ -127,17 +129,18 @@ def integrate(
     a_re, a_im = weights[2], weights[3]
     b_re, b_im = weights[4], weights[5]
     c_re, c_im = weights[6], weights[7]
+    s_re, s_im = weights[8], weights[9]
     y_re = np.zeros(n_modes)
     y_im = np.zeros(n_modes)
-    b0 = b1 = b2 = 0.0  # B of the plate's contact
-    s0 = s1 = s2 = 0.0  # its dashpot's part, gamma ([d]_+ - d_static)
-    newest = mobility + energy_weights[2].sum()  # deflection per newest B
-    per_impulse = h38 / mass[last] + newest
+    i0 = i1 = i2 = 0.0  # I at the plate's contact
+    s0 = s1 = s2 = 0.0  # S
+    w_per_i = mobility + own_weights[2].sum()  # deflection by this step's own I and S
+    w_per_s = mobility + own_weights[4].sum()
     backward = 11.0 / (6.0 * step)
     a_plate = stiffness[last]
     g_plate = damping[last]
-    soft = a_plate * (per_impulse * h38 + residual_compliance)
-    drag = 1.0 + g_plate * (per_impulse + residual_compliance * backward)
+    soft = a_plate * (h38 * (h38 / mass[last] + w_per_i) + residual_compliance)
+    drag = 1.0 + g_plate * (h38 / mass[last] + w_per_s + residual_compliance * backward)
 
     dissipated = 0.0  # times the step
     worst = 0.0
@@ -149,11 +152,13 @@ def integrate(
     sensor_force[0] = 0.5 * (static_force[sensor - 1] + static_force[sensor])
 
     for n in range(1, n_steps):
-        # The plate's deflection but for the newest impulse.
+        # The plate's deflection but for this step's own impulse.
         w_free = 0.0
         for k in range(n_modes):
-            re = cos[k] * y_re[k] + sin[k] * y_im[k] + (a_re[k] * b0 + b_re[k] * b1 + c_re[k] * b2)
-            im = cos[k] * y_im[k] - sin[k] * y_re[k] + (a_im[k] * b0 + b_im[k] * b1 + c_im[k] * b2)
+            re = a_re[k] * i0 + b_re[k] * i1 + c_re[k] * i2 + s_re[k] * s0
+            im = a_im[k] * i0 + b_im[k] * i1 + c_im[k] * i2 + s_im[k] * s0
+            re += cos[k] * y_re[k] + sin[k] * y_im[k]
+            im += cos[k] * y_im[k] - sin[k] * y_re[k]
             y_re[k] = re
             y_im[k] = im
             w_free += re
@@ -173,20 +178,16 @@ def integrate(
             )
 
         # Solve the plate's contact: p + (..) p + (..) p^(3/2) = overlap without any new force.
-        known = (
-            impulse[last]
-            + h24 * (19.0 * f0[last] - 5.0 * f1[last] + f2[last] - 9.0 * static_force[last])
-            - g_plate * static_overlap[last]
-        )
+        known = impulse[last] + h24 * (19.0 * f0[last] - 5.0 * f1[last] + f2[last] - 9.0 * static_force[last])
+        open_s = -g_plate * static_overlap[last]
         past_rate = (-18.0 * s0 + 9.0 * s1 - 2.0 * s2) / (6.0 * step)
-        w_known = (
-            w_free
-            + newest * known
-            + residual_compliance
-            * (past_rate - static_force[last] - backward * g_plate * static_overlap[last])
-        )
+        w_known = w_free + w_per_i * known + w_per_s * open_s
+        w_known += residual_compliance * (past_rate + backward * open_s - static_force[last])
         u_known = u[last] + h24 * (
-            9.0 * (total[last - 1] - known) / mass[last] + 19.0 * v0[last] - 5.0 * v1[last] + v2[last]
+            9.0 * (total[last - 1] - known - open_s) / mass[last]
+            + 19.0 * v0[last]
+            - 5.0 * v1[last]
+            + v2[last]
         )
         d_plate = u_known - w_known + static_overlap[last]
         p = 0.0
@@ -200,7 +201,8 @@ def integrate(
                 if abs(change) <= 1e-13 * p:
                     break
             d_plate = p
-        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * p
+        old_total = total[last]
+        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * p + open_s
 
         # Correct velocities and displacements.
         above = mass[0] * (impact_speed + gravity * (n * step))
@@ -225,10 +227,10 @@ def integrate(
             dissipated += damping[i] * (p - overlap[i]) * (d - gap[i])
             overlap[i] = p
             gap[i] = d
-        dissipated += mobility * (total[last] - b0) ** 2
-        b2 = b1
-        b1 = b0
-        b0 = total[last]
+        dissipated += mobility * (total[last] - old_total) ** 2
+        i2 = i1
+        i1 = i0
+        i0 = impulse[last]
         s2 = s1
         s1 = s0
         s0 = g_plate * (overlap[last] - static_overlap[last])
@@ -250,9 +252,10 @@ def integrate(
                 energy += 0.5 * mass[i] * v0[i] ** 2 - mass[i] * gravity * u[i]
                 energy += 0.4 * stiffness[i] * p * p * math.sqrt(p)
             for k in range(n_modes):
-                scale = energy_weights[0, k]
-                speed = scale * (y_im[k] + energy_weights[3, k] * b0) + energy_weights[1, k] * b0
-                stretch = scale * (y_re[k] + energy_weights[2, k] * b0)
+                stretch = y_re[k] + own_weights[2, k] * i0 + own_weights[4, k] * s0
+                speed = y_im[k] + own_weights[3, k] * i0 + own_weights[5, k] * s0
+                stretch *= own_weights[0, k]
+                speed = speed * own_weights[0, k] + own_weights[1, k] * (i0 + s0)
                 energy += 0.5 * (speed * speed + stretch * stretch)
             energy += 0.5 * residual_compliance * (f0[last] + backward * s0 + past_rate) ** 2
             # Written so that a value that is not a number ends up in `worst` as well.
@@ -265,7 +268,7 @@ def integrate(
 def modal_weights(
     omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """`weights` and `energy_weights` of `integrate` for modes of a plate.
+    """Weights and own weights of `integrate` for the modes of a plate.
 
     Parameters
     ----------
@@ -275,22 +278,26 @@ def modal_weights(
         h; Gauss-Legendre with 24 points integrates the weights to rounding up to omega h = 10.
     """
     tau = 0.5 * (GAUSS_POINTS + 1.0)
-    # Cubic through B at tau = 1, 0, -1, -2, tau in steps from the step's start.
+    # tau in steps from the step's start. Cubic through I at tau = 1, 0, -1, -2; line through S at 1, 0.
     lagrange = np.stack(
         (
             tau * (tau + 1.0) * (tau + 2.0) / 6.0,
             -(tau - 1.0) * (tau + 1.0) * (tau + 2.0) / 2.0,
             (tau - 1.0) * tau * (tau + 2.0) / 2.0,
             -(tau - 1.0) * tau * (tau + 1.0) / 6.0,
+            tau,
+            1.0 - tau,
         )
     )
     phase = omega_rad_per_s[:, None] * step_s * (1.0 - tau)
     kernel = participation[:, None] ** 2 * (np.cos(phase) - 1j * np.sin(phase))
-    own = (kernel * (0.5 * step_s * GAUSS_WEIGHTS)) @ lagrange.T  # shape (n_modes, 4)
+    own = (kernel * (0.5 * step_s * GAUSS_WEIGHTS)) @ lagrange.T  # shape (n_modes, 6)
     turn = np.cos(omega_rad_per_s * step_s) - 1j * np.sin(omega_rad_per_s * step_s)
-    first = turn * own[:, 0] + own[:, 1]
+    # What a step's own impulse adds is left out of y and made up for, turned, in the next step.
     rows = [turn.real, -turn.imag]
-    for column in (first, own[:, 2], own[:, 3]):
+    for column in (turn * own[:, 0] + own[:, 1], own[:, 2], own[:, 3], turn * own[:, 4] + own[:, 5]):
         rows += [column.real, column.imag]
-    energy = [omega_rad_per_s / participation, participation, own[:, 0].real, own[:, 0].imag]
-    return np.ascontiguousarray(rows), np.ascontiguousarray(energy)
+    own_rows = [omega_rad_per_s / participation, participation]
+    for column in (own[:, 0], own[:, 4]):
+        own_rows += [column.real, column.imag]
+    return np.ascontiguousarray(rows), np.ascontiguousarray(own_rows)

@@ -43,6 +43,10 @@ PHASE_PER_STEP_RAD = 0.05
 CUT_PHASE_RAD = 1.0
 """Modes of the plate that turn faster than this in a step stay as residual compliance."""
 
+CONTACT_PHASE_SQUARED = 1.0
+"""So do modes that would let contact spring and plate swing against each other faster than this: on a
+very thin plate the explicit part of the integration could not follow."""
+
 TURN_TO_END = 2.5
 """A record of automatic length lasts so many times as long as the incident wave takes to turn round."""
 
@@ -88,7 +92,7 @@ class _Propagator:
     """What `coupled_kernel.integrate` needs to know about the specimen, for one depth and step."""
 
     weights: FloatArray
-    energy_weights: FloatArray
+    own_weights: FloatArray
     residual_compliance_m_per_n: float = 0.0
     mobility_m_per_n_s: float = 0.0
 
@@ -130,6 +134,7 @@ class ShotModel:
         if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):
             raise SpecimenError(f"duration_s is {duration_s}; it must be positive and finite")
         self._step_s = step_s(nominal)
+        self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
         self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
         self._reduction: ReducedPlate | None = None
@@ -243,11 +248,12 @@ class ShotModel:
             if key in self._prepared:
                 self._prepared.move_to_end(key)
                 return self._prepared[key]
-        modes = self._reduction.modes(depth).cut_above(CUT_PHASE_RAD / step)
-        weights, energy_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
+        yielding = CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
+        modes = self._reduction.modes(depth).cut_above(CUT_PHASE_RAD / step, yielding)
+        weights, own_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
         made = _Propagator(
             weights=weights,
-            energy_weights=energy_weights,
+            own_weights=own_weights,
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:
@@ -257,7 +263,7 @@ class ShotModel:
         return made
 
 
-_UNMOVED = _Propagator(weights=np.empty((8, 0)), energy_weights=np.empty((4, 0)))
+_UNMOVED = _Propagator(weights=np.empty((10, 0)), own_weights=np.empty((6, 0)))
 
 
 def _specimen_without_modes(plate: PlateParameters) -> _Propagator:
@@ -284,7 +290,7 @@ def _integrate(
         retainer_force_n,
         step,
         specimen.weights,
-        specimen.energy_weights,
+        specimen.own_weights,
         specimen.residual_compliance_m_per_n,
         specimen.mobility_m_per_n_s,
         force,
@@ -308,19 +314,23 @@ def _no_patch(model: str, depth: float) -> str:
 def step_s(chain: Chain) -> float:
     """Step of the integration for `chain`: the largest of 1, 2, 5 x 10^k s that resolves it.
 
-    The stiffest a contact gets is estimated from the head-on collision of two spheres at the
-    striker's speed; dashpots between the spheres must relax slowly compared with a step.
+    The dashpots between the spheres must relax slowly compared with a step, too.
     """
     m = float(chain.mass_kg.min())
-    a = float(chain.stiffness_n_per_m15.max())
-    overlap = (0.625 * m * chain.impact_speed_m_per_s**2 / a) ** 0.4
-    omega = 2.0 * math.sqrt(1.5 * a * math.sqrt(overlap) / m)
+    omega = 2.0 * math.sqrt(stiffest_contact_n_per_m(chain) / m)
     rate = float(chain.damping_n_s_per_m[:-1].max()) / m
     longest = PHASE_PER_STEP_RAD / max(omega, rate)
     decade: float = 10.0 ** math.floor(math.log10(longest))
     # Rounding of the logarithm must not lose a step that is a power of ten.
     steps = [factor * decade for factor in (1.0, 2.0, 5.0)]
     return max(step for step in steps if step <= longest * (1.0 + 1e-9))
+
+
+def stiffest_contact_n_per_m(chain: Chain) -> float:
+    """Estimate dF/dd of a contact at its peak, from two spheres that collide at the striker's speed."""
+    a = float(chain.stiffness_n_per_m15.max())
+    overlap = (0.625 * float(chain.mass_kg.max()) * chain.impact_speed_m_per_s**2 / a) ** 0.4
+    return 1.5 * a * math.sqrt(overlap)
 
 
 def record_duration_s(chain: Chain) -> float:

@@ -55,11 +55,21 @@ class PlateModes:
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
-    def cut_above(self, omega_rad_per_s: float) -> PlateModes:
-        """Keep the modes up to a frequency, the others as residual compliance."""
+    def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
+        """Keep the lower modes; the others become residual compliance.
+
+        Parameters
+        ----------
+        omega_rad_per_s
+            No mode above this frequency is kept.
+        yielding_per_kg
+            Nor one with which the sum of phi^2, by which the plate yields to a sudden impulse, would
+            exceed this.
+        """
         flexibility = (self.participation / self.omega_rad_per_s) ** 2
         seen = flexibility > UNSEEN_FRACTION * flexibility.sum()
         kept = seen & (self.omega_rad_per_s <= omega_rad_per_s)
+        kept &= np.cumsum(self.participation**2) <= yielding_per_kg
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s[kept],
             participation=self.participation[kept],
