@@ -1,4 +1,4 @@
-"""A data folder filled through the real catalogue and archive, with a test whose numbers are known in closed form."""
+"""A data folder filled through the real catalogue and archive with an invented test."""
 
 from __future__ import annotations
 
@@ -206,7 +206,8 @@ class FilledFolder:
             "raised_set_index": index,
             "changed_utc_ns": due.due_utc_ns,
             "message": message
-            or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): wall or transducer has changed; inspect",
+            or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
+            "wall or transducer has changed; inspect",
             "proof": {
                 "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
                 "rule": {"k": 3, "n": 5},

@@ -7,8 +7,6 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query
 
-from analysis.errors import NotEnoughPointsError
-from analysis.trend import fit_trend
 from daq_service.web.answers import JsonAnswer
 from daq_service.web.context import ContextOf
 from daq_service.web.listing import FromHour, ToHour, last_hour
@@ -32,6 +30,10 @@ def get_fit(
     to_h: ToHour = None,
 ) -> JsonAnswer:
     """Fit the sets in the range; sets without a value (null) are left out."""
+    # Brings SciPy along, half a second that a starting service does not need.
+    from analysis.errors import NotEnoughPointsError
+    from analysis.trend import fit_trend
+
     method = context.settings.positions[context.known(position)].method
     (name,) = checked_fields(method, field.replace(",", " "), known=MEASURED[method])
     fresh = context.freshness()

@@ -107,7 +107,12 @@ def problem_response(
     }
     if errors is not None:
         body["errors"] = list(errors)
-    headers = {"Cache-Control": "no-store"}
+    # A fault is answered outside of the guard, which sets these on every other answer.
+    headers = {
+        "Cache-Control": "no-store",
+        "X-Content-Type-Options": "nosniff",
+        "X-Request-ID": request_id(scope),
+    }
     if problem.status == 503:
         headers["Retry-After"] = "1"
     return Response(orjson.dumps(body), problem.status, headers, MEDIA_TYPE)

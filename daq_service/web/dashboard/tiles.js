@@ -154,7 +154,7 @@ export class Tiles {
     const part = initial ? row.thickness_loss_m / initial : null;
     const ratio = part === null || !this.lossLimit ? null : part / this.lossLimit;
     return [
-      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: part === null ? "wall thickness" : `${fixed(100 * part, 1)} % lost (alarm at ${fixed(100 * this.lossLimit, 0)} %)` })),
+      el("div", { class: "tile-figure" }, el("span", { class: "figure", text: quantity(row?.thickness_m, 1e3, 2, "mm") }), el("span", { class: "figure-note", text: part === null ? "wall thickness" : `${fixed(100 * part, 1)} % lost, limit ${fixed(100 * this.lossLimit, 0)} %` })),
       gauge(ratio),
       list([
         ["Loss", quantity(row?.thickness_loss_m, 1e3, 2, "mm")],
