@@ -134,6 +134,11 @@ def verify_set(path: Path) -> list[Damage]:
         unreadable: list[Damage] = []
         arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
         _read_everything(entry, "", arrays, unreadable)
+        try:
+            # Looks into the free-space lists of the groups' names too, which no reading touches.
+            entry.visititems(lambda _name, _item: None)
+        except _HDF5_ERRORS as error:
+            unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
         return damages + unreadable
 
 

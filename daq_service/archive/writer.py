@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import time
 from pathlib import Path
@@ -51,6 +52,9 @@ class Archive:
         try:
             self._sets_folder.mkdir(parents=True, exist_ok=True)
             sync_folder(folder)
+            with contextlib.suppress(PermissionError):
+                # A new data folder's own name; the folder above may belong to others.
+                sync_folder(folder.absolute().parent)
             unfinished = list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}"))
         except OSError as error:
             raise _refused(self._sets_folder, error) from error

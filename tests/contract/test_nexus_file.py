@@ -1,0 +1,277 @@
+"""The files are NeXus: h5py alone, knowing only NeXus's attributes, finds everything; so does h5dump."""
+
+import json
+import shutil
+import subprocess
+from datetime import datetime
+
+import h5py
+import numpy as np
+import pytest
+from archived_sets import CURVED, LINEAR, make_echo, make_set, make_shot
+
+from daq_service.archive.layout import build_image
+
+NS_PER_S = 1_000_000_000
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("nexus") / "set.h5"
+    path.write_bytes(build_image(make_set()))
+    return path
+
+
+@pytest.fixture(scope="module")
+def file(path):
+    with h5py.File(path) as opened:
+        yield opened
+
+
+def text(value):
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def texts(values):
+    return [text(value) for value in np.atleast_1d(values)]
+
+
+def groups_of(file, nx_class):
+    found = []
+
+    def look(name, item):
+        if text(item.attrs.get("NX_class", "")) == nx_class:
+            found.append(item)
+
+    file.visititems(look)
+    return found
+
+
+def record_groups(file):
+    return [group for group in groups_of(file, "NXdata") if "position" in group.attrs]
+
+
+def test_the_default_chain_leads_to_a_plot(file):
+    assert text(file.attrs["NX_class"]) == "NXroot"
+    entry = file[file.attrs["default"]]
+    assert text(entry.attrs["NX_class"]) == "NXentry"
+    data = entry[entry.attrs["default"]]
+    assert text(data.attrs["NX_class"]) == "NXdata"
+    signal = data[data.attrs["signal"]]
+    (axis,) = (data[name] for name in texts(data.attrs["axes"]))
+    assert signal.shape == axis.shape
+    assert (text(signal.attrs["units"]), text(axis.attrs["units"])) == ("V", "s")
+    for name in texts(data.attrs["auxiliary_signals"]):
+        assert data[name].shape == signal.shape
+
+
+def test_the_preview_shows_mean_and_extremes_of_the_shots(file):
+    preview = file["entry/preview"]
+    volts = np.stack([shot.waveform.volts() for shot in make_set().shots if shot.key.position == "B"])
+    # 300 samples are below the 500 points of a preview, so nothing is merged; stored as float32.
+    for kind, expected in (
+        ("mean", volts.mean(axis=0)),
+        ("min", volts.min(axis=0)),
+        ("max", volts.max(axis=0)),
+    ):
+        np.testing.assert_allclose(preview[f"B_{kind}"][()], expected, rtol=0, atol=10 * 2.0**-24)
+
+
+def test_a_long_record_is_previewed_by_what_it_reaches_between_points():
+    shot = make_shot("B", 0, 1, n_samples=1201)
+    record = make_set()
+    image = build_image(type(record)(**{**fields_of(record), "shots": [shot], "echoes": [make_echo(2)]}))
+    with h5py.File.in_memory(image) as opened:
+        preview = opened["entry/preview"]
+        time_s, low, high = (preview[name][()] for name in ("time", "B_min", "B_max"))
+    volts = shot.waveform.volts()
+    assert time_s.size == 401  # 1201 samples, three a point: the fewest whole samples that give at most 500
+    np.testing.assert_array_equal(time_s, shot.waveform.time_s()[::3])
+    np.testing.assert_array_equal(low[:-1], volts[:1200].reshape(400, 3).min(axis=1).astype(np.float32))
+    np.testing.assert_array_equal(high[:-1], volts[:1200].reshape(400, 3).max(axis=1).astype(np.float32))
+    assert high[-1] == low[-1] == np.float32(volts[-1])
+
+
+def fields_of(record):
+    return {name: getattr(record, name) for name in record.__dataclass_fields__}
+
+
+def test_every_group_says_its_class(file):
+    classes = {}
+
+    def look(name, item):
+        if isinstance(item, h5py.Group):
+            classes[name] = item.attrs.get("NX_class")
+
+    file.visititems(look)
+    assert all(value is not None and text(value).startswith("NX") for value in classes.values()), classes
+
+
+def test_every_axis_has_the_length_of_its_dimension_and_a_unit(file):
+    groups = groups_of(file, "NXdata")
+    assert len(groups) == 4  # preview, A, B, C
+    for group in groups:
+        signal = group[group.attrs["signal"]]
+        names = texts(group.attrs["axes"])
+        assert signal.ndim == len(names)
+        for length, name in zip(signal.shape, names, strict=True):
+            assert group[name].shape == (length,)
+            assert text(group[name].attrs["units"]) == "s"
+
+
+def test_each_transducer_has_its_records_and_its_detector(file):
+    kinds = {text(group.attrs["position"]): text(group.attrs["signal"]) for group in record_groups(file)}
+    assert kinds == {"A": "record", "B": "waveform", "C": "waveform"}
+    for detector in groups_of(file, "NXdetector"):
+        assert detector["sample_rate"][()] in (1e7, 1e8)
+        assert text(detector["sample_rate"].attrs["units"]) == "Hz"
+
+
+def test_both_conventions_of_scaling_give_the_volts_of_a_linear_calibration(file):
+    group = file["entry/B_waveforms"]
+    signal = group["waveform"]
+    counts = signal[()].astype(float)
+    nexus = (counts + group["waveform_offset"][()]) * group["waveform_scaling_factor"][()]
+    cf = counts * signal.attrs["scale_factor"] + signal.attrs["add_offset"]
+    expected = LINEAR.volts(signal[()])
+    assert LINEAR.coefficients_v[0] != 0.0
+    # A few roundings of numbers up to 10 V.
+    np.testing.assert_allclose(nexus, expected, rtol=0, atol=10 * 8 * 2.0**-53)
+    np.testing.assert_allclose(cf, expected, rtol=0, atol=10 * 8 * 2.0**-53)
+
+
+def test_the_polynomial_in_the_file_is_the_truth(file):
+    group = file["entry/C_waveforms"]
+    detector = file["entry/instrument/C_waveforms"]
+    volts = np.polynomial.polynomial.polyval(
+        group["waveform"][0].astype(float), detector["calibration_coefficients"][()]
+    )
+    shot = next(shot for shot in make_set().shots if shot.key.position == "C")
+    np.testing.assert_array_equal(volts, shot.waveform.volts())
+    np.testing.assert_array_equal(detector["calibration_coefficients"][()], CURVED.coefficients_v)
+
+
+def test_times_are_those_of_the_records(file):
+    shots = {shot.sequence: shot for shot in make_set().records}
+    for group in record_groups(file):
+        start = datetime.fromisoformat(text(group["shot_time"].attrs["start"])[:26] + "+00:00")
+        for row, sequence in enumerate(group["shot_id"][()].tolist()):
+            np.testing.assert_array_equal(group["time"][()], shots[sequence].waveform.time_s())
+            utc_s = start.timestamp() + group["shot_time"][row]
+            # A float64 of seconds since 1970 is good to 0.24 us; the start is cut to 1 us.
+            assert abs(utc_s - shots[sequence].stamp.utc_ns / NS_PER_S) < 2e-6
+
+
+def test_transducers_sampled_alike_share_their_time_axis(file):
+    assert file["entry/B_waveforms/time"] == file["entry/C_waveforms/time"]
+    assert text(file["entry/C_waveforms/time"].attrs["target"]) == "/entry/B_waveforms/time"
+
+
+def test_a_row_of_shots_belongs_to_every_record(file):
+    table = file["entry/shots"]
+    records = make_set().records
+    assert table["shot_id"][()].tolist() == [item.sequence for item in records]
+    assert texts(table["position"][()]) == [item.key.position for item in records]
+    assert table["attempt"][()].tolist() == [item.key.attempt for item in records]
+    assert table["utc_ns"][()].tolist() == [item.stamp.utc_ns for item in records]
+    assert table["mono_ns"][()].tolist() == [item.stamp.mono_ns for item in records]
+    assert texts(table["boot_id"][()]) == [item.stamp.boot_id for item in records]
+
+
+def test_receiver_settings_are_beside_the_echo(file):
+    group = file["entry/A_pulse_echo"]
+    assert (group["gain"][0], group["offset"][0], group["averages"][0]) == (31.5, -0.25, 64)
+    assert (text(group["gain"].attrs["units"]), text(group["offset"].attrs["units"])) == ("dB", "V")
+
+
+def test_the_truth_of_simulated_shots_has_units_and_marks_what_was_not_told(file):
+    truth = file["entry/B_truth"]
+    assert truth["shot_id"][()].tolist() == [41, 42, 43]
+    assert truth["drop_height_m"][0] == 5.1e-3
+    assert text(truth["drop_height_m"].attrs["units"]) == "m"
+    assert text(truth["depth_fraction"].attrs["units"]) == ""
+    assert truth["drop_height_m"].attrs["known"].tolist() == [1, 0, 0]
+    assert truth["depth_fraction"].attrs["known"].tolist() == [1, 1, 0]
+
+
+def test_facts_and_causes_stand_in_the_file(file):
+    entry = file["entry"]
+    assert (entry["set_index"][()], entry["due_h"][()]) == (7, 4.0)
+    assert text(entry["start_time"][()]) == "2024-01-01T04:00:00.000000123Z"
+    assert text(entry["instrument/name"][()]) == "simulated"
+    assert text(entry["program_name"].attrs["configuration"]) == "ab" * 32
+    table = entry["positions"]
+    assert texts(table["cause"][()]) == ["", "", "no trigger within 5 s: größer", "retired"]
+    assert table["n_planned"][()].tolist() == [1, 2, 2, 2]
+    assert table["n_taken"][()].tolist() == [1, 3, 1, 0]
+    assert json.loads(entry["provenance/data"][0]) == make_set().provenance
+    assert text(entry["provenance/type"][()]) == "application/json"
+
+
+def test_the_entry_has_an_identifier_of_its_content(file):
+    other = build_image(make_set())
+    with h5py.File.in_memory(other) as same:
+        assert same["entry/entry_identifier_uuid"][()] == file["entry/entry_identifier_uuid"][()]
+
+
+def test_waveforms_are_chunked_by_shot_with_filters_that_every_reader_has(file):
+    signal = file["entry/B_waveforms/waveform"]
+    assert signal.dtype == np.dtype("<i2")
+    assert file["entry/C_waveforms/waveform"].dtype == np.dtype("<i4")
+    assert signal.chunks == (1, 300)
+    assert (signal.compression, signal.compression_opts, signal.shuffle, signal.fletcher32) == (
+        "gzip",
+        1,
+        True,
+        True,
+    )
+
+
+def test_every_byte_of_data_is_under_a_checksum(file):
+    """Chunks have Fletcher32; compact data and attributes lie in headers that HDF5 guards itself."""
+    seen = []
+
+    def check(name, item):
+        if not isinstance(item, h5py.Dataset):
+            return
+        layout = item.id.get_create_plist().get_layout()
+        assert item.fletcher32 if layout == h5py.h5d.CHUNKED else layout == h5py.h5d.COMPACT, name
+        assert h5py.check_vlen_dtype(item.dtype) is None, name
+        seen.append(name)
+
+    file.visititems(check)
+    assert len(seen) > 80
+
+
+def test_the_file_format_is_one_that_older_tools_read(file):
+    # Superblock 2 is HDF5 1.8's; 3 came with 1.10.
+    assert file.id.get_create_plist().get_version()[0] == 2
+
+
+needs_h5dump = pytest.mark.skipif(
+    shutil.which("h5dump") is None, reason="h5dump is not installed (Debian package hdf5-tools)"
+)
+
+
+def h5dump(*arguments):
+    result = subprocess.run(
+        ["h5dump", *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+@needs_h5dump
+def test_h5dump_reads_the_whole_file(path):
+    dump = h5dump(path)
+    assert dump.count('GROUP "') >= 14
+    assert '"Set 7, hour 4"' in dump
+    assert '"no trigger within 5 s: gr' in dump
+
+
+@needs_h5dump
+def test_h5dump_reads_the_counts(path, tmp_path):
+    target = tmp_path / "counts.bin"
+    h5dump("-d", "/entry/B_waveforms/waveform", "-b", "LE", "-o", target, path)
+    expected = np.stack([shot.waveform.counts for shot in make_set().shots if shot.key.position == "B"])
+    np.testing.assert_array_equal(np.frombuffer(target.read_bytes(), "<i2").reshape(3, 300), expected)

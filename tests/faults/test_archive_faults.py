@@ -1,0 +1,264 @@
+"""Whatever the disk does and whenever the process ends: a set is there whole, or not at all.
+
+Every call to the operating system goes through the names of `os` in `durable_file`; the tests put
+a `Disk` there that counts the calls, refuses one of them, or ends the process between two.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from archived_sets import SET_INDEX, assert_same_set, make_set
+
+from daq_service.archive import Archive, ArchiveWriteError, durable_file, read_set, set_files
+
+CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync", "close"]
+
+
+class Killed(BaseException):
+    """The process ends here: nothing after it runs."""
+
+
+class Disk:
+    """`os` as `durable_file` sees it.
+
+    Parameters
+    ----------
+    fail_at, error
+        Number of the call that fails, and how: an errno, or `Killed` from there on.
+    longest_write
+        Bytes that one write takes; a failing write takes half of what it was given.
+    """
+
+    def __init__(self, *, fail_at: int | None = None, error=None, longest_write: int | None = None) -> None:
+        self.fail_at, self.error, self.longest_write = fail_at, error, longest_write
+        self.calls: list[str] = []
+        self.killed = False
+        self.refused: set[str] = set()
+
+    def __getattr__(self, name: str):
+        real = getattr(os, name)
+        if not callable(real):
+            return real
+
+        def call(*arguments):
+            return self._call(name, real, *arguments)
+
+        return call
+
+    def _call(self, name, real, *arguments):
+        if self.killed:
+            raise Killed
+        number = len(self.calls)
+        self.calls.append(name)
+        if number == self.fail_at or name in self.refused:
+            if name == "write":
+                descriptor, content = arguments
+                real(descriptor, content[: len(content) // 2])
+            if name == "close":
+                real(*arguments)  # a descriptor is gone even when its close fails
+            if self.error is Killed:
+                self.killed = True
+                raise Killed
+            raise OSError(self.error, os.strerror(self.error))
+        if name == "write" and self.longest_write is not None:
+            descriptor, content = arguments
+            return real(descriptor, content[: self.longest_write])
+        return real(*arguments)
+
+
+@pytest.fixture
+def archive(tmp_path):
+    return Archive(tmp_path)
+
+
+def put(monkeypatch, disk: Disk) -> Disk:
+    monkeypatch.setattr(durable_file, "os", disk)
+    return disk
+
+
+def names(folder):
+    return sorted(path.name for path in (folder / "sets").iterdir())
+
+
+def test_the_calls_are_those_the_tests_interpose(monkeypatch, archive):
+    disk = put(monkeypatch, Disk())
+    archive.store_set(make_set())
+    assert disk.calls == CALLS_OF_A_SET
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EROFS], ids=errno.errorcode.get)
+@pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
+def test_a_refused_call_leaves_nothing_and_says_why(monkeypatch, tmp_path, archive, call, code):
+    put(monkeypatch, Disk(fail_at=call, error=code))
+    with pytest.raises(ArchiveWriteError, match=os.strerror(code)) as caught:
+        archive.store_set(make_set())
+    assert isinstance(caught.value.__cause__, OSError)
+    assert "then start again" in str(caught.value)
+    assert names(tmp_path) == []
+    assert set_files(tmp_path) == {}
+
+
+@pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
+def test_after_a_refusal_the_set_can_be_stored_again(monkeypatch, tmp_path, archive, call):
+    put(monkeypatch, Disk(fail_at=call, error=errno.ENOSPC))
+    with pytest.raises(ArchiveWriteError):
+        archive.store_set(make_set())
+    disk = put(monkeypatch, Disk())
+    stored = archive.store_set(make_set())
+    # A fsync that failed is never tried again on its file: everything is written anew.
+    assert disk.calls == CALLS_OF_A_SET
+    assert_same_set(read_set(stored.path), make_set())
+
+
+def test_a_disk_that_takes_a_few_bytes_a_time_gets_all_of_them(monkeypatch, archive):
+    disk = put(monkeypatch, Disk(longest_write=4096))
+    stored = archive.store_set(make_set())
+    assert disk.calls.count("write") == -(-stored.n_bytes // 4096)
+    assert_same_set(read_set(stored.path), make_set())
+
+
+@pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
+def test_a_set_that_is_stored_already_survives_a_refused_repetition(monkeypatch, tmp_path, archive, call):
+    """Its acknowledgement was given: no failure may take it away."""
+    stored = archive.store_set(make_set())
+    put(monkeypatch, Disk(fail_at=call, error=errno.EIO))
+    with pytest.raises(ArchiveWriteError):
+        archive.store_set(make_set())
+    assert names(tmp_path) == [stored.path.name]
+    assert_same_set(read_set(stored.path), make_set())
+
+
+def test_a_disk_that_refuses_the_clean_up_too_is_cleaned_at_the_next_start(
+    monkeypatch, tmp_path, archive, caplog
+):
+    disk = put(monkeypatch, Disk(fail_at=1, error=errno.EIO))
+    disk.refused = {"unlink"}
+    with pytest.raises(ArchiveWriteError):
+        archive.store_set(make_set())
+    (left,) = names(tmp_path)
+    assert left.endswith(".tmp")
+    assert "cannot remove the unfinished" in caplog.text
+    put(monkeypatch, Disk())
+    Archive(tmp_path)
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET) + 1))
+def test_a_process_that_ends_between_two_calls_leaves_the_set_whole_or_absent(
+    monkeypatch, tmp_path, archive, call
+):
+    put(monkeypatch, Disk(fail_at=call, error=Killed))
+    acknowledged = False
+    try:
+        archive.store_set(make_set())
+        acknowledged = True
+    except Killed:
+        pass
+    put(monkeypatch, Disk())
+    Archive(tmp_path)
+    found = set_files(tmp_path)
+    assert [path for path in (tmp_path / "sets").iterdir() if path not in found.values()] == []
+    if found:
+        assert_same_set(read_set(found[SET_INDEX]), make_set())
+    assert acknowledged == (call == len(CALLS_OF_A_SET))
+    assert bool(found) == (call > CALLS_OF_A_SET.index("replace"))
+
+
+class RecordingDisk(Disk):
+    """Writes down what was asked of the disk, so that a power cut can be replayed after each call."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.log: list[tuple] = []
+        self._path_of: dict[int, str] = {}
+
+    def _call(self, name, real, *arguments):
+        result = super()._call(name, real, *arguments)
+        if name == "open":
+            self._path_of[result] = os.fspath(arguments[0])
+            if arguments[1] & os.O_CREAT:
+                self.log.append(("create", os.fspath(arguments[0])))
+        elif name == "write":
+            self.log.append(("write", self._path_of[arguments[0]], bytes(arguments[1])))
+        elif name == "fsync":
+            self.log.append(("fsync", self._path_of[arguments[0]]))
+        elif name == "replace":
+            self.log.append(("replace", *map(os.fspath, arguments)))
+        return result
+
+
+def states_after_power_loss(log, folder):
+    """Every content of the folder that a disk may show after a power cut at the end of ``log``.
+
+    What was not synced survives not at all, as a torn prefix, or whole; a name that was not synced
+    is there or not.
+    """
+    content: dict[str, bytes] = {}
+    synced: dict[str, bytes] = {}
+    moved: tuple[str, str] | None = None
+    names_synced = False
+    for entry in log:
+        if entry[0] == "create":
+            content[entry[1]], synced[entry[1]] = b"", b""
+        elif entry[0] == "write":
+            content[entry[1]] += entry[2]
+        elif entry[0] == "fsync" and entry[1] == folder:
+            names_synced = True
+        elif entry[0] == "fsync":
+            synced[entry[1]] = content[entry[1]]
+        elif entry[0] == "replace":
+            moved = entry[1:]
+    for name, whole in content.items():
+        unsynced = [whole[:length] for length in (0, len(whole) // 3, len(whole))]
+        for survives in {synced[name]} if synced[name] == whole else {synced[name], *unsynced}:
+            yield {} if moved is None or not names_synced else {moved[1]: survives}
+            if not names_synced:
+                yield {name: survives}
+                if moved is not None:
+                    yield {moved[1]: survives}
+
+
+def test_a_power_cut_after_any_call_leaves_the_set_whole_or_absent(monkeypatch, tmp_path):
+    disk = put(monkeypatch, RecordingDisk())
+    stored = Archive(tmp_path / "lived").store_set(make_set())
+    folder = os.fspath(stored.path.parent)
+    log = disk.log[2:]  # the first two sync the data folder and its parent at opening
+    put(monkeypatch, Disk())
+    seen = set()
+    for length in range(len(log) + 1):
+        for number, state in enumerate(states_after_power_loss(log[:length], folder)):
+            after = tmp_path / f"after_{length}_{number}"
+            (after / "sets").mkdir(parents=True)
+            for name, content in state.items():
+                (after / "sets" / Path(name).name).write_bytes(content)
+            Archive(after)
+            found = set_files(after)
+            if found:
+                assert_same_set(read_set(found[SET_INDEX]), make_set())
+            seen.add((length == len(log), bool(found)))
+    # Before the acknowledgement either is right; after it the set is there in every state.
+    assert seen == {(False, False), (False, True), (True, True)}
+
+
+def test_opening_a_folder_that_cannot_be_synced_is_a_storage_error(monkeypatch, tmp_path):
+    put(monkeypatch, Disk(fail_at=0, error=errno.EROFS))
+    with pytest.raises(ArchiveWriteError, match="make the disk writable again"):
+        Archive(tmp_path)
+
+
+def test_a_parent_folder_of_others_need_not_be_readable(monkeypatch, tmp_path):
+    disk = put(monkeypatch, Disk(fail_at=3, error=errno.EACCES))
+    Archive(tmp_path)
+    assert disk.calls == ["open", "fsync", "close", "open"]
+
+
+def test_windows_cannot_sync_a_folder_and_is_not_asked_to(monkeypatch, tmp_path):
+    disk = put(monkeypatch, Disk())
+    monkeypatch.setattr(sys, "platform", "win32")
+    durable_file.sync_folder(tmp_path)
+    assert disk.calls == []
