@@ -44,8 +44,7 @@ def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.
     """
     answer: dict[str, Any] = {}
-    for name, value in row.items():
-        key = str(name)  # SQLAlchemy's column names are a subclass of str, which orjson refuses
+    for key, value in row.items():
         if key == "utc_ns" or key.endswith("_utc_ns"):
             answer[key.removesuffix("_ns")] = rfc3339(value)
         else:

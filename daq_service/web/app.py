@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 from fastapi import APIRouter, FastAPI
 
@@ -29,6 +30,7 @@ from daq_service.web import (
 from daq_service.web.answers import JsonAnswer
 from daq_service.web.context import Context, context_of
 from daq_service.web.guards import RequestGuard
+from daq_service.web.models import problem_schemas
 from daq_service.web.version import API_VERSION
 
 RESOURCES = (
@@ -62,6 +64,18 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
         context.catalogue_access.close()
 
 
+class Service(FastAPI):
+    """FastAPI whose description knows our error answers."""
+
+    def openapi(self) -> dict[str, Any]:
+        """Describe the interface (OpenAPI 3.1)."""
+        if self.openapi_schema is None:
+            document = super().openapi()
+            document["components"]["schemas"].update(problem_schemas())
+        assert self.openapi_schema is not None
+        return self.openapi_schema
+
+
 def create_app(settings: Settings, data_folder: Path) -> FastAPI:
     """Build the service of one data folder; it reads, and writes only operator commands.
 
@@ -70,7 +84,7 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
     data_folder
         May still be empty: answers are 503 "no data yet" until the recorder has stored something.
     """
-    app = FastAPI(
+    app = Service(
         title="solimon",
         version=API_VERSION,
         description=(

@@ -18,11 +18,7 @@ Method = Literal["solitary_wave", "pulse_echo"]
 PROBLEMS: dict[int | str, dict[str, Any]] = {
     status: {
         "description": text,
-        "content": {
-            MEDIA_TYPE: {
-                "schema": ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
-            }
-        },
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
     }
     for status, text in {
         403: "The request comes from another origin",
@@ -33,6 +29,12 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         503: "No data yet, or the data folder cannot be read",
     }.items()
 }
+
+
+def problem_schemas() -> dict[str, Any]:
+    """JSON Schemas that the error answers refer to, for the components of OpenAPI."""
+    schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
+    return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
 def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -328,7 +330,9 @@ class LimitInfo(Answer):
     false_alarm_rate: float
     k: int
     n: int
-    thickness_loss_fraction: float = Field(description="Loss that raises the probe's alarm, of the initial wall")
+    thickness_loss_fraction: float = Field(
+        description="Loss that raises the probe's alarm, of the initial wall"
+    )
 
 
 class Info(Answer):
