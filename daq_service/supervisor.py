@@ -77,6 +77,10 @@ class Supervisor:
         Called with each JSON line a child prints: ``(child name, message)``.
     give_up
         True: end when a child has used up all restart delays, instead of trying for ever.
+    program
+        Command line before a plan's arguments.
+    restart_delays_s
+        Wait before each restart of a child that keeps failing.
     """
 
     def __init__(
@@ -86,11 +90,15 @@ class Supervisor:
         *,
         on_message: Callable[[str, Message], None],
         give_up: bool = False,
+        program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
+        restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
     ) -> None:
         self._children = [_Child(plan=plan) for plan in plans]
         self._folder = folder
         self._on_message = on_message
         self._give_up = give_up
+        self._program = program
+        self._restart_delays_s = restart_delays_s
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end."""
@@ -134,10 +142,10 @@ class Supervisor:
     def _plan_restart(self, child: _Child, code: int, now: float) -> int | None:
         if now - child.started_s >= HEALTHY_AFTER_S:
             child.quick_failures = 0
-        if self._give_up and child.quick_failures >= len(RESTART_DELAYS_S):
+        if self._give_up and child.quick_failures >= len(self._restart_delays_s):
             log.error("%s failed %d times in a row; giving up", child.plan.name, child.quick_failures)
             return 1
-        delay_s = RESTART_DELAYS_S[min(child.quick_failures, len(RESTART_DELAYS_S) - 1)]
+        delay_s = self._restart_delays_s[min(child.quick_failures, len(self._restart_delays_s) - 1)]
         child.quick_failures += 1
         child.start_at_s = now + delay_s
         child.cause = child.cause or _how_it_ended(code)
@@ -147,7 +155,7 @@ class Supervisor:
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.process = subprocess.Popen(
-            [sys.executable, "-m", "daq_service.cli", *arguments, *child.extra],
+            [*self._program, *arguments, *child.extra],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )

@@ -1,0 +1,177 @@
+"""The supervisor against small children that end, crash, hang or stay."""
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daq_service.heartbeat import FILE_NAME
+from daq_service.supervisor import ChildPlan, Supervisor
+
+PRELUDE = """
+import json, os, sys, time
+def tell(event, **values):
+    print(json.dumps({"event": event, **values}), flush=True)
+def wait_for_pipe():
+    while os.read(0, 1):
+        pass
+def starts(path):
+    with open(path, "a") as file:
+        file.write("x")
+    return os.path.getsize(path)
+"""
+
+
+def supervise(
+    folder: Path,
+    script: str,
+    *,
+    watched: bool = True,
+    stop: threading.Event | None = None,
+    on_message: Callable[[str, Any], None] | None = None,
+    stay: bool = False,
+) -> tuple[int, list[Any]]:
+    """Run one child whose program is ``script``; exit code and the messages of the child."""
+    program = folder / "child.py"
+    program.write_text(PRELUDE + script, encoding="utf-8")
+    messages: list[Any] = []
+
+    def keep(name: str, message: Any) -> None:
+        messages.append(message)
+        if on_message is not None:
+            on_message(name, message)
+
+    supervisor = Supervisor(
+        [ChildPlan(name="child", arguments=[str(folder / "starts"), "{cause}"], watched=watched)],
+        folder,
+        on_message=keep,
+        give_up=True,
+        program=[sys.executable, str(program)],
+        restart_delays_s=(0.0, 0.0, 0.0),
+    )
+    code = supervisor.run(stop or threading.Event(), stay=stay)
+    return code, messages
+
+
+def test_a_recorder_that_is_done_ends_the_supervision(tmp_path: Path) -> None:
+    assert supervise(tmp_path, "")[0] == 0
+
+
+@pytest.mark.parametrize("code", [2, 3, 4, 5])
+def test_a_code_of_the_table_stops_everything_and_is_passed_on(tmp_path: Path, code: int) -> None:
+    assert supervise(tmp_path, f"starts(sys.argv[1]); sys.exit({code})")[0] == code
+    assert (tmp_path / "starts").read_text() == "x", "it must not be started again"
+
+
+def test_a_crash_is_mended_by_a_restart_that_knows_the_cause(tmp_path: Path) -> None:
+    script = """
+tell("started", cause=sys.argv[2])
+if starts(sys.argv[1]) == 1:
+    sys.exit(1)
+"""
+    code, messages = supervise(tmp_path, script)
+    assert code == 0
+    assert [message["cause"] for message in messages] == ["", "ended with exit code 1"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
+def test_a_kill_is_told_with_its_signal(tmp_path: Path) -> None:
+    script = """
+tell("started", cause=sys.argv[2])
+if starts(sys.argv[1]) == 1:
+    os.kill(os.getpid(), 9)
+"""
+    _, messages = supervise(tmp_path, script)
+    assert messages[1]["cause"] == "was killed by signal 9"
+
+
+def test_a_child_that_always_crashes_is_given_up(tmp_path: Path) -> None:
+    assert supervise(tmp_path, "starts(sys.argv[1]); sys.exit(1)")[0] == 1
+    assert (tmp_path / "starts").read_text() == "xxxx", "three restarts are allowed"
+
+
+def test_a_hung_recorder_is_killed_at_its_deadline_and_started_again(tmp_path: Path) -> None:
+    script = f"""
+tell("started", cause=sys.argv[2])
+if starts(sys.argv[1]) == 1:
+    beat = {{"process": os.getpid(), "mono_ns": time.monotonic_ns(), "deadline_s": 0.2, "doing": "reading the digitizer"}}
+    with open({str(tmp_path / "beat.tmp")!r}, "w") as file:
+        json.dump(beat, file)
+    os.replace({str(tmp_path / "beat.tmp")!r}, {str(tmp_path / FILE_NAME)!r})
+    wait_for_pipe()
+"""
+    code, messages = supervise(tmp_path, script)
+    assert code == 0
+    assert "hung while reading the digitizer" in messages[1]["cause"]
+    assert "past its deadline of 0.2 s" in messages[1]["cause"]
+
+
+def test_a_child_leaves_when_its_pipe_closes(tmp_path: Path) -> None:
+    stop = threading.Event()
+    script = """
+tell("ready")
+wait_for_pipe()
+starts(sys.argv[1])
+"""
+    started = time.monotonic()
+    code, _ = supervise(tmp_path, script, stop=stop, on_message=lambda name, message: stop.set())
+    assert code == 0
+    assert (tmp_path / "starts").read_text() == "x", "the child must see the end of its pipe"
+    assert time.monotonic() - started < 5.0, "everything ends within 5 s"
+
+
+def test_a_child_that_does_not_leave_is_killed_within_five_seconds(tmp_path: Path) -> None:
+    stop = threading.Event()
+    script = """
+tell("ready", process=os.getpid())
+while True:
+    time.sleep(60)
+"""
+    code, messages = supervise(tmp_path, script, stop=stop, on_message=lambda name, message: stop.set())
+    assert code == 0
+    if os.name != "nt":
+        with pytest.raises(ProcessLookupError):
+            os.kill(messages[0]["process"], signal.SIGTERM)
+
+
+def test_a_restarted_web_service_answers_at_the_same_port(tmp_path: Path) -> None:
+    stop = threading.Event()
+    script = """
+tell("arguments", arguments=sys.argv[3:])
+tell("listening", url="http://127.0.0.1:4711/", port=4711)
+if starts(sys.argv[1]) == 1:
+    sys.exit(1)
+tell("again")
+wait_for_pipe()
+"""
+
+    def on_message(name: str, message: Any) -> None:
+        if message["event"] == "again":
+            stop.set()
+
+    _, messages = supervise(tmp_path, script, watched=False, stop=stop, on_message=on_message, stay=True)
+    arguments = [message["arguments"] for message in messages if message["event"] == "arguments"]
+    assert arguments == [[], ["--port", "4711"]]
+
+
+def test_a_line_that_is_no_message_is_logged_and_skipped(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    code, messages = supervise(tmp_path, 'print("hello"); tell("fine")')
+    assert code == 0
+    assert [message["event"] for message in messages] == ["fine"]
+    assert "no message" in caplog.text
+
+
+def test_messages_are_one_json_line(capsys: pytest.CaptureFixture[str]) -> None:
+    from daq_service.supervisor import tell_supervisor
+
+    tell_supervisor("listening", url="http://127.0.0.1:1/")
+    assert json.loads(capsys.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}
