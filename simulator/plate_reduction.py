@@ -1,9 +1,10 @@
 """One small model of the plate for every depth of its patch.
 
-The plate is linear and driven by one force, so the vectors that matter span a Krylov space: with
-``x_1 = K^-1 b`` and ``x_(j+1) = K^-1 M x_j`` a few dozen hold everything the plate does at the
-frequencies of a solitary wave. Such spaces at several depths are merged into one basis V, and
-stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay affine in the remaining
+The plate is linear and driven by one force, so the vectors that matter span a Krylov space: the
+static deflection ``K^-1 b``, then ``x_1 = (K + sigma^2 M)^-1 b``, ``x_(j+1) = (K + sigma^2 M)^-1 M x_j``.
+A few dozen hold everything the plate does within a record; a sigma of the order of the wave's own
+frequencies needs far fewer than sigma = 0. Such spaces at several depths are merged into one basis V,
+and stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay affine in the remaining
 thickness, so that a new depth costs one small eigenvalue problem.
 """
 
@@ -24,7 +25,10 @@ BASIS_DEPTHS = (0.0, 0.3, 0.6, 0.8, 0.95)
 
 VECTORS_PER_DEPTH = 50
 
-MERGE_TOLERANCE = 1e-7
+SHIFT_RAD_PER_S = 6e4
+"""sigma: about the circular frequency of a solitary wave of the paper's chain (10 kHz)."""
+
+MERGE_TOLERANCE = 1e-6
 """Directions weaker than this part of the strongest are left out of the merged basis."""
 
 UNSEEN_FRACTION = 1e-9
@@ -121,29 +125,33 @@ def reduce_plate(
 def krylov_vectors(
     stiffness: sparse.csc_matrix, mass: sparse.csc_matrix, load: FloatArray, count: int
 ) -> FloatArray:
-    """Mass-orthonormal vectors of the Krylov space of ``K^-1 M`` from ``K^-1 b``, shape (count, n)."""
-    factor = linalg.cholesky_banded(_lower_band(stiffness), lower=True, check_finite=False)
+    """Mass-orthonormal: the static deflection under `load`, then the Krylov space; shape (count, n)."""
+    factor = _factorized(stiffness)
+    shifted = _factorized(stiffness + SHIFT_RAD_PER_S**2 * mass)
     vectors = np.empty((count, len(load)))
     mass_vectors = np.empty_like(vectors)
     right = load
     for j in range(count):
-        x = linalg.cho_solve_banded((factor, True), right, check_finite=False)
+        x = linalg.cho_solve_banded((shifted if j else factor, True), right, check_finite=False)
         for _ in range(2):  # once leaves rounding that grows; twice is enough
             x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
         mass_x = mass @ x
         norm = np.sqrt(x @ mass_x)
         vectors[j] = x / norm
         mass_vectors[j] = mass_x / norm
-        right = mass_vectors[j]
+        right = mass_vectors[j] if j else load
     return vectors
 
 
 def merge(vectors: FloatArray, weight: FloatArray) -> FloatArray:
     """Orthonormal basis (in the diagonal `weight`) of what the rows of `vectors` span, shape (r, n)."""
-    root = np.sqrt(weight)
-    _, strength, directions = linalg.svd(vectors * root, full_matrices=False, check_finite=False)
-    kept = strength > MERGE_TOLERANCE * strength[0]
-    return np.asarray(directions[kept] / root)
+    strength, directions = linalg.eigh((vectors * weight) @ vectors.T, check_finite=False)
+    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
+    return np.asarray((directions[:, kept] / np.sqrt(strength[kept])).T @ vectors)
+
+
+def _factorized(matrix: sparse.csc_matrix) -> FloatArray:
+    return np.asarray(linalg.cholesky_banded(_lower_band(matrix), lower=True, check_finite=False))
 
 
 def _lower_band(matrix: sparse.csc_matrix) -> FloatArray:
