@@ -128,8 +128,8 @@ class NoiseParameters:
     """Off: counts are the rounded signal itself."""
     rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.025
     """RMS of the white part (assumption: 40 dB below an incident wave of 2.5 V)."""
-    slow_rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.012
-    """RMS of the slow part: vibration of chain and cable, 0.5 % of the incident wave (assumption)."""
+    slow_rms_v: Annotated[float, Ge(0.0), Le(10.0)] = 0.015
+    """RMS of the slow part: vibration of chain and cable, 0.6 % of the incident wave (assumption)."""
     slow_bandwidth_hz: Annotated[float, Gt(0.0), Le(1e9)] = 20e3
     """The slow part is even from one cycle a record up to this frequency (assumption)."""
 
