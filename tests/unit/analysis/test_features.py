@@ -235,6 +235,12 @@ def test_an_electrical_spike_is_not_a_strike():
     assert extract_features(waveform_of(volts)).flags == ("missed",)
 
 
+def test_wave_too_late_for_its_reflection_to_be_seen_is_missed_and_no_hole():
+    # 1.2 ms after the trigger end 800 us after this ISW: a PSW could lie beyond.
+    shot = features_of(NOISY.with_(isw_time_s=400e-6, amplitude_ratio=0.0, ssw_fraction=0.0))
+    assert shot.flags == ("missed",)
+
+
 @pytest.mark.parametrize("delay_s", [60e-6, 90e-6, 130e-6, 180e-6, 260e-6, 450e-6, 520e-6])
 def test_second_strike_is_found_wherever_it_falls(delay_s):
     shot = extract_features(waveform_of(NOISY.volts(2) + second_strike(NOISY, delay_s, 0.9)))
