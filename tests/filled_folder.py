@@ -9,6 +9,7 @@ import numpy as np
 from synthetic_records import Scene
 
 from analysis.features import extract_features
+from daq_service.alarms import Moment, acknowledge
 from daq_service.archive import Archive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.clock import NS_PER_H, parse_utc
@@ -92,7 +93,9 @@ class FilledFolder:
             "noise_rms_v": 0.02,
         }
 
-    def add_set(self, index: int, *, stored: bool = True, shown: bool = False) -> list[int]:
+    def add_set(
+        self, index: int, *, stored: bool = True, shown: bool = False, judged: bool = True
+    ) -> list[int]:
         """One set of all positions; returns its events' ids."""
         due = self.due[index]
         rows: dict[str, list] = {
@@ -147,7 +150,8 @@ class FilledFolder:
                 rows["features"].append(
                     {**common, "shot_index": None, "sequence": None, "n_valid": len(its), **values}
                 )
-                rows["verdicts"].append(self.verdict(position, index, due.due_h))
+                if judged:
+                    rows["verdicts"].append(self.verdict(position, index, due.due_h))
             rows["events"] += self._events(due, position, place.method)
         committed = self.catalogue.commit_set(SetCommit(**rows))
         if shown:
@@ -233,6 +237,20 @@ class FilledFolder:
         for record in records:
             found = extract_features(record.waveform) if isinstance(record, Shot) else None
             self.live.show(record, due_h=hour, features=found)
+
+    def acknowledge(self, alarm_id: int, command) -> None:
+        """Carry out an order as the recorder does."""
+        row = self.catalogue.alarm(alarm_id)
+        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
+        change = acknowledge(row, command["author"], command["arguments"]["note"], moment)
+        event = {"utc_ns": moment.utc_ns, "topic": "alarms", "kind": change.event_kind, "payload": {}}
+        event |= {"position": row["position"], "alarm_index": 0}
+        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event]))
+        self.catalogue.finish_command(command["id"], "done", "acknowledged")
+
+    def records(self, index: int):
+        """The records of a set, the same at every call."""
+        return self._records(self.due[index])
 
     def show_set(self, index: int) -> None:
         self.show(self._records(self.due[index]), self.due[index].due_h)

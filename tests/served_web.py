@@ -37,19 +37,19 @@ class Served:
 
 
 @contextmanager
-def served(settings: Settings, folder: Path) -> Iterator[Served]:
-    with served_app(create_app(settings, folder)) as service:
+def served(settings: Settings, folder: Path, *, port: int = 0) -> Iterator[Served]:
+    with served_app(create_app(settings, folder), port=port) as service:
         yield service
 
 
 @contextmanager
-def served_app(app: FastAPI) -> Iterator[Served]:
+def served_app(app: FastAPI, *, port: int = 0) -> Iterator[Served]:
     stop = threading.Event()
     said: queue.Queue[str | BaseException] = queue.Queue()
 
     def run() -> None:
         try:
-            serve(app, "127.0.0.1", 0, on_bound=said.put, stop=stop)
+            serve(app, "127.0.0.1", port, on_bound=said.put, stop=stop)
         except BaseException as error:
             said.put(error)
             raise

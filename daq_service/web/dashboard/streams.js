@@ -106,6 +106,8 @@ export class WaveformStream {
   close() {
     const socket = this.socket;
     this.socket = null;
-    socket?.close();
+    // Closing while it connects would complain on the console.
+    if (socket?.readyState === WebSocket.CONNECTING) socket.onopen = () => socket.close();
+    else socket?.close();
   }
 }

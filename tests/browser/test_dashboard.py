@@ -1,0 +1,299 @@
+"""The dashboard in a headless browser: what it draws is what the API says, without a reload."""
+
+import os
+import re
+import shutil
+
+import numpy as np
+import pytest
+from filled_folder import FilledFolder
+from served_web import DEADLINE_S, served, served_app
+
+from daq_service.catalogue import SetCommit
+from daq_service.settings import Settings
+from daq_service.web.app import create_app
+
+pytestmark = pytest.mark.browser
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
+ARGUMENTS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+DESK = {"width": 1440, "height": 900}
+PHONE = {"width": 390, "height": 844}
+N_SETS = 60
+
+
+def find_browser() -> str:
+    path = os.environ.get("SOLIMON_TEST_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
+    if path is None:
+        pytest.skip(
+            f"no Chromium here: none of {', '.join(BROWSERS)} is on the path (or SOLIMON_TEST_BROWSER)"
+        )
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser():
+    path = find_browser()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+        yield running
+        running.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Opens pages; at the end none of them may have complained."""
+    contexts, complaints = [], []
+
+    def open_(url, *, viewport=DESK, color_scheme="light", forgiven=None):
+        context = browser.new_context(viewport=viewport, color_scheme=color_scheme)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(1000 * DEADLINE_S)
+
+        def complain(text):
+            if forgiven is None or not re.search(forgiven, text):
+                complaints.append(text)
+
+        page.on("console", lambda message: message.type in {"error", "warning"} and complain(message.text))
+        page.on("pageerror", lambda error: complain(str(error)))
+        page.goto(url)
+        return page
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def expect(locator):
+    from playwright.sync_api import expect as expect_
+
+    expect_.set_options(timeout=1000 * DEADLINE_S)
+    return expect_(locator)
+
+
+@pytest.fixture
+def filled(tmp_path):
+    folder = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
+    for index in range(N_SETS):
+        folder.add_set(index, stored=False, shown=index == N_SETS - 1)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+def shown(page):
+    return page.evaluate("window.solimonDashboard.charts")
+
+
+def wait_for_sets(page, count):
+    """Until every chart has that many points and its fit is drawn."""
+    for name in ("distance", "tof", "amplitude-ratio", "thickness"):
+        expect(page.locator(f"#{name}")).to_have_attribute("data-points", str(count))
+    expect(page.locator("#tof")).to_contain_text("R²")
+
+
+def assert_drawn_is_the_api(page, service, position="B"):
+    """Drawn numbers equal the API's, scaled to the axis's unit."""
+    with service.client() as api:
+        trend = api.get(f"/api/v1/trends/{position}").json()["columns"]
+        wall = api.get("/api/v1/trends/A").json()["columns"]
+    charts = shown(page)
+    assert all(chart["drawn"] for chart in charts.values())
+    for name in ("distance", "tof", "amplitudeRatio"):
+        assert charts[name]["x"] == trend["due_h"]
+    assert charts["distance"]["y"]["distance_squared"] == trend["distance_squared"]
+    assert charts["distance"]["y"]["limit_f"] == trend["limit_f"]
+    assert charts["distance"]["y"]["limit_paper"] == trend["limit_paper"]
+    assert charts["amplitudeRatio"]["y"]["amplitude_ratio"] == trend["amplitude_ratio"]
+    # The page multiplies by the same double as here: equal to the last bit.
+    assert charts["tof"]["y"]["tof_pp_us"] == [value * 1e6 for value in trend["tof_pp_s"]]
+    assert charts["thickness"]["x"] == wall["due_h"]
+    assert charts["thickness"]["y"]["thickness_mm"] == [value * 1e3 for value in wall["thickness_m"]]
+
+
+def test_history_is_drawn_as_the_api_has_it(service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    assert_drawn_is_the_api(page, service)
+    expect(page.locator("#experiment")).to_have_text("Localized corrosion of a steel plate")
+    expect(page.locator("#rig")).to_have_text("physics twin")
+    expect(page.locator("#hour")).to_have_text("Hour 30.0")
+    expect(page.locator("#connection")).to_have_text("Live")
+
+
+def test_fit_is_the_apis_parabola(service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    with service.client() as api:
+        fit = api.get("/api/v1/fits/B?field=tof_pp_s").json()
+    chart = shown(page)["tof"]
+    expected = 1e6 * np.polynomial.polynomial.polyval(np.array(chart["x"]), fit["coefficients"])
+    # Horner's scheme in two languages: rounding only.
+    np.testing.assert_allclose(chart["y"]["fit"], expected, rtol=1e-12)
+
+
+def test_new_sets_appear_without_a_reload(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    before = page.locator("#waveform").get_attribute("data-sequence")
+    page.evaluate("window.sameDocument = true")
+    for index in range(N_SETS, N_SETS + 5):
+        filled.add_set(index, stored=False, shown=True)
+    wait_for_sets(page, N_SETS + 5)
+    expect(page.locator("#waveform")).not_to_have_attribute("data-sequence", before)
+    expect(page.locator("#hour")).to_have_text("Hour 32.5")
+    assert page.evaluate("window.sameDocument") is True
+    assert_drawn_is_the_api(page, service)
+
+
+def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
+    """Distances of the baseline's sets become known, all at once, when it is complete."""
+    filled = FilledFolder(tmp_path, Settings())
+    for index in range(3):
+        filled.add_set(index, stored=False, judged=False)
+    with served(filled.settings, tmp_path) as service:
+        page = open_page(service.url)
+        expect(page.locator("#tof")).to_have_attribute("data-points", "3")
+        expect(page.locator("#distance")).to_have_attribute("data-points", "0")
+        due = filled.due[2]
+        event = {"utc_ns": due.due_utc_ns, "topic": "verdicts", "kind": "baseline_frozen", "position": "B"}
+        verdicts = [filled.verdict("B", index, filled.due[index].due_h) for index in range(3)]
+        filled.catalogue.commit_set(
+            SetCommit(verdicts=verdicts, events=[{**event, "set_index": 2, "payload": {}}])
+        )
+        expect(page.locator("#distance")).to_have_attribute("data-points", "3")
+    filled.close()
+
+
+def test_waveform_is_the_live_record(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    filled.show_set(5)
+    sequence = 100 * 5 + 2  # position B's shot of set 5
+    expect(page.locator("#waveform")).to_have_attribute("data-sequence", str(sequence))
+    shown_record = page.evaluate("window.solimonDashboard.waveform")
+    waveform = next(record for record in filled.records(5) if record.sequence == sequence).waveform
+    # Two evaluations of the same linear polynomial: rounding only.
+    np.testing.assert_allclose(shown_record["volts"], waveform.volts(), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shown_record["micros"], 1e6 * waveform.time_s(), rtol=1e-12, atol=1e-9)
+    assert shown_record["drawn"]
+    readouts = page.locator("#waveform .readouts")
+    expect(readouts).to_contain_text("ISW")
+    psw_us = 1e6 * shown_record["header"]["marks"]["psw_time_s"]
+    expect(readouts).to_contain_text(f"{psw_us:.1f} µs")
+
+
+def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    alarms = page.locator("#alarms")
+    expect(alarms).to_contain_text("No alarm has been raised")
+    alarm_id = filled.add_alarm("B", N_SETS - 1)
+    expect(alarms).to_contain_text("3 of the last 5 judged sets at B")
+    expect(alarms).to_contain_text("hour 30.0")
+    expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
+    alarms.get_by_role("button", name="Acknowledge").click()
+    expect(alarms.get_by_role("button")).to_have_text("Sent")
+    (command,) = filled.catalogue.pending_commands()
+    assert (command["kind"], command["arguments"]["alarm_id"]) == ("acknowledge_alarm", alarm_id)
+    filled.acknowledge(alarm_id, command)
+    expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
+    expect(alarms.get_by_role("button")).to_have_count(0)
+
+
+def test_finish_now_becomes_an_order(filled, service, open_page):
+    page = open_page(service.url)
+    page.get_by_role("button", name="Finish now").click()
+    expect(page.locator("#finish")).to_have_text("Finishing")
+    assert [row["kind"] for row in filled.catalogue.pending_commands()] == ["finish_now"]
+    filled.say("schedule_done", filled.due[-1].due_utc_ns)
+    expect(page.locator("#connection")).to_have_text("Test finished")
+    expect(page.locator("#finish")).to_be_hidden()
+
+
+def test_positions_are_chosen_by_keyboard(service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    page.locator('.tile[data-position="B"]').focus()
+    page.keyboard.press("ArrowRight")
+    expect(page.locator('.tile[data-position="C"]')).to_have_attribute("aria-checked", "true")
+    expect(page.locator("#tof")).to_contain_text("Position C")
+    expect(page.locator("#waveform-title")).to_have_text("Live waveform · C")
+    assert_drawn_is_the_api(page, service, "C")
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("#waveform-title")).to_have_text("Live waveform · A")
+    # An ultrasonic position has no solitary-wave trend: the charts stay with the last one that has.
+    expect(page.locator("#tof")).to_contain_text("Position B")
+
+
+def test_chart_is_read_by_keyboard_and_as_a_table(service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    page.locator("#tof .plot").focus()
+    page.keyboard.press("Home")
+    expect(page.locator("#tof .readout")).to_contain_text("hour 0.5")
+    page.keyboard.press("ArrowRight")
+    expect(page.locator("#tof .readout")).to_contain_text("hour 1.0")
+    page.get_by_role("button", name="Time of flight: show as a table").click()
+    rows = page.locator("#tof tbody tr")
+    expect(rows).to_have_count(N_SETS)
+    with service.client() as api:
+        last = api.get("/api/v1/trends/B").json()["columns"]["tof_pp_s"][-1]
+    expect(rows.first).to_contain_text(f"{1e6 * last:.3f}")
+
+
+@pytest.mark.parametrize("color_scheme", ["light", "dark"])
+def test_phone_width_shows_everything_without_sideways_scrolling(service, open_page, color_scheme):
+    page = open_page(service.url, viewport=PHONE, color_scheme=color_scheme)
+    wait_for_sets(page, N_SETS)
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
+        box = page.locator(f"#{name} canvas").bounding_box()
+        assert box["width"] > 250
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= PHONE["width"]
+
+
+def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
+    with served(Settings(), tmp_path) as service:
+        # A browser reports every 503 on its console.
+        page = open_page(service.url, forgiven="503")
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        filled = FilledFolder(tmp_path, Settings())
+        filled.add_set(0, stored=False, shown=True)
+        expect(page.locator("#tof")).to_have_attribute("data-points", "1")
+        expect(page.locator("#notice")).to_be_hidden()
+        filled.close()
+
+
+def test_lost_service_is_said_and_found_again(filled, open_page):
+    app = create_app(filled.settings, filled.folder)
+    with served_app(app) as first:
+        port = int(first.netloc.rpartition(":")[2])
+        page = open_page(first.url, forgiven="ERR_|WebSocket")
+        wait_for_sets(page, N_SETS)
+    expect(page.locator("#connection")).to_have_text("Connection lost, retrying")
+    expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
+    filled.add_set(N_SETS, stored=False)
+    with served(filled.settings, filled.folder, port=port):
+        expect(page.locator("#connection")).to_have_text("Live")
+        wait_for_sets(page, N_SETS + 1)
+        expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
