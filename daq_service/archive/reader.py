@@ -11,8 +11,9 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import h5py
 import numpy as np
 
 from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
@@ -25,9 +26,6 @@ from hardware_drivers.measurement import (
     Stamp,
     Waveform,
 )
-
-if TYPE_CHECKING:
-    import h5py
 
 # What h5py raises on damaged or foreign files, besides our own errors.
 _HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
@@ -312,9 +310,6 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
 @contextmanager
 def _opened(path: Path) -> Iterator[h5py.Group]:
     """Entry of a set's file; errors below are translated."""
-    # Half a tenth of a second that whoever only writes or lists need not spend.
-    import h5py
-
     try:
         # No lock: a complete file never changes.
         with h5py.File(path, "r", locking=False) as file:

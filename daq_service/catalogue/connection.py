@@ -11,6 +11,7 @@ from typing import Any
 import orjson
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
@@ -43,8 +44,15 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
             uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
 
+    # The pool is named because a URL without a file stands for a database in memory, whose pool
+    # closes the connections of other threads while they use them.
     engine = create_engine(
-        "sqlite+pysqlite://", creator=connect, json_serializer=json_text, json_deserializer=orjson.loads
+        "sqlite+pysqlite://",
+        creator=connect,
+        poolclass=QueuePool,
+        max_overflow=-1,
+        json_serializer=json_text,
+        json_deserializer=orjson.loads,
     )
 
     @event.listens_for(engine, "connect")

@@ -31,6 +31,9 @@ metadata = MetaData(
     }
 )
 
+# None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
+_JSON = JSON(none_as_null=True)
+
 # One row: which experiment this folder belongs to.
 experiment = Table(
     "experiment",
@@ -38,7 +41,7 @@ experiment = Table(
     Column("id", Integer, primary_key=True),
     Column("name", String, nullable=False),
     Column("configuration_hash", String(64), nullable=False),
-    Column("configuration", JSON, nullable=False),
+    Column("configuration", _JSON, nullable=False),
     Column("created_utc_ns", BigInteger, nullable=False),
     Column("epoch_utc_ns", BigInteger, nullable=False),  # hour 0 of the experiment
     Column("clock", String, nullable=False),  # "simulated" or "wall"
@@ -80,7 +83,7 @@ shots = Table(
     Column("boot_id", String, nullable=False),
     Column("crc32", BigInteger, nullable=False),
     Column("valid", Boolean, nullable=False),
-    Column("flags", JSON, nullable=False),  # list of str: clipped, missed, no_psw, noisy, ...
+    Column("flags", _JSON, nullable=False),  # list of str: clipped, missed, no_psw, noisy, ...
     UniqueConstraint(
         "position", "set_index", "shot_index", "attempt", name="uq_shots_position_set_index_shot_index"
     ),
@@ -162,14 +165,14 @@ baselines = Table(
     Column("first_set_index", Integer, nullable=False),
     Column("last_set_index", Integer, nullable=False),
     Column("n_sets", Integer, nullable=False),
-    Column("feature_names", JSON, nullable=False),
-    Column("mean", JSON, nullable=False),  # (p,)
-    Column("covariance", JSON, nullable=False),  # (p, p)
+    Column("feature_names", _JSON, nullable=False),
+    Column("mean", _JSON, nullable=False),  # (p,)
+    Column("covariance", _JSON, nullable=False),  # (p, p)
     Column("limit_f", Float),
     Column("limit_paper", Float),
     Column("limit_reason", String),  # why a limit is NULL
     Column("approval", String, nullable=False),  # "automatic" or the name of who signed
-    Column("provenance", JSON, nullable=False),  # set ids, suspects, extractor, versions
+    Column("provenance", _JSON, nullable=False),  # set ids, suspects, extractor, versions
 )
 
 # One row a judged set.
@@ -189,7 +192,7 @@ verdicts = Table(
     Column("outlier", Boolean),  # NULL: not judged, see reason
     Column("outlier_paper", Boolean),
     Column("reason", String),
-    Column("contributions", JSON(none_as_null=True)),  # {feature: part of distance_squared}
+    Column("contributions", _JSON),  # {feature: part of distance_squared}
     UniqueConstraint("position", "set_index", name="uq_verdicts_position_set_index"),
 )
 
@@ -230,7 +233,7 @@ events = Table(
     Column("kind", String, nullable=False),  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     Column("position", String),
     Column("set_index", Integer),
-    Column("payload", JSON, nullable=False),
+    Column("payload", _JSON, nullable=False),
     sqlite_autoincrement=True,  # ids are never used again, whatever is deleted
 )
 
@@ -242,7 +245,7 @@ commands = Table(
     Column("wall_utc_ns", BigInteger, nullable=False),
     Column("author", String, nullable=False),
     Column("kind", String, nullable=False),  # "finish_now", "acknowledge_alarm", "retire", "stop"
-    Column("arguments", JSON, nullable=False),
+    Column("arguments", _JSON, nullable=False),
     Column("state", String, nullable=False),  # "pending", "done", "refused"
     Column("result", String),
     Column("finished_wall_utc_ns", BigInteger),

@@ -280,7 +280,6 @@ def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
         except CorruptArchiveError:
             found += 1
             continue
-        assert_same_set(read_set(path), make_set())
         assert everything(path) == intact, f"offset {offset}"
     assert found > 10
 

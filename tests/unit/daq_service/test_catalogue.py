@@ -1,0 +1,730 @@
+"""The catalogue stores a set in one piece and gives rows that are ready for JSON."""
+
+import json
+import math
+import sqlite3
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from daq_service.catalogue import SetCommit, connection, open_catalogue
+from daq_service.catalogue.errors import (
+    CatalogueBusyError,
+    CatalogueDamagedError,
+    CatalogueError,
+    CatalogueWriteError,
+    NetworkFolderError,
+    NoDataYetError,
+    OtherExperimentError,
+)
+from daq_service.catalogue.tables import features, sets
+
+HASH = "ab" * 32
+NAN = float("nan")
+EPOCH_NS = 1_704_067_200_000_000_000
+NS_PER_H = 3_600_000_000_000
+
+
+def begin(folder, configuration_hash=HASH):
+    catalogue = open_catalogue(folder, writer=True, configuration_hash=configuration_hash)
+    catalogue.create_experiment(
+        name="test",
+        configuration_hash=configuration_hash,
+        configuration={"plate": {"thickness_m": 0.00635}},
+        epoch_utc_ns=EPOCH_NS,
+        clock="simulated",
+        solimon_version="0.1.0",
+    )
+    return catalogue
+
+
+@pytest.fixture
+def writer(tmp_path):
+    with begin(tmp_path) as catalogue:
+        yield catalogue
+
+
+@pytest.fixture
+def reader(tmp_path, writer):
+    with open_catalogue(tmp_path) as catalogue:
+        yield catalogue
+
+
+def set_row(index, position, state="done", n_taken=2, **changes):
+    return {
+        "set_index": index,
+        "position": position,
+        "method": "pulse_echo" if position == "A" else "solitary_wave",
+        "due_utc_ns": EPOCH_NS + index * NS_PER_H,
+        "due_h": float(index),
+        "state": state,
+        "n_planned": 2,
+        "n_taken": n_taken,
+        "n_valid": n_taken,
+        **changes,
+    }
+
+
+def shot_row(index, position, shot_index, sequence, **changes):
+    return {
+        "sequence": sequence,
+        "set_index": index,
+        "position": position,
+        "shot_index": shot_index,
+        "attempt": 0,
+        "utc_ns": EPOCH_NS + sequence,
+        "mono_ns": sequence,
+        "boot_id": "5d1f",
+        "crc32": 2**32 - 1,
+        "valid": True,
+        "flags": ["noisy", "double"],
+        **changes,
+    }
+
+
+def feature_row(index, position, shot_index, sequence=None, **changes):
+    return {
+        "set_index": index,
+        "position": position,
+        "shot_index": shot_index,
+        "sequence": sequence,
+        "due_h": float(index),
+        "extractor_version": "1",
+        "quality": "good",
+        "n_valid": 1,
+        "tof_pp_s": 3.3e-4 + 1e-6 * index,
+        **changes,
+    }
+
+
+def verdict_row(index, position, in_baseline=False, **changes):
+    return {
+        "set_index": index,
+        "position": position,
+        "due_h": float(index),
+        "in_baseline": in_baseline,
+        "distance_squared": 4.5,
+        "limit_name": "f_predictive",
+        "outlier": None if in_baseline else False,
+        **changes,
+    }
+
+
+def thickness_row(index, sequence):
+    return {
+        "set_index": index,
+        "position": "A",
+        "sequence": sequence,
+        "due_h": float(index),
+        "extractor_version": "1",
+        "quality": "good",
+        "thickness_m": 0.006,
+    }
+
+
+def alarm_row(position="B", kind="wall_change", **changes):
+    return {
+        "position": position,
+        "kind": kind,
+        "family": "damage",
+        "severity": "high",
+        "state": "unacknowledged",
+        "raised_utc_ns": EPOCH_NS,
+        "raised_h": 1.0,
+        "changed_utc_ns": EPOCH_NS,
+        "message": "B has changed",
+        "proof": {"limit": 24.3},
+        **changes,
+    }
+
+
+def event_row(kind="set_done", topic="sets", **changes):
+    return {"utc_ns": EPOCH_NS, "topic": topic, "kind": kind, "payload": {"n": 1}, **changes}
+
+
+def baseline_row(name="B-1", position="B"):
+    return {
+        "name": name,
+        "position": position,
+        "created_utc_ns": EPOCH_NS,
+        "first_set_index": 0,
+        "last_set_index": 1,
+        "n_sets": 2,
+        "feature_names": ["tof_pp_s"],
+        "mean": np.array([3.3e-4]),
+        "covariance": np.array([[1e-12]]),
+        "limit_f": None,
+        "limit_reason": "too short",
+        "approval": "automatic",
+        "provenance": {"sets": [0, 1]},
+    }
+
+
+def commit_of(index, positions="BC"):
+    """A set of two shots a position, its mean feature, verdict and event; A has an echo."""
+    rows = {name: [] for name in ("sets", "shots", "features", "verdicts", "thickness", "events")}
+    for number, position in enumerate(positions):
+        sequence = 100 * index + 10 * number + 1
+        rows["events"].append(event_row(position=position, set_index=index))
+        if position == "A":
+            rows["sets"].append(set_row(index, "A", n_taken=1))
+            rows["shots"].append(shot_row(index, "A", 0, sequence))
+            rows["thickness"].append(thickness_row(index, sequence))
+            continue
+        rows["sets"].append(set_row(index, position))
+        rows["shots"] += [shot_row(index, position, k, sequence + k) for k in range(2)]
+        rows["features"] += [feature_row(index, position, k, sequence + k) for k in range(2)]
+        rows["features"].append(feature_row(index, position, None, n_valid=2))
+        rows["verdicts"].append(verdict_row(index, position))
+    return SetCommit(**rows)
+
+
+# Opening --------------------------------------------------------------------------------------
+
+
+def test_before_the_recorder_there_is_no_data_yet(tmp_path):
+    with pytest.raises(NoDataYetError, match="no data yet"):
+        open_catalogue(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_catalogue_without_an_experiment_has_no_data_yet(tmp_path):
+    with open_catalogue(tmp_path, writer=True), pytest.raises(NoDataYetError, match="has not begun"):
+        open_catalogue(tmp_path)
+
+
+def test_an_empty_file_has_no_data_yet(tmp_path):
+    (tmp_path / "catalogue.sqlite").write_bytes(b"")
+    with pytest.raises(NoDataYetError):
+        open_catalogue(tmp_path)
+
+
+@pytest.mark.parametrize("writer", [False, True])
+def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
+    (tmp_path / "catalogue.sqlite").write_bytes(b"not a database at all" * 100)
+    with pytest.raises(CatalogueDamagedError, match=r"catalogue\.sqlite"):
+        open_catalogue(tmp_path, writer=writer)
+
+
+def test_a_missing_folder_is_a_clear_error(tmp_path):
+    with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
+        open_catalogue(tmp_path / "absent", writer=True)
+
+
+def test_a_network_folder_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr("daq_service.catalogue.store.network_filesystem", lambda path: "nfs4")
+    with pytest.raises(NetworkFolderError, match=r"\(nfs4\).*--data-dir"):
+        open_catalogue(tmp_path, writer=True)
+
+
+def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, writer):
+    other = "cd" * 32
+    with pytest.raises(OtherExperimentError) as caught:
+        open_catalogue(tmp_path, writer=True, configuration_hash=other)
+    assert HASH in str(caught.value)
+    assert other in str(caught.value)
+    assert "--data-dir" in str(caught.value)
+
+
+def test_the_experiment_is_made_once(tmp_path, writer):
+    first = writer.experiment_row()
+    with begin(tmp_path) as again:
+        assert again.experiment_row() == first
+    assert first["configuration"] == {"plate": {"thickness_m": 0.00635}}
+    with pytest.raises(OtherExperimentError):
+        writer.create_experiment(
+            name="x",
+            configuration_hash="cd" * 32,
+            configuration={},
+            epoch_utc_ns=0,
+            clock="wall",
+            solimon_version="0",
+        )
+    assert writer.experiment_row() == first
+
+
+def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
+    with writer._reading() as connection_:
+        pragmas = {
+            name: connection_.exec_driver_sql(f"PRAGMA {name}").scalar()
+            for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
+        }
+    assert pragmas == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 5000}
+
+
+def test_a_reader_cannot_change_anything_but_commands(reader):
+    from sqlalchemy import insert
+
+    with pytest.raises(CatalogueWriteError, match="readonly"), reader._reading() as connection_:
+        connection_.execute(insert(sets), set_row(0, "B"))
+
+
+def test_a_reader_goes_on_after_the_recorder_has_left(tmp_path):
+    with begin(tmp_path) as writer:
+        writer.commit_set(commit_of(0))
+    with open_catalogue(tmp_path) as reader:
+        assert reader.counts()["sets"] == 1
+
+
+def test_a_folder_may_have_any_name(tmp_path):
+    folder = tmp_path / "50 % of #1? größer"
+    folder.mkdir()
+    with begin(folder) as writer:
+        writer.commit_set(commit_of(0))
+    with open_catalogue(folder) as reader:
+        assert reader.counts()["sets"] == 1
+
+
+# A set in one piece ---------------------------------------------------------------------------
+
+
+def test_what_is_committed_is_read_back(writer, reader):
+    commit = commit_of(3, "ABC")
+    writer.commit_set(commit)
+    for given, found in (
+        (commit.sets, reader.list_sets()),
+        (commit.shots[1:3], reader.list_shots("B", 3)),
+        (commit.features[:2], reader.list_features("B", scope="shot")),
+        (commit.features[2:3], reader.list_features("B")),
+        (commit.verdicts, reader.list_verdicts()),
+        (commit.thickness, reader.list_thickness("A")),
+    ):
+        assert len(given) == len(found) > 0
+        for row, stored in zip(given, found, strict=True):
+            assert {key: stored[key] for key in row} == row
+
+
+def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
+    writer.commit_set(commit_of(0))
+    before = reader.counts(), reader.last_event_id()
+    bad = commit_of(1)
+    # The very last thing that is stored fails.
+    events = [*bad.events, event_row(payload=None)]
+    with pytest.raises(CatalogueWriteError, match="nothing of it was stored"):
+        writer.commit_set(SetCommit(sets=bad.sets, shots=bad.shots, features=bad.features, events=events))
+    assert (reader.counts(), reader.last_event_id()) == before
+    assert writer.committed_sets() == {0}
+    writer.commit_set(bad)
+    assert writer.committed_sets() == {0, 1}
+
+
+@pytest.mark.parametrize(
+    "commit",
+    [
+        SetCommit(sets=[set_row(0, "B")]),
+        SetCommit(shots=[shot_row(9, "B", 0, 1)]),
+        SetCommit(shots=[shot_row(0, "B", 0, 999)]),
+        SetCommit(features=[feature_row(0, "B", None)]),
+        SetCommit(verdicts=[verdict_row(0, "B")]),
+        SetCommit(features=[feature_row(9, "B", 0, sequence=4711)]),
+        SetCommit(sets=[{"set_index": 5}]),
+    ],
+    ids=[
+        "set twice",
+        "sequence twice",
+        "shot twice",
+        "set feature twice",
+        "verdict twice",
+        "no shot",
+        "incomplete",
+    ],
+)
+def test_rows_that_contradict_the_stored_ones_are_refused(writer, commit):
+    writer.commit_set(commit_of(0))
+    with pytest.raises(CatalogueWriteError):
+        writer.commit_set(commit)
+
+
+def test_a_misspelt_column_is_refused_by_name(writer):
+    with pytest.raises(CatalogueWriteError, match=r"\['tof_s'\] are no columns of 'features'"):
+        writer.commit_set(SetCommit(features=[feature_row(0, "B", None, tof_s=1.0)]))
+
+
+def test_rows_need_not_all_name_the_same_columns(writer, reader):
+    writer.commit_set(
+        SetCommit(
+            sets=[set_row(0, "B", cause="no trigger", state="partial"), set_row(0, "C", file="sets/x.h5")]
+        )
+    )
+    assert [(row["cause"], row["file"]) for row in reader.list_sets()] == [
+        ("no trigger", None),
+        (None, "sets/x.h5"),
+    ]
+
+
+@pytest.mark.parametrize("value", [NAN, math.inf, -math.inf, np.float64(NAN), np.float32(math.inf)])
+def test_what_is_no_number_is_stored_as_not_available(tmp_path, writer, reader, value):
+    writer.commit_set(
+        SetCommit(
+            features=[feature_row(0, "B", None, tof_pp_s=value, psw_area_v_s=1.5)],
+            verdicts=[verdict_row(0, "B", contributions={"tof_pp_s": value})],
+            events=[event_row(payload={"values": [value, 1.0]})],
+        )
+    )
+    (row,) = reader.list_features("B")
+    assert (row["tof_pp_s"], row["psw_area_v_s"]) == (None, 1.5)
+    assert reader.list_verdicts("B")[0]["contributions"] == {"tof_pp_s": None}
+    assert reader.events_after(0)[-1]["payload"] == {"values": [None, 1.0]}
+    stored = sqlite3.connect(tmp_path / "catalogue.sqlite")
+    assert stored.execute("SELECT typeof(tof_pp_s) FROM features").fetchall() == [("null",)]
+    stored.close()
+
+
+def test_numbers_of_numpy_are_stored_as_numbers(writer, reader):
+    row = feature_row(np.int64(0), "B", None, tof_pp_s=np.float32(0.5), n_valid=np.int32(7))
+    writer.commit_set(
+        SetCommit(
+            features=[row], baselines=[baseline_row()], verdicts=[verdict_row(0, "B", outlier=np.bool_(True))]
+        )
+    )
+    (found,) = reader.list_features("B")
+    assert (found["set_index"], found["tof_pp_s"], found["n_valid"]) == (0, 0.5, 7)
+    assert reader.list_verdicts("B")[0]["outlier"] is True
+    baseline = reader.baseline("B")
+    assert (baseline["mean"], baseline["covariance"]) == ([3.3e-4], [[1e-12]])
+
+
+def test_every_answer_is_ready_for_strict_json(writer, reader):
+    writer.commit_set(commit_of(0, "ABC"))
+    writer.commit_set(
+        SetCommit(
+            baselines=[baseline_row()],
+            alarms=[alarm_row()],
+            features=[feature_row(1, "B", None, tof_pp_s=NAN)],
+        )
+    )
+    command_id = reader.add_command("op", "stop", {})
+    answers = [
+        reader.experiment_row(),
+        reader.counts(),
+        reader.positions_state(),
+        reader.list_sets(),
+        reader.list_shots("B", 0),
+        reader.list_features("B"),
+        reader.list_thickness("A"),
+        reader.list_verdicts("B"),
+        reader.feature_columns("B", ["due_h", "tof_pp_s"]),
+        reader.baseline("B"),
+        reader.list_baselines(),
+        reader.list_alarms(),
+        reader.alarm(1),
+        reader.events_after(0),
+        reader.command(command_id),
+    ]
+    assert json.loads(json.dumps(answers, allow_nan=False)) == answers
+
+
+# Verdicts of the baseline ---------------------------------------------------------------------
+
+
+def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
+    writer.commit_set(
+        SetCommit(verdicts=[verdict_row(0, "B", True, distance_squared=None, reason="waiting")])
+    )
+    writer.commit_set(SetCommit(verdicts=[verdict_row(1, "B", True, distance_squared=None)]))
+    writer.commit_set(
+        SetCommit(
+            verdicts=[
+                verdict_row(0, "B", True, distance_squared=3.0, reason=None),
+                verdict_row(2, "B", True, distance_squared=5.0),
+            ]
+        )
+    )
+    rows = reader.list_verdicts("B")
+    assert [(row["set_index"], row["distance_squared"], row["reason"]) for row in rows] == [
+        (0, 3.0, None),
+        (1, None, None),
+        (2, 5.0, None),
+    ]
+
+
+def test_a_verdict_after_the_baseline_is_final(writer, reader):
+    writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
+    for in_baseline in (False, True):
+        with pytest.raises(CatalogueWriteError):
+            writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", in_baseline)]))
+    assert reader.list_verdicts("B")[0]["outlier"] is True
+
+
+def test_a_verdict_may_name_the_baseline_of_the_same_commit(writer, reader):
+    row = {**baseline_row(), "id": 17}
+    committed = writer.commit_set(SetCommit(baselines=[row], verdicts=[verdict_row(0, "B", baseline_id=17)]))
+    assert committed.baseline_ids == [17]
+    assert reader.list_verdicts("B")[0]["baseline_id"] == 17
+
+
+# Events, alarms, commands ---------------------------------------------------------------------
+
+
+def test_event_ids_follow_the_order_of_the_rows(writer, reader):
+    first = writer.commit_set(SetCommit(events=[event_row(f"k{n}") for n in range(40)])).event_ids
+    second = writer.add_event(utc_ns=1, topic="service", kind="gap", payload={})
+    assert first == sorted(first)
+    assert second > first[-1] == first[0] + 39
+    assert [row["kind"] for row in reader.events_after(first[0])][:2] == ["k1", "k2"]
+    assert reader.last_event_id() == second
+
+
+def test_an_event_is_dated_when_it_is_written_unless_it_says_otherwise(writer, reader, monkeypatch):
+    monkeypatch.setattr("daq_service.catalogue.writer.time.time_ns", lambda: 77)
+    writer.commit_set(SetCommit(events=[event_row(), event_row(wall_utc_ns=5)]))
+    assert [row["wall_utc_ns"] for row in reader.events_after(0)] == [77, 5]
+
+
+def test_events_can_be_asked_for_by_topic_and_page(writer, reader):
+    writer.commit_set(
+        SetCommit(
+            events=[event_row(topic=topic) for topic in ("sets", "alarms", "sets", "service", "alarms")]
+        )
+    )
+    ids = [row["id"] for row in reader.events_after(0)]
+    assert [row["id"] for row in reader.events_after(ids[0], {"alarms", "service"})] == [ids[1], *ids[3:]]
+    assert [row["id"] for row in reader.events_after(ids[0], limit=2)] == ids[1:3]
+    assert reader.events_after(0, []) == []
+
+
+def test_before_the_first_event_the_last_id_is_zero(reader):
+    assert reader.last_event_id() == 0
+    assert reader.events_after(0) == []
+
+
+def test_an_alarm_gets_its_id_and_its_event_names_it(writer, reader):
+    committed = writer.commit_set(
+        SetCommit(
+            alarms=[alarm_row(), alarm_row("C")],
+            events=[event_row(), event_row("alarm_raised", "alarms", alarm_index=1)],
+        )
+    )
+    assert reader.alarm(committed.alarm_ids[1])["position"] == "C"
+    payloads = [row["payload"] for row in reader.events_after(0)]
+    assert payloads == [{"n": 1}, {"n": 1, "alarm_id": committed.alarm_ids[1]}]
+
+
+def test_an_alarm_with_its_id_is_changed(writer, reader):
+    (alarm_id, other_id) = writer.commit_set(SetCommit(alarms=[alarm_row(), alarm_row("C")])).alarm_ids
+    row = reader.alarm(alarm_id)
+    changed = {**row, "state": "acknowledged", "acknowledged_by": "me", "acknowledged_utc_ns": 5}
+    assert writer.commit_set(SetCommit(alarms=[changed])).alarm_ids == [alarm_id]
+    assert reader.alarm(alarm_id) == changed
+    assert reader.alarm(other_id)["state"] == "unacknowledged"
+
+
+def test_an_alarm_that_does_not_exist_cannot_be_changed(writer, reader):
+    with pytest.raises(CatalogueWriteError, match="no alarm 4711"):
+        writer.commit_set(SetCommit(sets=[set_row(0, "B")], alarms=[{**alarm_row(), "id": 4711}]))
+    assert reader.list_sets() == []
+
+
+def test_alarms_are_listed_by_position_and_state(writer, reader):
+    writer.commit_set(
+        SetCommit(
+            alarms=[
+                alarm_row(state="normal"),
+                alarm_row(),
+                alarm_row("C", "hole"),
+                alarm_row(None, "no_data", family="device"),
+            ]
+        )
+    )
+    assert [row["id"] for row in reader.list_alarms("B")] == [1, 2]
+    assert [row["id"] for row in reader.list_alarms(active=True)] == [2, 3, 4]
+    assert [row["id"] for row in reader.list_alarms(active=False)] == [1]
+    assert [row["id"] for row in reader.list_alarms(after_id=1, limit=2)] == [2, 3]
+    assert {kind: row["id"] for kind, row in reader.alarms_of("B").items()} == {"wall_change": 2}
+    assert {kind: row["id"] for kind, row in reader.alarms_of(None).items()} == {"no_data": 4}
+    assert reader.alarm(99) is None
+
+
+def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
+    command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
+    (pending,) = writer.pending_commands()
+    assert (pending["id"], pending["author"], pending["arguments"]) == (
+        command_id,
+        "operator",
+        {"alarm_id": 3, "note": "seen"},
+    )
+    writer.finish_command(command_id, "refused", "alarm 3 is normal")
+    assert writer.pending_commands() == []
+    answered = reader.command(command_id)
+    assert (answered["state"], answered["result"]) == ("refused", "alarm 3 is normal")
+    assert answered["finished_wall_utc_ns"] >= answered["wall_utc_ns"]
+    assert reader.command(99) is None
+
+
+def test_a_command_is_answered_once_and_in_words_of_the_contract(writer, reader):
+    command_id = reader.add_command("operator", "stop", {})
+    with pytest.raises(CatalogueWriteError, match="'done' or 'refused'"):
+        writer.finish_command(command_id, "finished")
+    writer.finish_command(command_id, "done")
+    with pytest.raises(CatalogueWriteError, match=f"no pending command {command_id}"):
+        writer.finish_command(command_id, "done")
+
+
+# Questions ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def filled(writer, reader):
+    for index in range(6):
+        writer.commit_set(commit_of(index, "ABC"))
+    return reader
+
+
+def test_sets_are_filtered_and_paged(filled):
+    assert [row["set_index"] for row in filled.list_sets("B")] == [0, 1, 2, 3, 4, 5]
+    assert filled.list_sets(state="missed") == []
+    first = filled.list_sets(limit=4)
+    rest = filled.list_sets(after_id=first[-1]["id"], limit=None)
+    assert len(first) == 4
+    assert [row["id"] for row in first + rest] == [row["id"] for row in filled.list_sets()]
+    between = filled.list_sets(
+        "B", since_utc_ns=EPOCH_NS + 2 * NS_PER_H, until_utc_ns=EPOCH_NS + 4 * NS_PER_H
+    )
+    assert [row["set_index"] for row in between] == [2, 3]
+
+
+def test_features_are_asked_for_by_hours_inclusive(filled):
+    assert [row["set_index"] for row in filled.list_features("C", first_h=2.0, last_h=4.0)] == [2, 3, 4]
+    assert len(filled.list_features("C", scope="shot", first_h=5.0)) == 2
+    assert [row["shot_index"] for row in filled.list_features("C", scope="shot", set_index=1)] == [0, 1]
+    page = filled.list_features("C", limit=2)
+    assert [row["set_index"] for row in filled.list_features("C", after_id=page[-1]["id"])] == [2, 3, 4, 5]
+    assert [row["set_index"] for row in filled.list_verdicts("B", first_h=4.5)] == [5]
+    assert [row["set_index"] for row in filled.list_thickness("A", last_h=0.0)] == [0]
+
+
+def test_trends_come_as_columns(filled):
+    assert filled.feature_columns("B", ["set_index", "tof_pp_s"], first_h=4.0) == {
+        "set_index": [4, 5],
+        "tof_pp_s": [3.3e-4 + 1e-6 * 4, 3.3e-4 + 1e-6 * 5],
+    }
+    assert len(filled.feature_columns("B", ["due_h"], scope="shot")["due_h"]) == 12
+    assert filled.verdict_columns("B", ["distance_squared"], limit=2) == {"distance_squared": [4.5, 4.5]}
+    assert filled.thickness_columns("A", ["thickness_m"], last_h=1.0) == {"thickness_m": [0.006, 0.006]}
+    assert filled.feature_columns("X", ["due_h"]) == {"due_h": []}
+    assert filled.feature_columns("B", []) == {}
+
+
+def test_an_unknown_column_is_refused_by_name(filled):
+    with pytest.raises(CatalogueError, match=r"\['tof'\] are no columns of 'features'"):
+        filled.feature_columns("B", ["tof"])
+
+
+def test_the_state_of_a_position_is_its_last_word(writer, filled):
+    writer.commit_set(
+        SetCommit(
+            sets=[set_row(6, "B", "missed", 0)],
+            alarms=[alarm_row(), alarm_row("C", state="normal")],
+        )
+    )
+    state = filled.positions_state()
+    assert list(state) == ["A", "B", "C"]
+    assert (state["B"]["last_set"]["set_index"], state["B"]["last_set"]["state"]) == (6, "missed")
+    assert (state["B"]["last_feature"]["set_index"], state["B"]["last_feature"]["shot_index"]) == (5, None)
+    assert state["C"]["last_verdict"]["set_index"] == 5
+    assert state["A"]["method"] == "pulse_echo"
+    assert state["A"]["last_thickness"]["set_index"] == 5
+    assert (state["A"]["last_feature"], state["B"]["last_thickness"]) == (None, None)
+    assert [row["kind"] for row in state["B"]["active_alarms"]] == ["wall_change"]
+    assert state["C"]["active_alarms"] == []
+
+
+def test_counts_tell_due_times_that_were_taken_missed_or_lack_something(writer, filled):
+    writer.commit_set(SetCommit(sets=[set_row(6, p, "missed", 0) for p in "ABC"], alarms=[alarm_row()]))
+    writer.commit_set(
+        SetCommit(
+            sets=[set_row(7, "A", "missed", 0), set_row(7, "B", "partial", 1), set_row(7, "C")],
+            shots=[shot_row(7, "B", 0, 701)],
+        )
+    )
+    # A retired position is no missed one.
+    writer.commit_set(SetCommit(sets=[set_row(8, "A"), set_row(8, "B", "retired", 0), set_row(8, "C")]))
+    assert filled.counts() == {
+        "sets": 8,
+        "missed_sets": 1,
+        "partial_sets": 1,
+        "shots": 6 * 4 + 1,
+        "pulse_echo_records": 6,
+        "events": 18,
+        "active_alarms": 1,
+    }
+
+
+def test_an_empty_catalogue_counts_nothing(reader):
+    assert set(reader.counts().values()) == {0}
+    assert reader.positions_state() == {}
+
+
+def test_the_newest_baseline_counts_and_none_is_forgotten(writer, reader):
+    assert reader.baseline("B") is None
+    writer.commit_set(
+        SetCommit(baselines=[baseline_row("B-1"), baseline_row("C-1", "C"), baseline_row("B-2")])
+    )
+    assert reader.baseline("B")["name"] == "B-2"
+    assert [row["name"] for row in reader.list_baselines("B")] == ["B-1", "B-2"]
+
+
+def test_a_restart_knows_what_is_done_and_the_next_sequence(writer):
+    assert (writer.committed_sets(), writer.next_sequence()) == (set(), 1)
+    writer.commit_set(commit_of(4, "B"))
+    assert (writer.committed_sets(), writer.next_sequence()) == ({4}, 403)
+
+
+# Several at once ------------------------------------------------------------------------------
+
+
+def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader):
+    from sqlalchemy import func, select
+
+    count = select(func.count()).select_from(features)
+    with reader._reading() as connection_:
+        before = connection_.execute(count).scalar_one()
+        writer.commit_set(commit_of(0))
+        assert connection_.execute(count).scalar_one() == before == 0
+    assert len(reader.list_features("B")) == 1
+
+
+def test_an_unfinished_commit_neither_blocks_nor_shows(writer, reader):
+    with writer._writing("test") as connection_:
+        from sqlalchemy import insert
+
+        connection_.execute(insert(sets), set_row(0, "B"))
+        assert reader.list_sets() == []
+    assert len(reader.list_sets()) == 1
+
+
+def test_a_catalogue_may_be_shared_between_threads(writer, reader):
+    def ask(number):
+        if number % 5 == 0:
+            writer.commit_set(commit_of(number))
+        return reader.counts()["shots"] % 4
+
+    with ThreadPoolExecutor(8) as pool:
+        # Every commit brings four shots: never is a part of one seen.
+        assert set(pool.map(ask, range(40))) == {0}
+    assert reader.counts()["sets"] == 8
+
+
+def test_a_writer_that_waits_too_long_says_so(tmp_path, monkeypatch, writer):
+    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
+    holder.execute("BEGIN IMMEDIATE")
+    with open_catalogue(tmp_path) as reader, pytest.raises(CatalogueBusyError, match=r"for 0\.01 s"):
+        reader.add_command("operator", "stop", {})
+    holder.close()
+
+
+def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
+    writer.commit_set(commit_of(0))
+    with writer._reading() as connection_:
+        pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
+        connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
+    big = [event_row(payload={"text": "x" * 10_000})] * 20
+    with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
+        writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
+    assert writer.committed_sets() == {0}
+    with writer._reading() as connection_:
+        connection_.exec_driver_sql("PRAGMA max_page_count = 1000000")
+    writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
+    assert writer.committed_sets() == {0, 1}
