@@ -328,11 +328,11 @@ def _autocorrelation(
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
     peak = low + int(np.argmax(correlation[low : high + 1]))
     before, centre, after = (float(v) for v in correlation[peak - 1 : peak + 2])
+    if not before <= centre >= after:
+        # The highest value lies on the edge of the search window: it is no maximum, so not the PSW's.
+        return math.nan, math.nan
     shift = parabola_peak(before, centre, after)
     height = centre - 0.25 * (before - after) * shift
-    if abs(shift) > 1.0:
-        # The maximum lies on the edge of the search window: not the PSW's.
-        return math.nan, math.nan
     return (peak + shift) * record.step_s, height * record.block_samples / power
 
 

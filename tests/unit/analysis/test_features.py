@@ -280,6 +280,31 @@ def test_psw_much_wider_than_the_isw_is_called_merged():
     assert shot.tof_pp_s == pytest.approx(350e-6, abs=1e-6)
 
 
+def test_correlation_without_a_maximum_near_the_peaks_is_not_available():
+    t = NOISY.time_s() - 400e-6
+    edge = 0.5 * NOISY.isw_v * np.where(t > 0.0, np.exp(-t / 60e-6), 0.0)
+    volts = NOISY.with_(amplitude_ratio=0.0, ssw_fraction=0.0, noise_fraction=0.0).volts() + edge
+    # Such a wave correlates best some 20 us after its edge.
+    narrow = ExtractionSettings(autocorrelation_search_half_width_s=3e-6)
+    shot = extract_from_volts(volts, NOISY.rate_hz, NOISY.pretrigger_samples, settings=narrow)
+    assert math.isnan(shot.tof_ac_s)
+    assert math.isnan(shot.autocorrelation_coefficient)
+    assert math.isfinite(shot.tof_mf_s)
+
+
+@pytest.mark.parametrize("shift_s", [0.0, 0.13e-6, 0.5e-6, 0.81e-6])
+def test_area_window_is_180_us_wherever_the_blocks_stand(shift_s):
+    # A PSW wider than the window, so that its edges count: fractions of a block must be taken.
+    width_s, psw_s = 320e-6, 400e-6 + shift_s
+    scene = CLEAN.with_(amplitude_ratio=0.0, ssw_fraction=0.0)
+    volts = scene.volts() + 0.5 * scene.isw_v * cos4(scene.time_s(), psw_s, width_s)
+    shot = extract_from_volts(volts, scene.rate_hz, scene.pretrigger_samples)
+    phase = 2 * np.pi * 90e-6 / width_s
+    integral_s = 0.75 * 90e-6 + width_s / np.pi * (np.sin(phase) / 2 + np.sin(2 * phase) / 16)
+    # Between the blocks the record is taken as level: 1 us times the slope's change, 1e-5 of the area.
+    assert shot.psw_area_v_s == pytest.approx(0.5 * scene.isw_v * integral_s, rel=3e-5)
+
+
 def test_psw_whose_top_is_an_edge_is_kept_and_called_merged():
     t = NOISY.time_s() - 400e-6
     edge = 0.5 * NOISY.isw_v * np.where(t > 0.0, np.exp(-t / 60e-6), 0.0)

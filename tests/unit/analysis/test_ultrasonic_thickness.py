@@ -87,6 +87,20 @@ def test_noise_moves_the_pick_by_what_theory_allows():
     assert 0.8 * bound_s < np.std(picks) < 1.3 * bound_s
 
 
+@pytest.mark.parametrize("height", [0.1, 0.2])
+def test_weaker_echo_before_the_back_wall_is_not_taken_for_it(height):
+    # A lamination or the front wall's tail, at a third of the way.
+    extra = record(5e-3).volts() + height * burst(np.arange(2048) / RATE_HZ, DELAY_S + 0.7e-6)
+    disturbed = Waveform(
+        counts=np.rint(extra * 8192).astype(np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    found = travel_time(disturbed, reference())
+    assert found.travel_time_s == pytest.approx(arrival_s(5e-3), abs=1e-9)
+
+
 def test_gain_does_not_matter():
     echo = reference()
     strong, weak = travel_time(record(5e-3), echo), travel_time(record(5e-3, scale=0.2), echo)
