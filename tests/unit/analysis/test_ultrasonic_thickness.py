@@ -101,6 +101,19 @@ def test_weaker_echo_before_the_back_wall_is_not_taken_for_it(height):
     assert found.travel_time_s == pytest.approx(arrival_s(5e-3), abs=1e-9)
 
 
+def test_stronger_echo_beyond_the_gate_does_not_matter():
+    extra = record(INITIAL_M).volts() + 0.5 * burst(np.arange(2048) / RATE_HZ, DELAY_S + 4.35e-6)
+    focused = Waveform(
+        counts=np.rint(extra * 8192).astype(np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    assert extra.max() > 1.15 * 0.5
+    found = travel_time(focused, reference())
+    assert found.travel_time_s == pytest.approx(arrival_s(INITIAL_M), abs=0.2e-9)
+
+
 def test_gain_does_not_matter():
     echo = reference()
     strong, weak = travel_time(record(5e-3), echo), travel_time(record(5e-3, scale=0.2), echo)
