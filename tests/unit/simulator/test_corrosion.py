@@ -64,7 +64,7 @@ def test_the_hole_comes_when_it_is_due_and_not_an_interval_earlier(position, hol
     assert np.all(pits >= depths(PAPER_THINNING[position], seed, position))
     assert not history.at(hole_h - 1.0 / 6.0).is_hole
     assert history.at(hole_h).is_hole
-    assert history.at(hole_h).depth_fraction < 0.8 < history.at(hole_h).pit_depth_fraction
+    assert history.at(hole_h).depth_fraction < 0.6 < history.at(hole_h).pit_depth_fraction
 
 
 def test_a_position_without_hole_hour_ends_at_the_deepest_patch():
