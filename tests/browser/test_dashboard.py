@@ -252,7 +252,7 @@ def test_chart_is_read_by_keyboard_and_as_a_table(service, open_page):
     expect(page.locator("#tof .readout")).to_contain_text("hour 0.5")
     page.keyboard.press("ArrowRight")
     expect(page.locator("#tof .readout")).to_contain_text("hour 1.0")
-    page.get_by_role("button", name="Time of flight: show as a table").click()
+    page.get_by_role("button", name="Table of: Time of flight").click()
     rows = page.locator("#tof tbody tr")
     expect(rows).to_have_count(N_SETS)
     with service.client() as api:

@@ -16,18 +16,22 @@ const WORDS = {
 };
 
 export class SolimonAlarms extends HTMLElement {
-  connectedCallback() {
+  constructor() {
+    super();
     /** @type {any[]} */
     this.items = [];
     /** @type {Map<number, string>} what became of our orders, by alarm */
     this.orders = new Map();
     /** @type {Set<number>} alarms whose proof is open */
     this.opened = new Set();
-    this.setAttribute("role", "region");
-    this.setAttribute("aria-labelledby", "alarms-title");
     this.count = el("p", { "aria-live": "polite", text: "None so far" });
     this.list = el("ul", { class: "alarm-list" });
     this.none = el("p", { class: "no-alarms", text: "No alarm has been raised in this test." });
+  }
+
+  connectedCallback() {
+    this.setAttribute("role", "region");
+    this.setAttribute("aria-labelledby", "alarms-title");
     this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)), this.none, this.list);
   }
 

@@ -68,27 +68,41 @@ function swatch(curve) {
 }
 
 export class SolimonChart extends HTMLElement {
+  constructor() {
+    super();
+    /** @type {ChartOptions} */
+    this.options = { title: "", name: "", digits: 0, unit: "", curves: [], empty: "" };
+    /** @type {Series} */
+    this.series = { x: [], y: [], subtitle: "", endHour: 1 };
+    /** @type {any} */
+    this.plot = null;
+    /** Index under the pointer or the keyboard's cursor, or -1. @type {number} */
+    this.cursor = -1;
+    this.heading = el("h2");
+    this.subtitle = el("p");
+    this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
+    this.readout = el("p", { class: "readout", "aria-live": "polite" });
+    this.canvasBox = el("div", { class: "plot", tabindex: "0", role: "img" });
+    this.emptyText = el("p", { class: "empty" });
+    this.canvasBox.append(this.emptyText);
+    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", hidden: true });
+    this.toggle.addEventListener("click", () => this.showTable(this.tableBox.hidden));
+    this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
+    new ResizeObserver(() => this.resize()).observe(this.canvasBox);
+  }
+
   /** @param {ChartOptions} options */
   configure(options) {
     this.options = options;
-    /** @type {Series} */
     this.series = { x: [], y: options.curves.map(() => []), subtitle: "", endHour: 1 };
-    this.plot = null;
-    this.cursor = -1;
-    this.heading = el("h2", { text: options.title, id: `${this.id}-title` });
-    this.subtitle = el("p");
-    this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
-    this.toggle.setAttribute("aria-label", `${options.title}: show as a table`);
-    this.readout = el("p", { class: "readout", "aria-live": "polite" });
-    this.canvasBox = el("div", { class: "plot", tabindex: "0", role: "img" });
-    this.emptyText = el("p", { class: "empty", text: options.empty });
-    this.canvasBox.append(this.emptyText);
-    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", hidden: true });
+    this.heading.id = `${this.id}-title`;
+    setText(this.heading, options.title);
+    setText(this.emptyText, options.empty);
+    this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     const legend = el("ul", { class: "legend" });
     for (const curve of options.curves) legend.append(el("li", {}, swatch(curve), curve.label));
     if (options.log) legend.append(el("li", {}, swatch({ ...options.curves[0], color: "--alarm", kind: "diamonds" }), "outlier"));
-    this.legend = legend;
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", `${this.id}-title`);
     this.append(
@@ -98,9 +112,6 @@ export class SolimonChart extends HTMLElement {
       this.tableBox,
       legend,
     );
-    this.toggle.addEventListener("click", () => this.showTable(this.tableBox.hidden));
-    this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
-    new ResizeObserver(() => this.resize()).observe(this.canvasBox);
   }
 
   /** @param {boolean} shown */

@@ -80,7 +80,8 @@ export class Tiles {
 
   /** @param {KeyboardEvent} event */
   onKey(event) {
-    const step = { ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 }[event.key];
+    const steps = /** @type {Record<string, number>} */ ({ ArrowRight: 1, ArrowDown: 1, ArrowLeft: -1, ArrowUp: -1 });
+    const step = steps[event.key];
     if (step === undefined || !this.states.length) return;
     event.preventDefault();
     const at = this.states.findIndex((state) => state.position === this.selected);

@@ -22,27 +22,17 @@ export class SolimonWaveform extends HTMLElement {
     this.plot = null;
     this.received = 0;
     this.changes = 0;
-  }
-
-  connectedCallback() {
+    this.label = "";
     this.heading = el("h2", { text: "Live waveform", id: "waveform-title" });
     this.subtitle = el("p", { text: "The newest record of the selected position" });
     this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
-    this.toggle.setAttribute("aria-label", "Live waveform: show as a table");
+    this.toggle.setAttribute("aria-label", "Table of: Live waveform");
     this.readouts = el("dl", { class: "readouts" });
     this.box = el("div", { class: "plot", role: "img", tabindex: "0" });
     this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);
     this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Live waveform, table", hidden: true });
-    this.setAttribute("role", "group");
-    this.setAttribute("aria-labelledby", "waveform-title");
-    this.append(
-      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), el("div", { class: "card-actions" }, this.toggle)),
-      this.readouts,
-      this.box,
-      this.tableBox,
-    );
     this.toggle.addEventListener("click", () => {
       const shown = this.tableBox.hidden;
       this.tableBox.hidden = !shown;
@@ -52,6 +42,17 @@ export class SolimonWaveform extends HTMLElement {
     });
     this.box.addEventListener("keydown", (event) => this.onKey(event));
     new ResizeObserver(() => this.resize()).observe(this.box);
+  }
+
+  connectedCallback() {
+    this.setAttribute("role", "group");
+    this.setAttribute("aria-labelledby", "waveform-title");
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), el("div", { class: "card-actions" }, this.toggle)),
+      this.readouts,
+      this.box,
+      this.tableBox,
+    );
   }
 
   /** @param {string} position @param {string} label */
@@ -120,7 +121,8 @@ export class SolimonWaveform extends HTMLElement {
 
   /** @param {KeyboardEvent} event */
   onKey(event) {
-    const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -20, PageDown: 20 }[event.key];
+    const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -20, PageDown: 20 });
+    const step = steps[event.key];
     if (step === undefined || !this.plot) return;
     event.preventDefault();
     const left = Math.max(0, (this.plot.cursor.left < 0 ? this.plot.over.clientWidth / 2 : this.plot.cursor.left) + step * 3);
