@@ -93,7 +93,7 @@ def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) 
 
 
 def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Change:
-    """An operator has seen the alarm.
+    """Note that an operator has seen the alarm.
 
     Raises
     ------

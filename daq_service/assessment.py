@@ -317,8 +317,8 @@ class SolitaryWaveAssessor:
             severity="high",
             present=state.active,
             message=(
-                f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie beyond the "
-                f"limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has changed; inspect"
+                f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie "
+                f"beyond the limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has changed; inspect"
                 if state.active and limit is not None
                 else ""
             ),
@@ -346,8 +346,8 @@ class SolitaryWaveAssessor:
             present=self._memory.hole.hole,
             latched=True,
             message=(
-                f"no reflected wave at {self.position} in {silent} of {len(features)} shots, {rule.consecutive_sets} sets "
-                "running: the wall has a hole or the chain lost contact; the transducer strikes no more"
+                f"no reflected wave at {self.position} in {silent} of {len(features)} shots, "
+                f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; the transducer strikes no more"
             ),
             proof={
                 "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},

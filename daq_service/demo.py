@@ -43,14 +43,7 @@ def run_demo(
     settings = load_settings(None, overrides=_overrides(hours, seed, pace))
     folder = (data_dir or _new_folder()).absolute()
     prepare_data_folder(folder)
-    config = folder / CONFIGURATION_FILE
-    if not config.exists():
-        # Children and later restarts read this file; another configuration is refused by the catalogue.
-        config.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
-    elif load_settings(config).configuration_hash() != settings.configuration_hash():
-        # The recorder compares hashes; hand it what was asked for, so that it can name both.
-        config = folder / f"configuration-{settings.configuration_hash()[:12]}.json"
-        config.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
+    config = _write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
@@ -98,6 +91,21 @@ def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dic
     if pace is not None:
         overrides["clock"] = {"pace_h_per_s": pace}
     return overrides
+
+
+def _write_configuration(settings: Settings, folder: Path) -> Path:
+    """Write the file that the children read, and `solimon run` later; the folder's own one is kept.
+
+    Pace and end may change from start to start; a folder of another configuration is refused by the
+    recorder, which can name both.
+    """
+    config = folder / CONFIGURATION_FILE
+    if config.exists() and load_settings(config).configuration_hash() != settings.configuration_hash():
+        config = folder / f"refused-{settings.configuration_hash()[:12]}.json"
+    partial = config.with_suffix(".tmp")
+    partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
+    partial.replace(config)
+    return config
 
 
 def _new_folder() -> Path:

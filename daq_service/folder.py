@@ -51,7 +51,8 @@ def prepare_data_folder(folder: Path) -> None:
     kind = network_filesystem(folder)
     if kind is not None:
         raise StorageError(
-            f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; choose a local disk with --data-dir"
+            f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; "
+            "choose a local disk with --data-dir"
         )
     probe = folder / f".write-test-{uuid.uuid4().hex}"
     try:
@@ -61,7 +62,8 @@ def prepare_data_folder(folder: Path) -> None:
             (folder / name).mkdir(exist_ok=True)
     except OSError as error:
         raise StorageError(
-            f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or choose another with --data-dir"
+            f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
+            "choose another with --data-dir"
         ) from error
 
 
@@ -81,7 +83,8 @@ def own_data_folder(folder: Path) -> Iterator[None]:
             _try_lock(file)
         except OSError as error:
             raise BusyError(
-                f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another folder with --data-dir"
+                f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "
+                "folder with --data-dir"
             ) from error
         file.truncate(0)
         file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())

@@ -89,7 +89,7 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
 
 
 def describe_status(folder: Path) -> dict[str, Any]:
-    """Recorder's state, counts, and the last word on each position."""
+    """Read the recorder's state, the counts, and the last word on each position."""
     beat = read_heartbeat(folder) if folder.exists() else None
     if beat is None:
         recorder = "never started here"

@@ -43,7 +43,7 @@ class LivePicture:
         self._written_ns: dict[str, int] = {}
 
     def due(self, position: str) -> bool:
-        """False while the last picture of the position is younger than a tenth of a second."""
+        """Say whether the last picture of the position is at least a tenth of a second old."""
         last = self._written_ns.get(position)
         return last is None or time.monotonic_ns() - last >= SHORTEST_INTERVAL_NS
 

@@ -40,7 +40,7 @@ def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -
 
 
 def _last_flags(position: str, settings: Settings, catalogue: Catalogue) -> list[list[list[str]]]:
-    """Flags of each shot of the sets that the hole rule still looks at."""
+    """List the flags of each shot of the sets that the hole rule still looks at."""
     rows = [row for row in catalogue.list_sets(position, limit=None) if row["n_taken"]]
     recent = sorted(row["set_index"] for row in rows)[-settings.alarms.hole_sets :]
     return [[shot["flags"] for shot in catalogue.list_shots(position, index)] for index in recent]

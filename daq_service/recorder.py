@@ -145,7 +145,7 @@ def features_of(shot: Shot) -> ShotFeatures:
     """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
     try:
         return extract_features(shot.waveform)
-    except Exception:  # noqa: BLE001 a fault of the analysis must never stop the acquisition; it is logged whole
+    except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
         log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
 
@@ -243,7 +243,8 @@ class Recorder:
             self._store_and_judge(due, taken)
         if taken.error is not None:
             raise RigError(
-                f"set {due.set_index} ended early: {taken.error}; the {len(taken.shots)} shots before it are stored"
+                f"set {due.set_index} ended early: {taken.error}; the {len(taken.shots)} shots before it are "
+                "stored"
             ) from taken.error
 
     def _take(self, due: DueSet) -> _Taken:
@@ -403,7 +404,7 @@ class Recorder:
     # Sets that were taken already, or cannot be taken any more -----------------------------------
 
     def _adopt(self, due: DueSet) -> bool:
-        """A file without rows: the last recorder died between its rename and its commit."""
+        """Take over a file without rows: the last recorder died between rename and commit."""
         path = self._orphans.get(due.set_index)
         if path is None:
             return False
@@ -448,7 +449,7 @@ class Recorder:
     # Operator and supervisor ---------------------------------------------------------------------
 
     def _idle(self) -> bool:
-        """Called while waiting and between shots: the only place where the heartbeat advances."""
+        """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._heartbeat.beat(self._doing)
         self._operator.listen(self._hour())
         return not self._stop.is_set()

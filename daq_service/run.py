@@ -72,7 +72,7 @@ def log_to(path: Path) -> None:
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
-    """Recorder and web service under a supervisor."""
+    """Record and serve under a supervisor."""
     settings = load_settings(config)
     folder = data_folder(settings, config, data_dir)
     prepare_data_folder(folder)

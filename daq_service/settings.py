@@ -128,7 +128,7 @@ class UltrasoundSettings(Section):
     delay_s: float = Field(default=8.0e-6, ge=0.0, le=1e-3)
     """Delay D of the dual transducer (assumption: the paper prints no value; calibrate the probe's own)."""
     velocity_m_per_s: float = Field(default=5900.0, gt=0.0, le=2e4)
-    """Longitudinal velocity that finds the first echo (assumption: textbook steel); eq. 17 itself needs none."""
+    """Longitudinal velocity that finds the first echo (assumption: steel); eq. 17 itself needs none."""
 
 
 class BaselineSettings(Section):
@@ -253,13 +253,7 @@ class Settings(BaseSettings):
             return values
         filled = {}
         for name, place in positions.items():
-            if isinstance(place, dict):
-                place = dict(place)
-                for table in ("chain", "plate", "corrosion"):
-                    common, own = values.get(table, {}), place.get(table, {})
-                    if isinstance(common, dict) and isinstance(own, dict):
-                        place[table] = {**common, **own}
-            filled[name] = place
+            filled[name] = _inheriting(place, values) if isinstance(place, dict) else place
         return {**values, "positions": filled}
 
     @field_validator("positions")
@@ -291,10 +285,18 @@ class Settings(BaseSettings):
         return [name for name, place in self.positions.items() if place.method == method]
 
 
+def _inheriting(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    filled = dict(place)
+    for table in ("chain", "plate", "corrosion"):
+        above, own = common.get(table, {}), filled.get(table, {})
+        if isinstance(above, dict) and isinstance(own, dict):
+            filled[table] = {**above, **own}
+    return filled
+
+
 def _given(place: PositionSettings) -> dict[str, Any]:
     """Position as a file would give it: only what differs from the defaults."""
-    given = {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}
-    return dict(given)
+    return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}
 
 
 def config_file(name: str) -> Path:
@@ -367,7 +369,10 @@ def _explain(error: ValidationError, path: Path) -> str:
             shown = f" (value: {value!r})" if isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
-    return f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\nCorrect it and run `solimon check-config {path}`."
+    return (
+        f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"
+        f"Correct it and run `solimon check-config {path}`."
+    )
 
 
 def _known_keys() -> list[str]:

@@ -17,7 +17,7 @@ SPLIT_H = 100.0
 
 
 def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
-    """Sets, shots, and for each position alarm hour, outliers, last features and limit."""
+    """Read sets, shots, and for each position alarm hour, outliers, last features and limit."""
     with open_catalogue(folder, writer=False) as catalogue:
         counts = catalogue.counts()
         positions = {
@@ -125,9 +125,10 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
         "position  first alarm  outliers to/after 100 h   last ToF    AR     thickness  limit (baseline sets)"
     )
     for name, row in summary["positions"].items():
+        before, after = row["outlier_fraction_before_100_h"], row["outlier_fraction_after_100_h"]
         click.echo(
             f"{name:<8}  {_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
-            f"{_percent(row['outlier_fraction_before_100_h']):>9} /{_percent(row['outlier_fraction_after_100_h']):>8}      "
+            f"{_percent(before):>9} /{_percent(after):>8}      "
             f"{_cell(row['tof_us'], '.1f', ' us'):>9}  {_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
             f"{_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_limit(row)}"
         )

@@ -97,6 +97,7 @@ class Supervisor:
         self._folder = folder
         self._on_message = on_message
         self._give_up = give_up
+        self._readers: list[threading.Thread] = []
         self._program = program
         self._restart_delays_s = restart_delays_s
 
@@ -123,6 +124,7 @@ class Supervisor:
             return None
         if child.process is None:
             if now >= child.start_at_s:
+                self._readers = [reader for reader in self._readers if reader.is_alive()]
                 self._start(child)
             return None
         code = child.process.poll()
@@ -168,6 +170,7 @@ class Supervisor:
             daemon=True,
         )
         reader.start()
+        self._readers.append(reader)
 
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None
@@ -218,6 +221,9 @@ class Supervisor:
                 log.error("%s did not leave within %g s; killed", child.plan.name, LEAVE_WITHIN_S)
                 child.process.kill()
                 child.process.wait()
+        for reader in self._readers:
+            # Its pipe is closed at the other end; what the child said last is still to be heard.
+            reader.join(max(0.1, deadline - time.monotonic()))
 
 
 def _how_it_ended(code: int) -> str:
@@ -226,7 +232,6 @@ def _how_it_ended(code: int) -> str:
 
 def leave_when_pipe_closes(stop: threading.Event) -> None:
     """In a child: set ``stop`` once the supervisor's pipe (standard input) closes."""
-
     pipe = sys.stdin.fileno()
 
     def watch() -> None:

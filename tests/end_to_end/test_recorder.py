@@ -193,7 +193,8 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
         raise AcquisitionTimeoutError("no trigger within 5 s")
 
     settings = small_settings(
-        schedule={"end_h": 1.0}, positions={"B": {"method": "solitary_wave"}, "D": {"method": "solitary_wave"}}
+        schedule={"end_h": 1.0},
+        positions={"B": {"method": "solitary_wave"}, "D": {"method": "solitary_wave"}},
     )
     settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
@@ -216,7 +217,9 @@ def test_a_rig_that_fails_stops_the_test_with_what_was_taken(tmp_path: Path) -> 
     assert failure.value.exit_code == 3
     assert len(read_set(set_files(tmp_path)[1]).shots) == 5
     with open_catalogue(tmp_path) as catalogue:
-        states = {row["position"]: row["state"] for row in catalogue.list_sets(limit=None) if row["set_index"] == 1}
+        states = {
+            row["position"]: row["state"] for row in catalogue.list_sets(limit=None) if row["set_index"] == 1
+        }
     assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
 
 
@@ -235,10 +238,14 @@ def test_a_hole_retires_its_transducer_and_the_others_go_on(tmp_path: Path) -> N
     assert counts["missed_sets"] == 0
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.list_sets("B", limit=None)[-1]["state"] == "retired", "a restart must not strike again"
+        assert catalogue.list_sets("B", limit=None)[-1]["state"] == "retired", (
+            "a restart must not strike again"
+        )
 
 
-def test_a_shot_that_cannot_be_analysed_stops_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_shot_that_cannot_be_analysed_stops_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def failing(waveform: Any) -> Any:
         calls.append(waveform)
         if len(calls) == 4:
@@ -309,7 +316,10 @@ def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tm
             yield replace(rig, clock=late)
 
     assert run(
-        small_settings(schedule={"end_h": 4.0}), tmp_path, rig=late_rig, restarted_because="was killed by signal 9"
+        small_settings(schedule={"end_h": 4.0}),
+        tmp_path,
+        rig=late_rig,
+        restarted_because="was killed by signal 9",
     )
     with open_catalogue(tmp_path) as catalogue:
         rows = catalogue.list_sets("D", limit=None)
@@ -345,9 +355,7 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
         "finish": _order(tmp_path, "finish_now"),
         "stop": _order(tmp_path, "stop"),
     }
-    paced = small_settings(
-        twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4}
-    )
+    paced = small_settings(twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4})
     assert not run(paced, tmp_path)
     answers = {name: _answer(tmp_path, order) for name, order in orders.items()}
     assert answers["unknown"][0] == "refused"
@@ -358,7 +366,11 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     with open_catalogue(tmp_path) as catalogue:
         alarm = catalogue.alarm(1)
     assert alarm is not None
-    assert (alarm["state"], alarm["acknowledged_by"], alarm["note"]) == ("acknowledged", "ann", "plate inspected")
+    assert (alarm["state"], alarm["acknowledged_by"], alarm["note"]) == (
+        "acknowledged",
+        "ann",
+        "plate inspected",
+    )
 
 
 def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:

@@ -8,7 +8,13 @@ from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, up
 
 
 def condition(present: bool, **values: Any) -> Condition:
-    defaults = {"position": "B", "kind": "wall_change", "family": "damage", "severity": "high", "message": "3 of 5"}
+    defaults = {
+        "position": "B",
+        "kind": "wall_change",
+        "family": "damage",
+        "severity": "high",
+        "message": "3 of 5",
+    }
     return Condition(present=present, **{**defaults, **values})
 
 
@@ -45,7 +51,11 @@ def test_a_cleared_alarm_waits_for_its_acknowledgement() -> None:
     assert change.row["state"] == "returned_unacknowledged"
     assert change.row["cleared_utc_ns"] == moment(4).utc_ns
     seen = acknowledge(change.row, "ann", "looked at it", moment(5))
-    assert (seen.row["state"], seen.row["acknowledged_by"], seen.row["note"]) == ("normal", "ann", "looked at it")
+    assert (seen.row["state"], seen.row["acknowledged_by"], seen.row["note"]) == (
+        "normal",
+        "ann",
+        "looked at it",
+    )
 
 
 def test_an_acknowledged_alarm_ends_with_its_condition() -> None:
@@ -90,7 +100,9 @@ def test_nothing_to_acknowledge_is_said() -> None:
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))
-def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(history: list[bool]) -> None:
+def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(
+    history: list[bool],
+) -> None:
     row: dict[str, Any] | None = None
     for index, present in enumerate(history):
         change = update(row, condition(present), moment(index))

@@ -19,7 +19,9 @@ def test_the_shipped_file_spells_out_the_defaults() -> None:
 
 def test_the_shipped_schema_is_current() -> None:
     shipped = json.loads(config_file("settings.schema.json").read_text(encoding="utf-8"))
-    assert shipped == settings_schema(), "renew it: solimon check-config --schema > config/settings.schema.json"
+    assert shipped == settings_schema(), (
+        "renew it: solimon check-config --schema > config/settings.schema.json"
+    )
 
 
 def test_every_key_is_described() -> None:
@@ -85,7 +87,7 @@ def test_an_inherited_mistake_is_told_once(tmp_path: Path) -> None:
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="absent.toml"):
+    with pytest.raises(UsageError, match=r"absent\.toml"):
         load_settings(tmp_path / "absent.toml")
 
 

@@ -1,0 +1,381 @@
+"""The command line as a stranger uses it: whole processes, real signals, exit codes."""
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_experiment import rows_of
+
+from daq_service.heartbeat import read_heartbeat
+
+# A coarse mesh: these tests are about processes.
+QUICK = {"SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16"}
+SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+LIMIT_S = 120.0
+"""Far beyond any of these runs, on a loaded machine too: a hang ends in an error, not in silence."""
+
+posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows has neither SIGKILL nor SIGTERM")
+
+
+def solimon(*arguments: str, env: Mapping[str, str] = QUICK) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*SOLIMON, *arguments],
+        env={**os.environ, **env},
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+def demo(folder: Path, *arguments: str, env: Mapping[str, str] = QUICK) -> dict[str, Any]:
+    done = solimon("demo", "--exit", "--no-web", "--json", "--data-dir", str(folder), *arguments, env=env)
+    assert done.returncode == 0, done.stderr
+    result: dict[str, Any] = json.loads(done.stdout)
+    return result
+
+
+@contextmanager
+def started(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A command in the background; whatever a test does, nothing of it outlives the test."""
+    process = subprocess.Popen(
+        [*SOLIMON, *arguments],
+        env={**os.environ, **QUICK},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if os.name != "nt":
+            # The whole group may have ended, as it should.
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+        process.kill()
+        process.communicate()
+
+
+def line_with(process: subprocess.Popen[str], pattern: str) -> str:
+    """First line of output that matches; fails when the output ends without one."""
+    assert process.stdout is not None
+    seen = []
+    for line in process.stdout:
+        seen.append(line)
+        if match := re.search(pattern, line):
+            return match[0]
+    pytest.fail(f"no {pattern!r} in the output: {seen}")
+
+
+def wait_for(condition: Any, what: str) -> Any:
+    """Poll a condition of another process."""
+    deadline = time.monotonic() + LIMIT_S
+    pause = threading.Event()
+    while time.monotonic() < deadline:
+        if value := condition():
+            return value
+        pause.wait(0.02)
+    pytest.fail(f"{what} did not happen within {LIMIT_S:g} s")
+
+
+def sets_done(folder: Path) -> int:
+    return len(list((folder / "sets").glob("*.h5")))
+
+
+def is_running(process_id: int) -> bool:
+    try:
+        stat = Path(f"/proc/{process_id}/stat").read_text(encoding="ascii")
+    except FileNotFoundError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def children_of(process_id: int) -> dict[str, int]:
+    """Command (record, serve) to process id."""
+    found = {}
+    for entry in Path("/proc").glob("[0-9]*"):
+        try:
+            stat = (entry / "stat").read_text(encoding="ascii").rpartition(")")[2].split()
+            command = (entry / "cmdline").read_bytes().split(b"\0")
+        except (FileNotFoundError, ProcessLookupError):
+            continue  # ended while we looked
+        if int(stat[1]) == process_id and stat[0] != "Z":
+            found |= {name: int(entry.name) for name in ("record", "serve") if name.encode() in command}
+    return found
+
+
+@pytest.fixture(scope="module")
+def two_hours(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, demo(folder, "--hours", "2")
+
+
+def test_demo_prints_one_object_with_everything_promised(two_hours: tuple[Path, dict[str, Any]]) -> None:
+    _, result = two_hours
+    assert (result["sets"], result["shots"], result["missed_sets"]) == (4, 120, 0)
+    assert 0.0 < result["elapsed_s"] < LIMIT_S
+    assert list(result["positions"]) == ["A", "B", "C", "D"]
+    keys = {
+        "first_alarm_h",
+        "outlier_fraction_before_100_h",
+        "outlier_fraction_after_100_h",
+        "tof_us",
+        "amplitude_ratio",
+        "limit",
+        "n_baseline",
+        "travel_time_us",
+        "thickness_mm",
+    }
+    assert all(keys <= set(row) for row in result["positions"].values())
+    a, d = result["positions"]["A"], result["positions"]["D"]
+    assert all(a[key] is None for key in ("tof_us", "amplitude_ratio", "limit", "n_baseline"))
+    # 2 h of linear thinning to 4.2 mm at 300 h leave 6.336 mm; a sample of 10 ns is 0.03 mm.
+    assert a["thickness_mm"] == pytest.approx(6.336, abs=0.03)
+    assert d["limit"] is None
+    assert "baseline" in d["limit_reason"]
+    assert d["n_baseline"] == 4
+
+
+def test_the_same_seed_gives_the_same_numbers_and_another_seed_others(
+    two_hours: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    folder, result = two_hours
+    assert demo(tmp_path / "same", "--hours", "2")["positions"] == result["positions"]
+    assert rows_of(tmp_path / "same") == rows_of(folder)
+    other = demo(tmp_path / "other", "--hours", "2", "--seed", "7")
+    assert other["positions"]["D"]["tof_us"] != result["positions"]["D"]["tof_us"]
+
+
+@posix_only
+def test_a_recorder_killed_at_any_time_is_restarted_and_changes_no_row(
+    two_hours: tuple[Path, dict[str, Any]], tmp_path: Path
+) -> None:
+    whole = tmp_path / "whole"
+    demo(whole, "--hours", "6")
+    folder = tmp_path / "killed"
+    arguments = (
+        "demo",
+        "--exit",
+        "--no-web",
+        "--json",
+        "--hours",
+        "6",
+        "--pace",
+        "4",
+        "--data-dir",
+        str(folder),
+    )
+    with started(*arguments) as process:
+        for sets in (2, 7):
+            wait_for(lambda sets=sets: sets_done(folder) >= sets, f"set {sets}")
+            recorder = wait_for(lambda: children_of(process.pid).get("record"), "the recorder's start")
+            os.kill(recorder, signal.SIGKILL)
+        assert process.wait(LIMIT_S) == 0
+    assert rows_of(folder) == rows_of(whole)
+    log = (folder / "logs" / "supervisor.log").read_text(encoding="utf-8")
+    assert log.count("was killed by signal 9") == 2
+
+
+@posix_only
+def test_nothing_strikes_on_after_the_supervisor_is_killed(tmp_path: Path) -> None:
+    with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
+        line_with(process, "http://127.0.0.1")
+        wait_for(lambda: sets_done(tmp_path) >= 2, "the second set")
+        children = children_of(process.pid)
+        assert set(children) == {"record", "serve"}
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(LIMIT_S)
+        begun = time.monotonic()
+        wait_for(lambda: not any(is_running(child) for child in children.values()), "the children's end")
+        assert time.monotonic() - begun < 5.0, "everything ends within 5 s"
+    before = sets_done(tmp_path)
+    # No clean-up by hand: the same folder goes on at once.
+    assert demo(tmp_path, "--hours", str(0.5 * (before + 2)))["sets"] == before + 2
+
+
+@posix_only
+def test_a_killed_web_service_comes_back_at_its_address_and_costs_no_set(tmp_path: Path) -> None:
+    with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
+        url = line_with(process, r"http://127\.0\.0\.1:\d+")
+        web = wait_for(lambda: children_of(process.pid).get("serve"), "the web service's start")
+        os.kill(web, signal.SIGKILL)
+        wait_for(lambda: children_of(process.pid).get("serve", web) != web, "the web service's restart")
+
+        def answers() -> bool:
+            try:
+                with urllib.request.urlopen(f"{url}/healthz", timeout=1.0) as answer:
+                    return bool(answer.status == 200)
+            except OSError:
+                return False  # not up yet
+
+        wait_for(answers, "an answer at the old address")
+        before = sets_done(tmp_path)
+        wait_for(lambda: sets_done(tmp_path) > before, "another set")
+
+
+@posix_only
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_end_everything_within_five_seconds(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
+        line_with(process, "http://127.0.0.1")
+        wait_for(lambda: sets_done(tmp_path) >= 1, "the first set")
+        children = children_of(process.pid)
+        begun = time.monotonic()
+        # To the whole group, as a terminal does.
+        os.killpg(process.pid, number)
+        assert process.wait(LIMIT_S) == 130
+        assert time.monotonic() - begun < 5.0
+        assert not any(is_running(child) for child in children.values())
+    rows = rows_of(tmp_path)
+    stored = {row["set_index"] for row in rows["sets"] if row["n_taken"]}
+    assert len(stored) == sets_done(tmp_path), "every file has its rows"
+
+
+def test_a_second_recorder_on_the_same_folder_is_refused(tmp_path: Path) -> None:
+    with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
+        wait_for(lambda: read_heartbeat(tmp_path) if tmp_path.exists() else None, "the recorder's start")
+        second = solimon("record", str(tmp_path / "configuration.json"), "--data-dir", str(tmp_path))
+    assert second.returncode == 5
+    assert "another recorder owns" in second.stderr
+    assert "--data-dir" in second.stderr
+
+
+def test_a_port_in_use_is_refused(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        done = solimon(
+            "demo", "--exit", "--hours", "60", "--pace", "1", "--port", str(port), "--data-dir", str(tmp_path)
+        )
+    assert done.returncode == 5
+    assert str(port) in done.stderr
+
+
+def test_a_data_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("precious")
+    done = solimon("record", "--data-dir", str(tmp_path / "file" / "data"))
+    assert done.returncode == 4
+    assert "data folder" in done.stderr
+    assert (tmp_path / "file").read_text() == "precious"
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root and Windows write read-only folders")
+def test_a_data_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    done = solimon("record", "--data-dir", str(tmp_path))
+    assert done.returncode == 4
+    assert "cannot be written" in done.stderr
+
+
+def test_a_folder_of_another_configuration_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = two_hours
+    before = rows_of(folder)
+    done = solimon("demo", "--exit", "--no-web", "--seed", "5", "--hours", "3", "--data-dir", str(folder))
+    assert done.returncode == 4
+    assert "belongs to the experiment" in done.stderr
+    assert rows_of(folder) == before
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("[chain]\nmass_kg = -1.0", "greater than 0"), ("[corrosion]\nsize_mm = 2.0", "did you mean size_m?")],
+)
+def test_a_bad_configuration_is_a_usage_error_for_every_command(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    config = tmp_path / "test.toml"
+    config.write_text(text, encoding="utf-8")
+    for command in ("check-config", "simulate", "record", "serve", "run", "status"):
+        done = solimon(command, str(config))
+        assert done.returncode == 2
+        assert words in done.stderr
+    assert list(tmp_path.iterdir()) == [config], "nothing is made on the way"
+
+
+def test_an_unknown_option_is_a_usage_error() -> None:
+    assert solimon("demo", "--sed", "1").returncode == 2
+
+
+def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
+    facts = json.loads(solimon("check-config", "--json", "--data-dir", str(tmp_path), env={}).stdout)
+    assert (facts["sets"], facts["strikes"], facts["pulse_echo_records"]) == (425, 12_750, 425)
+    assert facts["end_utc"] == "2024-01-15T14:00:00.000Z"
+    assert facts["free_bytes"] > 0
+
+
+def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    folder, _ = two_hours
+    facts = json.loads(solimon("status", "--json", "--data-dir", str(folder)).stdout)
+    assert facts["counts"]["sets"] == 4
+    assert facts["positions"]["B"]["last_set"]["set_index"] == 3
+    empty = solimon("status", "--data-dir", str(tmp_path))
+    assert empty.returncode == 0
+    assert "no data yet" in empty.stdout
+
+
+def test_simulate_gives_one_shot_or_a_table(tmp_path: Path) -> None:
+    shot = json.loads(solimon("simulate", "--json", "--depth", "0.4").stdout)
+    assert {"isw_peak_n", "isw_time_us", "psw_peak_n", "psw_time_us", "tof_us", "amplitude_ratio"} <= set(
+        shot
+    )
+    assert shot["tof_us"] == pytest.approx(shot["psw_time_us"] - shot["isw_time_us"], rel=1e-12)
+    table = solimon("simulate", "--depths", "0:0.8:3").stdout.splitlines()
+    assert [line.split()[0] for line in table[2:5]] == ["0.000", "0.400", "0.800"]
+    assert shot["tof_us"] == pytest.approx(float(table[3].split()[5]), abs=0.005), "two decimals are printed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--depth", "0.97"], "at most 0.95"),
+        (["--drop-height-m", "-0.005"], "greater than 0"),
+        (["--depths", "0..0.8"], "first:last:count"),
+        (["--depths", "0:1:3"], "at most 0.95"),
+        (["--position", "Z"], "no position 'Z'"),
+    ],
+)
+def test_simulate_refuses_what_cannot_be(arguments: list[str], words: str) -> None:
+    done = solimon("simulate", *arguments)
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stdout == ""
+
+
+def test_the_command_line_imports_nothing_heavy() -> None:
+    """`solimon --help` must answer at once: only a command's own imports cost time."""
+    code = "import sys, daq_service.cli; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
+    assert "click" in loaded
+    heavy = {
+        "numpy",
+        "scipy",
+        "numba",
+        "h5py",
+        "fastapi",
+        "pydantic",
+        "sqlalchemy",
+        "uvicorn",
+        "nidaqmx",
+        "serial",
+    }
+    assert not loaded & heavy
