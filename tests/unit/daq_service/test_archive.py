@@ -9,6 +9,7 @@ import pytest
 from archived_sets import (
     CURVED,
     DUE_UTC_NS,
+    LINEAR,
     SET_INDEX,
     assert_same_records,
     assert_same_set,
@@ -164,6 +165,10 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
             make_shot("B", 3, 4, calibration=CURVED),
             make_shot("B", 4, 5, dtype=np.int32),
             make_shot("B", 5, 6),
+            make_shot("B", 6, 7, calibration=replace(LINEAR, coefficients_v=LINEAR.coefficients_v * 2)),
+            make_shot("B", 7, 8, calibration=replace(LINEAR, range_v=5.0)),
+            make_shot("B", 8, 9, calibration=replace(LINEAR, resolution_bits=14)),
+            make_shot("B", 9, 10, calibration=replace(LINEAR, date="2025-01-15")),
         ],
         echoes=[],
     )

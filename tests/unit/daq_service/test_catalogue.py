@@ -447,6 +447,13 @@ def test_a_verdict_after_the_baseline_is_final(writer, reader):
     assert reader.list_verdicts("B")[0]["outlier"] is True
 
 
+def test_a_judged_set_does_not_leave_the_baseline(writer, reader):
+    writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", True)]))
+    with pytest.raises(CatalogueWriteError):
+        writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
+    assert reader.list_verdicts("B")[0]["in_baseline"] is True
+
+
 def test_a_verdict_may_name_the_baseline_of_the_same_commit(writer, reader):
     row = {**baseline_row(), "id": 17}
     committed = writer.commit_set(SetCommit(baselines=[row], verdicts=[verdict_row(0, "B", baseline_id=17)]))
