@@ -11,12 +11,13 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
+from daq_service.errors import StorageError
 from daq_service.heartbeat import Beat, overdue_s, read_heartbeat
 from daq_service.settings import Settings
 from daq_service.web.answers import NS_PER_H, rfc3339, with_utc
 from daq_service.web.hub import EventHub
 from daq_service.web.live_pictures import LivePictures
-from daq_service.web.problem import no_data_yet, not_found
+from daq_service.web.problem import Problem, no_data_yet, not_found
 
 LOOK_BACK_EVENTS = 20
 """The recorder's farewell is among its last events: behind it come at most answers to commands."""
@@ -117,6 +118,14 @@ class Context:
                 raise no_data_yet()
             self._has_data = True
         return catalogue
+
+    def has_data(self) -> bool:
+        """Tell whether anything is stored, without an error where there is not."""
+        try:
+            self.catalogue()
+        except (Problem, StorageError):
+            return False
+        return True
 
     def close_streams(self) -> None:
         """End every open stream; called before the server waits for its answers."""

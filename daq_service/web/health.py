@@ -17,16 +17,16 @@ router = APIRouter(tags=["health"])
 
 
 @probes.get("/healthz", operation_id="get_liveness", response_model=Liveness)
-async def get_liveness() -> JsonAnswer:
+def get_liveness(context: ContextOf) -> JsonAnswer:
     """Say that the web process answers; says nothing of the recorder."""
-    return JsonAnswer({"status": "ok"})
+    return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
 @probes.get("/readyz", operation_id="get_readiness", response_model=Liveness, responses=problems(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
     """Say whether there is something to show."""
     context.catalogue().last_event_id()
-    return JsonAnswer({"status": "ok"})
+    return JsonAnswer({"status": "ok", "data": True})
 
 
 @router.get("/health", operation_id="get_health", response_model=ServiceHealth, responses=problems(503))

@@ -356,6 +356,7 @@ class Liveness(Answer):
     """The web process answers."""
 
     status: Literal["ok"]
+    data: bool = Field(description="Something is stored: the other answers are no longer 503")
 
 
 class RecorderHealth(Answer):

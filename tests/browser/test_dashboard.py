@@ -274,8 +274,7 @@ def test_phone_width_shows_everything_without_sideways_scrolling(service, open_p
 
 def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
     with served(Settings(), tmp_path) as service:
-        # A browser reports every 503 on its console.
-        page = open_page(service.url, forgiven="503")
+        page = open_page(service.url)
         expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
         filled = FilledFolder(tmp_path, Settings())
         filled.add_set(0, stored=False, shown=True)

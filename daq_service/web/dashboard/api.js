@@ -8,10 +8,6 @@ export class ProblemError extends Error {
     this.type = problem.type ?? "about:blank";
     this.hint = problem.hint ?? "";
   }
-
-  get noDataYet() {
-    return this.type === "urn:solimon:problem:no-data-yet";
-  }
 }
 
 /** @param {Response} response */
@@ -24,6 +20,11 @@ async function answer(response) {
 /** @param {string} path below /api/v1 @returns {Promise<any>} */
 export async function get(path) {
   return answer(await fetch(`/api/v1${path}`, { headers: { Accept: "application/json" } }));
+}
+
+/** Whether anything is stored yet; asked so because a browser reports every 503 as an error. */
+export async function hasData() {
+  return (await answer(await fetch("/healthz"))).data === true;
 }
 
 /** @param {string} path @param {object} body @returns {Promise<any>} */

@@ -272,9 +272,12 @@ export class SolimonChart extends HTMLElement {
   /** @param {Curve} curve @returns {any} */
   curveOptions(curve) {
     const stroke = color(curve.color);
-    return curve.kind === "points"
-      ? { label: curve.label, stroke, width: 1, spanGaps: false, points: { show: true, size: this.series.x.length > 250 ? 3.5 : 4.5, fill: stroke, width: 0, stroke } }
-      : { label: curve.label, stroke, width: 2, dash: curve.dash, points: { show: false }, spanGaps: false };
+    if (curve.kind === "line") {
+      return { label: curve.label, stroke, width: 2, dash: curve.dash, points: { show: false }, spanGaps: false };
+    }
+    const size = this.series.x.length > 250 ? 3.5 : 4.5;
+    // The points speak; the line only leads from one to the next.
+    return { label: curve.label, stroke: `${stroke}4d`, width: 1, spanGaps: false, points: { show: true, size, fill: stroke, width: 0, stroke } };
   }
 
   /** The axis grows in steps, so that a new set does not move everything. @param {number} min @param {number} max */

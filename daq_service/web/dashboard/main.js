@@ -1,7 +1,7 @@
 // Wires the page: history first, then events and waveforms as they come. The API is the only source
 // of what is drawn; an event only says what to read again.
 
-import { ProblemError, all, get, post } from "./api.js";
+import { all, get, hasData, post } from "./api.js";
 import { SolimonAlarms } from "./alarms.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
@@ -18,6 +18,7 @@ customElements.define("solimon-alarms", SolimonAlarms);
 const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
 const RETRY_MS = 1000;
+const WAITING_MS = 300;
 
 /** Columns a chart needs, by method. @type {Record<string, string[]>} */
 const FIELDS = {
@@ -117,12 +118,15 @@ function select(position) {
 
 async function begin() {
   try {
-    state.info = await get("/info");
-  } catch (error) {
-    if (error instanceof ProblemError && error.noDataYet) {
+    if (!(await hasData())) {
       notice("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
       if (!events.source) events.open(null);
-    } else notice(`The service does not answer: ${/** @type {Error} */ (error).message}`, "alarm");
+      setTimeout(begin, WAITING_MS);
+      return;
+    }
+    state.info = await get("/info");
+  } catch (error) {
+    notice(`The service does not answer: ${/** @type {Error} */ (error).message}`, "alarm");
     setTimeout(begin, RETRY_MS);
     return;
   }

@@ -137,7 +137,7 @@ def test_before_the_first_record_there_is_no_data(tmp_path):
             answer = api.get(path)
             problem(answer, 503, "no-data-yet")
             assert answer.headers["retry-after"] == "1"
-        assert api.get("/healthz").status_code == 200
+        assert api.get("/healthz").json() == {"status": "ok", "data": False}
         # An experiment without a set is still no data; the same process sees the first set.
         filled = FilledFolder(tmp_path, Settings())
         problem(api.get("/api/v1/info"), 503, "no-data-yet")
@@ -152,6 +152,7 @@ def test_damaged_catalogue_is_said_and_not_shown(tmp_path):
     with served(Settings(), tmp_path) as service, service.client() as api:
         body = problem(api.get("/api/v1/info"), 503, "storage-unavailable")
         assert CATALOGUE_FILE in body["detail"]
+        assert api.get("/healthz").json() == {"status": "ok", "data": False}
 
 
 def test_fault_of_the_service_hides_its_inside(tmp_path, caplog):

@@ -31,7 +31,7 @@ def test_port_zero_takes_a_free_port(filled):
     with served(filled.settings, filled.folder) as service:
         port = int(service.netloc.rpartition(":")[2])
         assert port > 0
-        assert httpx.get(f"{service.url}healthz").json() == {"status": "ok"}
+        assert httpx.get(f"{service.url}healthz").json() == {"status": "ok", "data": True}
 
 
 def test_port_in_use_is_a_clear_error(tmp_path):
