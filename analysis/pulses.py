@@ -270,6 +270,7 @@ def _extra_pulses(
         elif abs(time_s - psw.time_s) > 0.25 * settings.isw_fwhm_s:
             merged = True
     if psw is not None:
+        double = double or psw.amplitude_v > settings.double_above_amplitude_ratio * isw.amplitude_v
         merged = merged or not psw.fwhm_s <= settings.merged_width_ratio * isw.fwhm_s
     return double, merged
 

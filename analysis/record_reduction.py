@@ -51,15 +51,17 @@ class ExtractionSettings:
     """Longest block mean the record is reduced to."""
     missed_below_snr: float = 3.0
     """ISW amplitude over noise rms below which there was no strike."""
-    noisy_below_snr: float = 10.0
-    """ISW amplitude over noise rms (10 = 20 dB) below which a shot is called noisy."""
+    noisy_below_snr: float = 7.0
+    """ISW amplitude over noise rms (7 = 17 dB) below which a shot is called noisy."""
     no_psw_below_fraction: float = 0.1
     """A reflected wave smaller than this does not exist; the smallest ratio expected is .3."""
     no_psw_below_sigmas: float = 5.0
     """Nor does one below this many standard deviations of the matched filter's noise."""
     ssw_below_fraction: float = 0.02
-    double_above_fraction: float = 0.3
-    """A third pulse above this is a second strike (the SSW is about .16)."""
+    double_above_fraction: float = 0.22
+    """A third pulse above this is a second strike (the SSW is .08 to .19)."""
+    double_above_amplitude_ratio: float = 0.97
+    """No wall sends back more than a rigid one does (.92): a PSW above this is a second strike."""
     double_valley_fraction: float = 0.05
     """Two maxima count as two pulses if the record falls at least this much between them."""
     double_isw_width_ratio: float = 1.5
