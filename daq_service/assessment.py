@@ -318,7 +318,8 @@ class SolitaryWaveAssessor:
             present=state.active,
             message=(
                 f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie "
-                f"beyond the limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has changed; inspect"
+                f"beyond the limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has "
+                "changed; inspect"
                 if state.active and limit is not None
                 else ""
             ),
@@ -347,7 +348,8 @@ class SolitaryWaveAssessor:
             latched=True,
             message=(
                 f"no reflected wave at {self.position} in {silent} of {len(features)} shots, "
-                f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; the transducer strikes no more"
+                f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; "
+                "the transducer strikes no more"
             ),
             proof={
                 "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},

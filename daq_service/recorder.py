@@ -138,7 +138,8 @@ class _Taken:
     ended_ns: int = 0
 
     def count(self, position: str) -> int:
-        return sum(item.key.position == position for item in [*self.shots, *self.echoes])
+        records: list[Shot | PulseEchoRecord] = [*self.shots, *self.echoes]
+        return sum(item.key.position == position for item in records)
 
 
 def features_of(shot: Shot) -> ShotFeatures:

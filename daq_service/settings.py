@@ -23,7 +23,12 @@ from daq_service.errors import UsageError
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.scenario import TwinParameters
 
-HASHED_OUT = {"web": True, "clock": {"pace_h_per_s"}, "schedule": {"end_h"}, "storage": True}
+HASHED_OUT: Mapping[str, Any] = {
+    "web": True,
+    "clock": {"pace_h_per_s"},
+    "schedule": {"end_h"},
+    "storage": True,
+}
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
 
 
@@ -277,7 +282,7 @@ class Settings(BaseSettings):
 
     def configuration_hash(self) -> str:
         """SHA-256 of what the data depend on: the identity of a data folder."""
-        content = self.model_dump(mode="json", exclude=HASHED_OUT)
+        content = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
     def names_of(self, method: Literal["solitary_wave", "pulse_echo"]) -> list[str]:

@@ -196,7 +196,10 @@ class Supervisor:
             return
         late_s = overdue_s(beat, mono_ns=time.monotonic_ns())
         if late_s > 0.0:
-            child.cause = f"hung while {beat.doing}: heartbeat {late_s:.1f} s past its deadline of {beat.deadline_s:g} s"
+            child.cause = (
+                f"hung while {beat.doing}: heartbeat {late_s:.1f} s past its deadline of "
+                f"{beat.deadline_s:g} s"
+            )
             child.process.kill()
 
     @staticmethod

@@ -1,0 +1,72 @@
+"""The wheel alone, in an empty folder: an editable install would hide what is missing from it."""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        str(folder),
+        str(ROOT),
+    ]
+    subprocess.run(build, check=True, capture_output=True)
+    (path,) = folder.glob("solimon-*.whl")
+    return path
+
+
+def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    for wanted in (
+        "daq_service/config/simulated.toml",
+        "daq_service/config/settings.schema.json",
+        "daq_service/web/dashboard/index.html",
+        "daq_service/web/dashboard/vendor/uplot/LICENSE",
+        "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
+    ):
+        assert wanted in names
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
+
+
+def test_the_demo_runs_from_the_wheel_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+    site, empty = tmp_path / "site", tmp_path / "empty"
+    empty.mkdir()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(site),  # before site-packages, where the editable install would be found
+        "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
+    }
+    where = "import daq_service; print(daq_service.__file__)"
+    found = subprocess.run(
+        [sys.executable, "-c", where], env=environment, cwd=empty, capture_output=True, text=True, check=True
+    )
+    assert Path(found.stdout.strip()).is_relative_to(site)
+    command = [sys.executable, "-m", "daq_service.cli", "demo", "--exit", "--json", "--hours", "1"]
+    done = subprocess.run(
+        command, env=environment, cwd=empty, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["sets"] == 2
+    (folder,) = empty.iterdir()
+    assert Path(result["data_dir"]) == folder
+    assert "dashboard: http://127.0.0.1:" in done.stderr
