@@ -111,6 +111,9 @@ class ShotModel:
         round late (`TURN_TO_END`).
     cache_folder
         Where reductions of plates are kept; None keeps none.
+    step_s
+        Step of the integration and spacing of the record, for studies of convergence. None chooses
+        one that resolves the chain, 0.5 us for the paper's.
 
     Raises
     ------
@@ -126,14 +129,16 @@ class ShotModel:
         *,
         duration_s: float | None = None,
         cache_folder: Path | None = DEFAULT_CACHE_FOLDER,
+        step_s: float | None = None,
     ) -> None:
         self._chain = chain
         self._plate = plate
         self._corrosion = corrosion
         nominal = build_chain(chain, plate)
-        if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0.0):
-            raise SpecimenError(f"duration_s is {duration_s}; it must be positive and finite")
-        self._step_s = step_s(nominal)
+        for name, value in (("duration_s", duration_s), ("step_s", step_s)):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise SpecimenError(f"{name} is {value}; it must be positive and finite")
+        self._step_s = resolving_step_s(nominal) if step_s is None else step_s
         self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
         self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
@@ -311,7 +316,7 @@ def _no_patch(model: str, depth: float) -> str:
     )
 
 
-def step_s(chain: Chain) -> float:
+def resolving_step_s(chain: Chain) -> float:
     """Step of the integration for `chain`: the largest of 1, 2, 5 x 10^k s that resolves it.
 
     The dashpots between the spheres must relax slowly compared with a step, too.

@@ -20,6 +20,7 @@ carries four times its own energy, so both give the same deflection under the sa
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,16 +140,19 @@ def _growth(first_m: float, elements: int, length_m: float) -> float:
     """Factor r with ``first (1 + r + ... + r^(n-1)) = length``; a single element takes the whole."""
     if elements == 1:
         return length_m / first_m
-    return _solve_growth(lambda r: first_m * np.sum(r ** np.arange(elements)) - length_m)
+    largest = (length_m / first_m) ** (1.0 / (elements - 1))  # the last element alone fills the length
+    return _solve_growth(lambda r: first_m * np.sum(r ** np.arange(elements)) - length_m, largest)
 
 
 def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
     """Factor r with ``last (r + r^2 + ... + r^n) = length``."""
-    return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m)
+    largest = (length_m / last_m) ** (1.0 / elements)
+    return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)
 
 
-def _solve_growth(excess: object) -> float:
-    return float(optimize.brentq(excess, 1e-4, 1e4, xtol=1e-15, rtol=1e-14))
+def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
+    # Rounding must not leave the root of a single element outside.
+    return float(optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
 def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:

@@ -20,7 +20,7 @@ from simulator.mindlin_plate import AffinePlate
 
 FloatArray = NDArray[np.float64]
 
-BASIS_DEPTHS = (0.0, 0.3, 0.6, 0.8, 0.95)
+BASIS_DEPTHS = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95)
 """Depths whose Krylov vectors enter the basis."""
 
 VECTORS_PER_DEPTH = 50
