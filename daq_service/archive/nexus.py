@@ -1,15 +1,20 @@
 """Building blocks of a NeXus file in memory, below h5py's high level for speed.
 
-Every byte of a file is under a checksum: large arrays are chunked with Fletcher32; small ones and
-attributes lie in object headers, which HDF5 guards by a checksum of its own since version 1.8
-(format specification, version 2 object headers). Strings have a fixed length, because variable ones
+All data are under a checksum: large arrays are chunked with Fletcher32; small ones and attributes
+lie in object headers, which HDF5 guards by a checksum of its own since version 1.8 (format
+specification, version 2 object headers). Only the index of the chunks is not: a waveform that it
+leads to wrongly betrays itself by its CRC-32. Strings have a fixed length, because variable ones
 would lie in a heap that nothing guards.
+
+Types and property lists never change and cost as much as writing a number, so they are made once.
 """
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,7 +38,8 @@ def image_file() -> Iterator[Any]:
     access.set_libver_bounds(h5f.LIBVER_V18, h5f.LIBVER_V110)
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
-    file = h5f.create(b"set.h5", h5f.ACC_TRUNC, fcpl=creation, fapl=access)
+    # HDF5 knows open files by name, files in memory too; the name is not stored.
+    file = h5f.create(uuid.uuid4().hex.encode(), h5f.ACC_TRUNC, fcpl=creation, fapl=access)
     try:
         yield file
     finally:
@@ -55,9 +61,7 @@ def add_group(
     parent: Any, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> Any:
     """Group of a NeXus class; takes and gives low-level ids."""
-    properties = h5p.create(h5p.GROUP_CREATE)
-    properties.set_obj_track_times(False)
-    group = h5g.create(parent, name.encode(), gcpl=properties)
+    group = h5g.create(parent, name.encode(), gcpl=_group_properties())
     set_attributes(group, {"NX_class": nx_class, **(attributes or {})})
     return group
 
@@ -73,19 +77,10 @@ def add_field(
         Array or scalar of a NumPy type, a string, or a list of strings.
     """
     array, data_type = _stored_form(values)
-    properties = h5p.create(h5p.DATASET_CREATE)
-    # A file's bytes depend on its content alone, not on the moment of writing.
-    properties.set_obj_track_times(False)
-    properties.set_fill_time(h5d.FILL_TIME_NEVER)
-    if array.ndim and (chunk is not None or array.nbytes > _LARGEST_COMPACT_BYTES):
-        properties.set_chunk(chunk or array.shape)
-        properties.set_shuffle()
-        properties.set_deflate(GZIP_LEVEL)
-        properties.set_fletcher32()
-    else:
-        properties.set_layout(h5d.COMPACT)
-    space = h5s.create_simple(array.shape) if array.ndim else h5s.create(h5s.SCALAR)
-    dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=properties)
+    if chunk is None and array.ndim and array.nbytes > _LARGEST_COMPACT_BYTES:
+        chunk = array.shape
+    properties = _chunked_properties(chunk) if chunk is not None else _compact_properties()
+    dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
     dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
     set_attributes(dataset, attributes)
     return dataset
@@ -95,8 +90,7 @@ def set_attributes(target: Any, attributes: Mapping[str, Attribute]) -> None:
     """Set attributes of a low-level object."""
     for name, value in attributes.items():
         array, data_type = _stored_form(value)
-        space = h5s.create_simple(array.shape) if array.ndim else h5s.create(h5s.SCALAR)
-        h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
+        h5a.create(target, name.encode(), data_type, _space(array.shape)).write(array, mtype=data_type)
 
 
 def add_hard_link(parent: Any, name: str, source_parent: Any, source_name: str) -> None:
@@ -109,11 +103,54 @@ def _stored_form(values: Any) -> tuple[NDArray[Any], Any]:
     if isinstance(values, str) or (isinstance(values, Sequence) and all(isinstance(v, str) for v in values)):
         encoded = values.encode() if isinstance(values, str) else [text.encode() for text in values]
         array = np.array(encoded, dtype=np.bytes_)
-        data_type = h5t.C_S1.copy()
-        data_type.set_size(max(array.itemsize, 1))
-        data_type.set_cset(h5t.CSET_UTF8)
-        data_type.set_strpad(h5t.STR_NULLPAD)
-        return array, data_type
+        return array, _text_type(array.itemsize)
     array = np.asarray(values)
     array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
-    return array, h5t.py_create(array.dtype)
+    return array, _number_type(array.dtype)
+
+
+@lru_cache(maxsize=256)
+def _text_type(n_bytes: int) -> Any:
+    data_type = h5t.C_S1.copy()
+    data_type.set_size(n_bytes)
+    data_type.set_cset(h5t.CSET_UTF8)
+    data_type.set_strpad(h5t.STR_NULLPAD)
+    return data_type
+
+
+@cache
+def _number_type(dtype: np.dtype[Any]) -> Any:
+    return h5t.py_create(dtype)
+
+
+@cache
+def _group_properties() -> Any:
+    properties = h5p.create(h5p.GROUP_CREATE)
+    properties.set_obj_track_times(False)
+    return properties
+
+
+@cache
+def _compact_properties() -> Any:
+    properties = h5p.create(h5p.DATASET_CREATE)
+    # A file's bytes depend on its content alone, not on the moment of writing.
+    properties.set_obj_track_times(False)
+    properties.set_layout(h5d.COMPACT)
+    return properties
+
+
+@lru_cache(maxsize=256)
+def _chunked_properties(chunk: tuple[int, ...]) -> Any:
+    properties = h5p.create(h5p.DATASET_CREATE)
+    properties.set_obj_track_times(False)
+    properties.set_fill_time(h5d.FILL_TIME_NEVER)
+    properties.set_chunk(chunk)
+    properties.set_shuffle()
+    properties.set_deflate(GZIP_LEVEL)
+    properties.set_fletcher32()
+    return properties
+
+
+@lru_cache(maxsize=256)
+def _space(shape: tuple[int, ...]) -> Any:
+    return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -1,6 +1,7 @@
 """The archive gives back what it was given, and says what it cannot."""
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import h5py
@@ -36,6 +37,7 @@ from daq_service.archive import (
     waveform_crc32,
 )
 from daq_service.archive.layout import build_image
+from daq_service.archive.nexus import image_file, image_of
 from daq_service.archive.units import unit_of
 from daq_service.errors import StorageError
 
@@ -75,6 +77,17 @@ def test_the_checksum_is_that_of_the_little_endian_counts():
 
 def test_the_same_set_gives_the_same_bytes():
     assert build_image(make_set()) == build_image(make_set())
+
+
+def test_images_may_be_built_at_the_same_time_and_leave_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    expected = build_image(make_set())
+    with image_file() as one, image_file() as other:
+        assert image_of(one) == image_of(other)
+        assert build_image(make_set()) == expected
+    with ThreadPoolExecutor(4) as pool:
+        assert set(pool.map(lambda _: build_image(make_set()), range(12))) == {expected}
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_no_object_remembers_when_it_was_written():
