@@ -104,7 +104,7 @@ class Bench:
                 f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
                 f"{self._armed.set_index}; read or disarm first"
             )
-        self._armed, self._strike = key, None
+        self._armed = key
 
     def disarm(self) -> None:
         """Record nothing any more and forget what was computed ahead."""
