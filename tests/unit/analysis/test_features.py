@@ -244,6 +244,15 @@ def test_rigid_wall_is_no_second_strike():
     assert features_of(NOISY.with_(amplitude_ratio=0.92)).flags == ()
 
 
+def test_record_that_stays_below_the_quiet_level_after_the_isw_has_no_psw():
+    # A chain that left the sensor: the preload is gone, and the ripple there has negative maxima only.
+    scene = CLEAN.with_(amplitude_ratio=0.0, ssw_fraction=0.0)
+    t = scene.time_s()
+    below = np.where(t > 150e-6, -0.02 - 0.005 * np.cos(2 * np.pi * t / 200e-6), 0.0)
+    shot = extract_features(waveform_of(scene.volts() + scene.isw_v * below))
+    assert shot.flags == ("no_psw",)
+
+
 def test_wave_too_late_for_its_reflection_to_be_seen_is_missed_and_no_hole():
     # 1.2 ms after the trigger end 800 us after this ISW: a PSW could lie beyond.
     shot = features_of(NOISY.with_(isw_time_s=400e-6, amplitude_ratio=0.0, ssw_fraction=0.0))
