@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 import time
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,9 @@ from daq_service.supervisor import Message, Supervisor
 
 WATCHABLE_PACE_H_PER_S = 5.0
 """The 350 h pass in 70 s."""
+
+PATIENCE_S = 16.0
+"""Longest wait for the first set before the dashboard's address is printed."""
 
 CONFIGURATION_FILE = "configuration.json"
 
@@ -47,12 +52,14 @@ def run_demo(
     log_to(folder / "logs" / "supervisor.log")
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
+    invitation = _Invitation(say.line)
 
     def on_message(child: str, message: Message) -> None:
         del child
         if message["event"] == "listening":
-            say.line(f"dashboard: {message['url']}  (Ctrl-C ends)")
+            invitation.listening(message["url"])
         elif message["event"] == "progress":
+            invitation.recording()
             say.progress(message)
         elif message["event"] == "finished" and not exit_when_done and not no_web:
             print_summary(summarise_run(settings, folder), folder)
@@ -127,6 +134,41 @@ def _process_start_s() -> float:
     except (OSError, AttributeError):
         # No /proc (Windows, macOS): the interpreter's own clock started a few ms later.
         return time.time() - time.process_time()
+
+
+class _Invitation:
+    """Print the dashboard's address once there is something to see.
+
+    On a fresh machine the recorder compiles its kernels first; should that take long, the address is
+    printed all the same.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._lock = threading.Lock()
+        self._url: str | None = None
+        self._recording = False
+        self._patience = threading.Timer(PATIENCE_S, self.recording)
+        self._patience.daemon = True
+        self._patience.start()
+
+    def listening(self, url: str) -> None:
+        """Keep the address that the web service answers at."""
+        with self._lock:
+            self._url = url
+            self._invite()
+
+    def recording(self) -> None:
+        """Note that the first set is in, or that waiting has taken long enough."""
+        with self._lock:
+            self._recording = True
+            self._patience.cancel()
+            self._invite()
+
+    def _invite(self) -> None:
+        if self._url is not None and self._recording:
+            self._say(f"dashboard: {self._url}  (Ctrl-C ends)")
+            self._url = None
 
 
 class _Say:
