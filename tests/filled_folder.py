@@ -238,6 +238,14 @@ class FilledFolder:
             found = extract_features(record.waveform) if isinstance(record, Shot) else None
             self.live.show(record, due_h=hour, features=found)
 
+    def retire(self, position: str, index: int) -> None:
+        """Store the row of a planned set that a retired transducer did not take."""
+        due, method = self.due[index], self.settings.positions[position].method
+        row = set_row(due, position, method=method, state="retired", cause="hole", n_planned=0)
+        event = {"utc_ns": due.due_utc_ns, "topic": "sets", "kind": "set_retired", "payload": {}}
+        event |= {"position": position, "set_index": index}
+        self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
+
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""
         row = self.catalogue.alarm(alarm_id)

@@ -188,6 +188,10 @@ class Freshness:
         """Age on the experiment's clock of what belongs to an hour; not negative."""
         return max(0.0, self.now_h - due_h)
 
+    def utc_of(self, hour: float) -> str | None:
+        """RFC 3339 time of an hour of the experiment."""
+        return with_utc({"at_h": hour}, self.epoch_utc_ns)["at_utc"]
+
     def row(self, row: Mapping[str, Any], *, at: str = "due_h") -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, age beside."""
         return with_utc({**row}, self.epoch_utc_ns) | {"age_h": self.age_h(row[at])}

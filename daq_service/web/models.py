@@ -280,7 +280,9 @@ class PositionState(Answer):
     serial_number: str
     state: Literal["no_data", "learning", "normal", "outlier", "alarm", "retired"]
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
-    age_h: float | None = Field(description="Age of the newest set on the experiment's clock")
+    data_h: float | None = Field(description="Hour of the newest set that was measured")
+    data_utc: str | None
+    age_h: float | None = Field(description="Age of that set on the experiment's clock")
     last_set: SetRow | None
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None

@@ -51,7 +51,10 @@ def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] 
     last_set = parts.get("last_set")
     verdict = parts.get("last_verdict")
     alarms = parts.get("active_alarms", [])
-    age_h = None if last_set is None else fresh.age_h(last_set["due_h"])
+    # A set that was missed, or planned for a retired transducer, brings no data: they age on.
+    measured = [row["due_h"] for row in (parts.get("last_feature"), parts.get("last_thickness")) if row]
+    data_h = max(measured, default=None)
+    age_h = None if data_h is None else fresh.age_h(data_h)
     word = state_word(last_set, verdict, alarms)
     return {
         "position": name,
@@ -59,7 +62,9 @@ def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] 
         "method": place.method,
         "serial_number": place.serial_number,
         "state": word,
-        "stale": word != "retired" and is_stale(context.settings.schedule, fresh, age_h),
+        "stale": is_stale(context.settings.schedule, fresh, age_h),
+        "data_h": data_h,
+        "data_utc": None if data_h is None else fresh.utc_of(data_h),
         "age_h": age_h,
         "last_set": None if last_set is None else fresh.row(last_set),
         "last_feature": _row(fresh, parts.get("last_feature")),

@@ -107,7 +107,7 @@ export class Tiles {
       const text =
         state.age_h === null
           ? "nothing recorded yet"
-          : `${stale ? "Stale: " : ""}hour ${hour(state.last_set?.due_h)} · ${fixed(state.age_h, 1)} h old · written ${wall === null ? NONE : duration(wall)} ago`;
+          : `${stale ? "Stale: " : ""}hour ${hour(state.data_h)} · ${fixed(state.age_h, 1)} h old · written ${wall === null ? NONE : duration(wall)} ago`;
       setText(age, text);
     }
   }

@@ -214,6 +214,20 @@ def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
     filled.close()
 
 
+def test_data_of_a_retired_transducer_age_on(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    for index in range(2):
+        filled.add_set(index, stored=False)
+    filled.retire("C", 2)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
+    assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("retired", 1.5)
+    assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
+    assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
+    assert states["D"]["age_h"] == 0.5
+    filled.close()
+
+
 def test_health_counts_what_is_stored(api):
     health = get(api, "/api/v1/health")
     assert health["counts"]["sets"] == N_SETS
