@@ -15,6 +15,7 @@ and the ratio of the times a shot takes. Fails (exit code 1) above 1e-4. Takes a
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import sys
@@ -57,6 +58,7 @@ class Comparison:
 
     @property
     def time_ratio(self) -> float:
+        """Unreduced over reduced time of a shot."""
         return self.unreduced_s / self.reduced_s
 
 
@@ -125,7 +127,10 @@ def advance_chain(
 
 
 def unreduced_force(chain: Chain, plate: AffinePlate, depth: float, h: float) -> FloatArray:
-    """Sensor force every `SAMPLE_S` with step `h`: ``M dv = -h K (u_0 + u_1) / 2 + b B``, ``S = M + h^2 K / 4``."""
+    """Sensor force every `SAMPLE_S`, integrated with step `h`.
+
+    Plate: ``M (v_1 - v_0) = -h K (u_0 + u_1) / 2 + b B``, solved with ``M + h^2 K / 4``.
+    """
     stiffness, mass = (matrix.tocsr() for matrix in plate.at_depth(depth))
     factor = linalg.cholesky_banded(lower_band(mass + 0.25 * h**2 * stiffness), lower=True)
     contact = int(np.flatnonzero(plate.load)[0])
@@ -145,7 +150,9 @@ def unreduced_force(chain: Chain, plate: AffinePlate, depth: float, h: float) ->
     faces = slice(chain.sensor - 1, chain.sensor + 1)
     for n in range(1, (len(samples) - 1) * every + 1):
         right = 2.0 * (mass @ plate_v) - h * (stiffness @ plate_u)
-        free_v = linalg.cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False) - plate_v
+        free_v = (
+            linalg.cho_solve_banded((factor, True), right, overwrite_b=True, check_finite=False) - plate_v
+        )
         w_free = plate_u[contact] + 0.5 * h * (plate_v[contact] + free_v[contact])
         impulse = advance_chain(
             chain.mass_kg,
@@ -198,7 +205,7 @@ def compare(depth: float, steps_s: tuple[float, ...]) -> Comparison:
         forces.append(unreduced_force(chain, affine, depth, h))
         unreduced_s = time.perf_counter() - started
     norm = float(np.linalg.norm(forces[-1]))
-    changes = [float(np.linalg.norm(b - a)) / norm for a, b in zip(forces[:-1], forces[1:], strict=True)]
+    changes = [float(np.linalg.norm(b - a)) / norm for a, b in itertools.pairwise(forces)]
     extrapolated = forces[-1] + (forces[-1] - forces[-2]) / 3.0
     return Comparison(
         depth_fraction=depth,
@@ -227,7 +234,8 @@ def main() -> int:
             changes = " ".join(f"{change:.1e}" for change in row.reference_changes)
             print(
                 f"depth {row.depth_fraction:.0%}: {row.unknowns} unknowns, reference changes {changes} "
-                f"(order {row.observed_order:.2f}), reduced differs by {row.difference_l2:.1e} (limit {LIMIT:.0e}); "
+                f"(order {row.observed_order:.2f}), reduced differs by {row.difference_l2:.1e} "
+                f"(limit {LIMIT:.0e}); "
                 f"{row.unreduced_s:.1f} s against {1e3 * row.reduced_s:.2f} ms, ratio {row.time_ratio:.0f}",
                 flush=True,
             )
@@ -235,7 +243,11 @@ def main() -> int:
     if arguments.json:
         fields = ("depth_fraction", "unknowns", "steps_s", "reference_changes", "observed_order")
         fields += ("difference_l2", "unreduced_s", "reduced_s", "time_ratio")
-        report = {"limit": LIMIT, "passed": passed, "depths": [{f: getattr(r, f) for f in fields} for r in rows]}
+        report = {
+            "limit": LIMIT,
+            "passed": passed,
+            "depths": [{f: getattr(r, f) for f in fields} for r in rows],
+        }
         print(json.dumps(report))
     return 0 if passed else 1
 

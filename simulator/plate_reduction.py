@@ -133,8 +133,7 @@ def krylov_vectors(
     right = load
     for j in range(count):
         x = linalg.cho_solve_banded((shifted if j else factor, True), right, check_finite=False)
-        for _ in range(2):  # once leaves rounding that grows; twice is enough
-            x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
+        x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
         mass_x = mass @ x
         norm = np.sqrt(x @ mass_x)
         vectors[j] = x / norm
