@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, func, insert, select
+from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, case, func, insert, select
 
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
@@ -96,18 +96,26 @@ class Catalogue:
             missed altogether, ``partial_sets``: of the ``sets``, those that lack something;
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
-        taken = func.sum(sets.c.n_taken) > 0
+        lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
+        missed = case((sets.c.state == "missed", 1), else_=0)
         due_times = (
             select(
-                taken.label("taken"),
-                func.max(sets.c.state.in_(("partial", "missed"))).label("lacking"),
-                func.max(sets.c.state == "missed").label("missed"),
+                func.sum(sets.c.n_taken).label("taken"),
+                func.sum(lacking).label("lacking"),
+                func.sum(missed).label("missed"),
             )
             .group_by(sets.c.set_index)
             .subquery()
         )
+        has_data = due_times.c.taken > 0
         with self._reading() as connection:
-            times = connection.execute(select(due_times)).all()
+            n_taken, n_missed, n_partial = connection.execute(
+                select(
+                    func.count().filter(has_data),
+                    func.count().filter(~has_data, due_times.c.missed > 0),
+                    func.count().filter(has_data, due_times.c.lacking > 0),
+                ).select_from(due_times)
+            ).one()
             methods = dict(
                 connection.execute(
                     select(sets.c.position, func.max(sets.c.method)).group_by(sets.c.position)
@@ -122,9 +130,9 @@ class Catalogue:
             ).scalar_one()
         echoes = sum(count for position, count in per_position if methods.get(position) == "pulse_echo")
         return {
-            "sets": sum(1 for row in times if row.taken),
-            "missed_sets": sum(1 for row in times if not row.taken and row.missed),
-            "partial_sets": sum(1 for row in times if row.taken and row.lacking),
+            "sets": n_taken,
+            "missed_sets": n_missed,
+            "partial_sets": n_partial,
             "shots": sum(count for _, count in per_position) - echoes,
             "pulse_echo_records": echoes,
             "events": n_events,
