@@ -6,6 +6,7 @@ import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+import orjson
 import pytest
 
 from daq_service.catalogue import SetCommit, connection, open_catalogue
@@ -413,6 +414,8 @@ def test_every_answer_is_ready_for_strict_json(writer, reader):
         reader.command(command_id),
     ]
     assert json.loads(json.dumps(answers, allow_nan=False)) == answers
+    # orjson, which the web service uses, refuses subclasses of str as keys.
+    assert orjson.loads(orjson.dumps(answers)) == answers
 
 
 # Verdicts of the baseline ---------------------------------------------------------------------
