@@ -20,10 +20,11 @@ from typing import Any
 from analysis.features import ShotFeatures, extract_features
 from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
 from daq_service.alarms import Condition, Moment, update
-from daq_service.archive import Archive, PositionRecord, SetRecord, StoreTimings, read_set, set_files
+from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
 from daq_service.assessment import Assessment, SolitaryWaveAssessor
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.clock import NS_PER_H, SimulatedClock, WallClock, boot_id, parse_utc
+from daq_service.cost import Cost
 from daq_service.errors import RigError
 from daq_service.heartbeat import Heartbeat, read_heartbeat
 from daq_service.live import LivePicture
@@ -151,25 +152,6 @@ def features_of(shot: Shot) -> ShotFeatures:
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
 
 
-@dataclass(slots=True, kw_only=True)
-class StorageCost:
-    """What making sets durable has cost so far, in seconds of wall time."""
-
-    sets: int = 0
-    image_s: float = 0.0
-    write_s: float = 0.0
-    fsync_s: float = 0.0
-    directory_fsync_s: float = 0.0
-
-    def add(self, timings: StoreTimings) -> None:
-        """Count one more set."""
-        self.sets += 1
-        self.image_s += timings.image_s
-        self.write_s += timings.write_s
-        self.fsync_s += timings.fsync_s
-        self.directory_fsync_s += timings.directory_fsync_s
-
-
 class Recorder:
     """Owns the line while a test runs."""
 
@@ -202,7 +184,7 @@ class Recorder:
         self._alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
         self._retired = {position for position, kind in self._alarms if kind == "hole"}
         self._next_sequence = catalogue.next_sequence()
-        self._timings = StorageCost()
+        self._cost = Cost()
         done = catalogue.committed_sets()
         self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
         self._assessors = restored_assessors(settings, catalogue, folder)
@@ -223,9 +205,7 @@ class Recorder:
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         finished = not self._stop.is_set()
-        self._say(
-            "schedule_done" if finished else "recorder_stopped", {"storage_cost": asdict(self._timings)}
-        )
+        self._say("schedule_done" if finished else "recorder_stopped", {"cost": self._cost.as_row()})
         return finished
 
     # One set -----------------------------------------------------------------------------------
@@ -270,7 +250,11 @@ class Recorder:
             idle=self._idle,
         )
         try:
-            for measurement in measurements:
+            while True:
+                with self._cost.of("strike_and_read_s"):
+                    measurement = next(measurements, None)
+                if measurement is None:
+                    break
                 self._keep(measurement, taken, due)
         except InstrumentError as error:
             log.exception("set %d: the rig failed", due.set_index)
@@ -285,7 +269,8 @@ class Recorder:
             return
         if isinstance(measurement, Shot):
             taken.shots.append(measurement)
-            taken.features[measurement.sequence] = features_of(measurement)
+            with self._cost.of("extract_s"):
+                taken.features[measurement.sequence] = features_of(measurement)
         else:
             taken.echoes.append(measurement)
         if self._live.due(measurement.key.position):
@@ -307,7 +292,9 @@ class Recorder:
             provenance=self._provenance,
         )
         stored = self._archive.store_set(record)
-        self._timings.add(stored.timings)
+        self._cost.sets += 1
+        for stage, seconds in asdict(stored.timings).items():
+            self._cost.seconds[stage] += seconds
         self._next_sequence += len(taken.shots) + len(taken.echoes)
         self._judge(due, record, stored.file, taken.features)
 
@@ -353,7 +340,8 @@ class Recorder:
                 )
                 continue
             measurements = [item for item in record.records if item.key.position == position]
-            assessment = self._assess(position, due, measurements, features)
+            with self._cost.of("judge_s"):
+                assessment = self._assess(position, due, measurements, features)
             row = set_row(
                 due,
                 position,
@@ -396,7 +384,8 @@ class Recorder:
 
     def _commit(self, transaction: Transaction) -> None:
         """Store it; what later sets build on is taken over only after that."""
-        committed = self._catalogue.commit_set(transaction.rows())
+        with self._cost.of("commit_s"):
+            committed = self._catalogue.commit_set(transaction.rows())
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self._alarms[(row["position"], row["kind"])] = {**row, "id": alarm_id}
             if row["kind"] == "hole":

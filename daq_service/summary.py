@@ -32,8 +32,15 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
             "pulse_echo_records": counts["pulse_echo_records"],
             "missed_sets": counts["missed_sets"],
             "seed": settings.twin.seed,
+            "cost": _cost(catalogue),
             "positions": positions,
         }
+
+
+def _cost(catalogue: Catalogue) -> dict[str, float] | None:
+    """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
+    told = [row for row in catalogue.events_after(0, {"service"}, limit=None) if "cost" in row["payload"]]
+    return told[-1]["payload"]["cost"] if told else None
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
@@ -132,6 +139,13 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
             f"{_cell(row['tof_us'], '.1f', ' us'):>9}  {_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
             f"{_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_limit(row)}"
         )
+    if summary["cost"] is not None:
+        stages = (
+            f"{name.removesuffix('_s')} {value:.1f}"
+            for name, value in summary["cost"].items()
+            if name != "sets"
+        )
+        click.echo(f"seconds of the recorder's last run: {', '.join(stages)}")
     click.echo(f"files: {folder / 'sets'}")
 
 

@@ -117,8 +117,8 @@ class PulseEchoAssessor:
             severity="high",
             present=self._alarm.active,
             message=(
-                f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at {self.position} "
-                f"show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm{read}: inspect the wall"
+                f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
+                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm{read}: inspect the wall"
             ),
             proof={
                 "formula": FORMULA,

@@ -1,0 +1,211 @@
+"""How soon and how wrongly the demo's experiment alarms, over many seeds.
+
+Runs the twin, the extraction and the assessors of the recorder (no storage: rows are dropped) for
+each seed, at several scales of the scatter, and prints per run the hour of the first alarm and the
+mean depth then; for the pristine position D the outliers after the baseline, with the drift on and
+off. With the drift off, D's pooled count is compared with its predictive distribution: normal sets
+judged against a baseline of normal sets of the same size, simulated.
+
+    python benchmarks/detection_over_seeds.py                 eleven seeds, about 25 minutes on two cores
+    python benchmarks/detection_over_seeds.py --seeds 1 --hours 100 --scales 1
+
+Exit code 1 if B or C alarm later than at 30 % mean depth at scale 1, or D's pooled count lies outside
+the central 99.5 % of its predictive distribution.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from analysis.baseline import fit_baseline
+from analysis.features import FEATURE_NAMES
+from analysis.novelty import distance_squared
+from analysis.threshold import f_predictive_limit
+from daq_service.assessment import SolitaryWaveAssessor
+from daq_service.clock import parse_utc
+from daq_service.recorder import features_of
+from daq_service.schedule import plan
+from daq_service.settings import Settings, load_settings
+from hardware_drivers.measurement import Shot, ShotKey, Stamp
+from simulator.coupled_model import ShotModel
+from simulator.specimen import Specimen, Transducer, build_specimen
+
+DEEPEST_FIRST_ALARM = 0.30
+COVERAGE = 0.995
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Run:
+    """One position, seed and scatter."""
+
+    position: str
+    seed: int
+    scale: float
+    drift: bool
+    hours: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What the run showed."""
+
+    run: Run
+    first_alarm_h: float | None
+    depth_at_alarm: float | None
+    judged: int
+    outliers: int
+    outliers_paper: int
+    n_baseline: int
+    sd_percent: dict[str, float]
+
+
+def settings_of(run: Run) -> Settings:
+    twin = {"seed": run.seed, "scatter": {"scale": run.scale}, "drift": {"enabled": run.drift}}
+    return load_settings(None, overrides={"twin": twin})
+
+
+def specimen_of(settings: Settings, position: str) -> Specimen:
+    place = settings.positions[position]
+    model = ShotModel(place.chain, place.plate, place.corrosion)
+    transducer = Transducer(chain=place.chain, model=model)
+    return build_specimen(settings.twin, transducers={position: transducer}, probed_thickness_m={})
+
+
+def carry_out(run: Run) -> Outcome:
+    settings = settings_of(run)
+    specimen = specimen_of(settings, run.position)
+    epoch_ns = parse_utc(settings.clock.epoch)
+    planned = plan(settings.schedule.phases, epoch_ns, end_h=run.hours)
+    last_baseline_set = sum(due.due_h <= settings.baseline.hours for due in planned) - 1
+    assessor = SolitaryWaveAssessor(
+        run.position, settings, last_baseline_set=last_baseline_set, baseline_id=1
+    )
+    verdicts: dict[int, dict[str, Any]] = {}
+    baseline_vectors, first_alarm_h, depth_at_alarm, n_baseline = [], None, None, 0
+    for due in planned:
+        hour = specimen.hour_h(due.due_utc_ns - epoch_ns)
+        shots = []
+        for index in range(settings.schedule.shots_per_set):
+            key = ShotKey(position=run.position, set_index=due.set_index, shot_index=index)
+            acquired = specimen.solitary_wave(key, hour)
+            if acquired is not None:
+                stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
+                shots.append(Shot(sequence=1 + index, key=key, stamp=stamp, waveform=acquired.waveform))
+        assessment = assessor.assess(due, shots, [features_of(shot) for shot in shots])
+        verdicts |= {row["set_index"]: row for row in assessment.verdicts}
+        if due.set_index <= last_baseline_set:
+            row = assessment.features[-1]
+            baseline_vectors.append([row[name] for name in (*FEATURE_NAMES, "isw_amplitude_v")])
+        if assessment.baseline is not None:
+            n_baseline = assessment.baseline["n_sets"]
+        if first_alarm_h is None and any(condition.present for condition in assessment.conditions):
+            first_alarm_h = due.due_h
+            depth_at_alarm = specimen.walls[run.position].at(hour).depth_fraction
+        if assessment.retire:
+            break
+    judged = [row for row in verdicts.values() if row["outlier"] is not None]
+    table = np.array(baseline_vectors)
+    sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))
+    return Outcome(
+        run=run,
+        first_alarm_h=first_alarm_h,
+        depth_at_alarm=depth_at_alarm,
+        judged=len(judged),
+        outliers=sum(row["outlier"] for row in judged),
+        outliers_paper=sum(row["outlier_paper"] for row in judged),
+        n_baseline=n_baseline,
+        sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
+    )
+
+
+def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tuple[int, int, float]:
+    """Central interval and mean of the pooled outlier count of healthy, independent, normal sets."""
+    random = np.random.default_rng(20240101)
+    p = len(FEATURE_NAMES)
+    totals = np.zeros(draws, dtype=np.int64)
+    for outcome in outcomes:
+        limit = f_predictive_limit(outcome.n_baseline, p)
+        for draw in range(draws):
+            baseline = fit_baseline(
+                random.standard_normal((outcome.n_baseline, p)), range(outcome.n_baseline), name="simulated"
+            )
+            sets = random.standard_normal((outcome.judged, p))
+            totals[draw] += int(np.count_nonzero(distance_squared(sets, baseline) > limit))
+    low, high = np.quantile(totals, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], method="nearest")
+    return int(low), int(high), float(totals.mean())
+
+
+def all_runs(seeds: Sequence[int], scales: Sequence[float], hours: float) -> list[Run]:
+    runs = [
+        Run(position=position, seed=seed, scale=scale, drift=True, hours=hours)
+        for scale in scales
+        for seed in seeds
+        for position in "BCD"
+    ]
+    return runs + [Run(position="D", seed=seed, scale=1.0, drift=False, hours=hours) for seed in seeds]
+
+
+def describe(outcome: Outcome) -> str:
+    run = outcome.run
+    alarm = "no alarm" if outcome.first_alarm_h is None else f"alarm at {outcome.first_alarm_h:5.1f} h"
+    depth = "" if outcome.depth_at_alarm is None else f", mean depth {100 * outcome.depth_at_alarm:4.1f} %"
+    return (
+        f"{run.position} seed {run.seed:2d} scatter x{run.scale:g} drift {'on ' if run.drift else 'off'}  {alarm}{depth}"
+        f"; outliers {outcome.outliers} of {outcome.judged} (paper's limit: {outcome.outliers_paper})"
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Alarms and false alarms of the demo over seeds")
+    parser.add_argument("--seeds", type=int, default=11, help="number of seeds, from 1")
+    parser.add_argument(
+        "--scales", type=float, nargs="+", default=[1.0, 2.0, 4.0], help="scales of the scatter"
+    )
+    parser.add_argument("--hours", type=float, default=350.0)
+    parser.add_argument("--only-d", action="store_true", help="only D with the drift off")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    runs = all_runs(range(1, options.seeds + 1), options.scales, options.hours)
+    if options.only_d:
+        runs = [run for run in runs if not run.drift]
+    outcomes = []
+    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for outcome in pool.map(carry_out, runs):
+            outcomes.append(outcome)
+            print(describe(outcome), file=sys.stderr, flush=True)
+    quiet = [outcome for outcome in outcomes if not outcome.run.drift]
+    pooled = sum(outcome.outliers for outcome in quiet)
+    low, high, mean = predictive_counts(quiet)
+    late = [
+        outcome
+        for outcome in outcomes
+        if outcome.run.position in "BC"
+        and outcome.run.scale == 1.0
+        and (outcome.depth_at_alarm is None or outcome.depth_at_alarm > DEEPEST_FIRST_ALARM)
+    ]
+    result = {
+        "outcomes": [asdict(outcome) for outcome in outcomes],
+        "late_alarms": len(late),
+        "d_drift_off": {"pooled_outliers": pooled, "low": low, "high": high, "expected": mean},
+    }
+    if options.json:
+        print(json.dumps(result))
+    else:
+        print(
+            f"D, drift off: {pooled} outliers in {sum(o.judged for o in quiet)} sets; central 99.5 %: {low}..{high}"
+        )
+        print(f"B and C: {len(late)} alarms later than at {DEEPEST_FIRST_ALARM:.0%} mean depth at scale 1")
+    return int(bool(late) or not low <= pooled <= high)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,39 @@
+"""Where the wall time of a run goes, stage by stage: told at its end, stored with its last event."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+STAGES = (
+    "strike_and_read_s",
+    "extract_s",
+    "image_s",
+    "write_s",
+    "fsync_s",
+    "directory_fsync_s",
+    "judge_s",
+    "commit_s",
+)
+
+
+class Cost:
+    """Seconds of wall time by stage."""
+
+    def __init__(self) -> None:
+        self.sets = 0
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        """Add the time spent inside to a stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += time.perf_counter() - start
+
+    def as_row(self) -> dict[str, float]:
+        """Return the sets, and seconds by stage rounded to the millisecond."""
+        return {"sets": self.sets, **{stage: round(value, 3) for stage, value in self.seconds.items()}}
