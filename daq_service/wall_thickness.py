@@ -118,7 +118,8 @@ class PulseEchoAssessor:
             present=self._alarm.active,
             message=(
                 f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
-                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm{read}: inspect the wall"
+                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
+                f"{read}: inspect the wall"
             ),
             proof={
                 "formula": FORMULA,

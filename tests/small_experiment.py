@@ -77,9 +77,7 @@ def rows_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
             "alarms": catalogue.list_alarms(),
         }
         tables["shots"] = [
-            shot
-            for row in tables["sets"]
-            for shot in catalogue.list_shots(row["position"], row["set_index"])
+            shot for row in tables["sets"] for shot in catalogue.list_shots(row["position"], row["set_index"])
         ]
     return {
         name: [{key: value for key, value in row.items() if key not in TIMELESS} for row in rows]

@@ -14,7 +14,7 @@ from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogu
 from daq_service.errors import StorageError
 from daq_service.heartbeat import Beat, overdue_s, read_heartbeat
 from daq_service.settings import Settings
-from daq_service.web.answers import NS_PER_H, rfc3339, with_utc
+from daq_service.web.answers import NS_PER_H, NS_PER_S, rfc3339, with_utc
 from daq_service.web.hub import EventHub
 from daq_service.web.live_pictures import LivePictures
 from daq_service.web.problem import Problem, no_data_yet, not_found
@@ -190,7 +190,7 @@ class Freshness:
 
     def utc_of(self, hour: float) -> str | None:
         """RFC 3339 time of an hour of the experiment."""
-        return with_utc({"at_h": hour}, self.epoch_utc_ns)["at_utc"]
+        return rfc3339(self.epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
     def row(self, row: Mapping[str, Any], *, at: str = "due_h") -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, age beside."""

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator
 from typing import Annotated
 
 import orjson
-from fastapi import APIRouter, Header, Query, Request
+from fastapi import APIRouter, Header, Query
 from starlette.responses import StreamingResponse
 
 from daq_service.web.context import Context, ContextOf
@@ -37,7 +37,6 @@ RETRY_MS = 1000
 )
 async def stream_events(
     context: ContextOf,
-    request: Request,
     topics: Annotated[
         str | None, Query(description="Comma-separated topics; absent: all", max_length=200)
     ] = None,
@@ -49,6 +48,9 @@ async def stream_events(
     """Resume behind `Last-Event-ID` (or `after`), or begin with the next event."""
     chosen = _topics(topics)
     begin = after if last_event_id in (None, "") else _event_id(last_event_id or "")
+    if begin is None and context.hub.complete_after is not None:
+        # Now, before the client hears that it is connected: what follows is new to it.
+        begin = context.hub.last_id
     return StreamingResponse(
         frames(context, context.hub, chosen, begin),
         media_type="text/event-stream",
@@ -136,8 +138,10 @@ async def _replay(
     """From the catalogue, what is older than the ring."""
     last = hub.last_id
     if cursor > last:
-        # Another data folder, or a client that invents ids: what it has seen is not known.
-        yield last, gap_frame(cursor, last, "this event id is not known here")
+        # REST told an id that the hub will see in a moment; or it is of another data folder.
+        stored = await asyncio.to_thread(context.events.last_id) or 0
+        if cursor > stored:
+            yield last, gap_frame(cursor, last, "this event id is not known here")
         return
     if last - cursor > LONGEST_REPLAY_EVENTS:
         until = last - LONGEST_REPLAY_EVENTS
