@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from simulator import coupled_model
-from simulator.coupled_model import ShotModel
+from simulator.coupled_model import ShotModel, record_duration_s
 from simulator.errors import IntegrationError, SimulatorError, SpecimenError
+from simulator.granular_chain import build_chain
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
@@ -154,6 +155,14 @@ def test_a_record_of_automatic_length_holds_the_reflected_wave(chain):
     assert 0.5 < found.amplitude_ratio < 1.0
     # Down and back takes at least as long as the contacts passed twice, at most a little more.
     assert 2.0 * (1e6 * force.reflection_time_s - found.isw_time_us) == pytest.approx(found.tof_us, rel=0.2)
+
+
+def test_length_estimated_from_the_chain_leaves_room_behind_the_reflected_wave():
+    assert record_duration_s(build_chain(CHAIN, WALL)) == 1.4e-3
+    long = ChainParameters(spheres_above=12, spheres_below=25)
+    estimate = record_duration_s(build_chain(long, WALL))
+    psw_time_us = summarise(ShotModel(long, WALL, PATCH).shot()).psw_time_us
+    assert 2.0 < 1e6 * estimate / psw_time_us < 3.0  # 2.5 times the estimated way there and back
 
 
 def test_a_soft_patch_gets_a_longer_record(model):
