@@ -24,9 +24,9 @@ export class SolimonAlarms extends HTMLElement {
     this.orders = new Map();
     /** @type {Set<number>} alarms whose proof is open */
     this.opened = new Set();
-    this.count = el("p", { "aria-live": "polite", text: "None so far" });
+    this.count = el("p", { "aria-live": "polite", text: "Reading" });
     this.list = el("ul", { class: "alarm-list" });
-    this.none = el("p", { class: "no-alarms", text: "No alarm has been raised in this test." });
+    this.none = el("p", { class: "no-alarms", text: "" });
   }
 
   connectedCallback() {
@@ -47,6 +47,7 @@ export class SolimonAlarms extends HTMLElement {
     const waiting = items.filter((item) => WAITING.has(item.state)).length;
     setText(this.count, items.length ? `${waiting} waiting for acknowledgement, ${items.length} in this test` : "None so far");
     this.dataset.count = String(items.length);
+    setText(this.none, "No alarm has been raised in this test.");
     this.none.hidden = items.length > 0;
     this.list.hidden = items.length === 0;
     this.render();

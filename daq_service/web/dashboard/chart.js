@@ -97,7 +97,7 @@ export class SolimonChart extends HTMLElement {
     this.series = { x: [], y: options.curves.map(() => []), subtitle: "", endHour: 1 };
     this.heading.id = `${this.id}-title`;
     setText(this.heading, options.title);
-    setText(this.emptyText, options.empty);
+    setText(this.emptyText, "Reading");
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     const legend = el("ul", { class: "legend" });
@@ -127,6 +127,7 @@ export class SolimonChart extends HTMLElement {
     this.series = series;
     this.dataset.points = String(series.y[0].filter((value) => value !== null).length);
     setText(this.subtitle, series.subtitle);
+    setText(this.emptyText, this.options.empty);
     this.emptyText.hidden = series.x.length > 0;
     const last = series.x.length - 1;
     this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values. ${last >= 0 ? this.describe(last) : this.options.empty}`);
@@ -310,6 +311,7 @@ export class SolimonChart extends HTMLElement {
     ctx.fillStyle = color("--good");
     ctx.font = `${11 * devicePixelRatio}px system-ui, "Liberation Sans", Arial, sans-serif`;
     ctx.textBaseline = "top";
+    ctx.textAlign = "left";
     if (right - left > ctx.measureText("baseline").width + 8 * devicePixelRatio) {
       ctx.fillText("baseline", left + 4 * devicePixelRatio, bbox.top + 4 * devicePixelRatio);
     }
