@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from daq_service.alarms import Change, Moment
+from daq_service.archive import waveform_crc32
 from daq_service.assessment import Assessment
 from daq_service.catalogue import SetCommit
 from daq_service.schedule import DueSet
@@ -56,7 +56,7 @@ def shot_row(measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequenc
         "utc_ns": measurement.stamp.utc_ns,
         "mono_ns": measurement.stamp.mono_ns,
         "boot_id": measurement.stamp.boot_id,
-        "crc32": zlib.crc32(measurement.waveform.counts.tobytes()),
+        "crc32": waveform_crc32(measurement.waveform),
         "valid": valid,
         "flags": list(flags),
     }

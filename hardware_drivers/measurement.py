@@ -56,7 +56,7 @@ class Calibration:
         object.__setattr__(self, "coefficients_v", _read_only(coefficients))
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
-        """Counts of any shape to volts of the same shape."""
+        """Turn counts of any shape into volts of the same shape."""
         scaled = np.polynomial.polynomial.polyval(counts.astype(np.float64), self.coefficients_v)
         return np.asarray(scaled, dtype=np.float64)
 

@@ -25,6 +25,7 @@ from simulator.coupled_kernel import integrate, modal_weights
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.granular_chain import Chain, build_chain
 from simulator.materials import thin_plate_impedance_n_s_per_m
+from simulator.one_thread import one_blas_thread
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.plate_reduction import ReducedPlate
 from simulator.reduction_cache import DEFAULT_CACHE_FOLDER, reduced_plate
@@ -254,7 +255,9 @@ class ShotModel:
                 self._prepared.move_to_end(key)
                 return self._prepared[key]
         yielding = CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
-        modes = self._reduction.modes(depth).cut_above(CUT_PHASE_RAD / step, yielding)
+        with one_blas_thread():
+            every_mode = self._reduction.modes(depth)
+        modes = every_mode.cut_above(CUT_PHASE_RAD / step, yielding)
         weights, own_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
         made = _Propagator(
             weights=weights,

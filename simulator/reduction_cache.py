@@ -22,6 +22,7 @@ import platformdirs
 import scipy
 
 from simulator import mindlin_plate, plate_reduction
+from simulator.one_thread import one_blas_thread
 from simulator.parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import ReducedPlate
 
@@ -49,7 +50,8 @@ def reduced_plate(
     found = None if path is None else _read(path)
     if found is not None:
         return found
-    reduction = plate_reduction.reduce_plate(mindlin_plate.build_plate(plate, corrosion))
+    with one_blas_thread():
+        reduction = plate_reduction.reduce_plate(mindlin_plate.build_plate(plate, corrosion))
     if path is not None:
         _write(path, reduction)
     return reduction

@@ -1,0 +1,26 @@
+"""One thread for dense linear algebra, so that its digits do not depend on how many cores are free.
+
+OpenBLAS splits sums by its number of threads: two machines, or one machine on a busy day, would keep
+reductions that differ in the last bits. The matrices here are small enough that more threads gain nothing.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from functools import cache
+
+from threadpoolctl import ThreadpoolController
+
+
+@cache
+def _controller() -> ThreadpoolController:
+    """Find the libraries once: looking takes longer than a new depth."""
+    import scipy.linalg  # noqa: F401 its library must be loaded before we look
+
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Within this context BLAS computes in one thread."""
+    limiter: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
+    return limiter
