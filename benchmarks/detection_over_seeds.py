@@ -159,8 +159,9 @@ def describe(outcome: Outcome) -> str:
     alarm = "no alarm" if outcome.first_alarm_h is None else f"alarm at {outcome.first_alarm_h:5.1f} h"
     depth = "" if outcome.depth_at_alarm is None else f", mean depth {100 * outcome.depth_at_alarm:4.1f} %"
     return (
-        f"{run.position} seed {run.seed:2d} scatter x{run.scale:g} drift {'on ' if run.drift else 'off'}  {alarm}{depth}"
-        f"; outliers {outcome.outliers} of {outcome.judged} (paper's limit: {outcome.outliers_paper})"
+        f"{run.position} seed {run.seed:2d} scatter x{run.scale:g} drift {'on ' if run.drift else 'off'}  "
+        f"{alarm}{depth}; outliers {outcome.outliers} of {outcome.judged} "
+        f"(paper's limit: {outcome.outliers_paper})"
     )
 
 
@@ -201,7 +202,8 @@ def main() -> int:
         print(json.dumps(result))
     else:
         print(
-            f"D, drift off: {pooled} outliers in {sum(o.judged for o in quiet)} sets; central 99.5 %: {low}..{high}"
+            f"D, drift off: {pooled} outliers in {sum(o.judged for o in quiet)} sets; expected {mean:.1f}, "
+            f"central 99.5 %: {low}..{high}"
         )
         print(f"B and C: {len(late)} alarms later than at {DEEPEST_FIRST_ALARM:.0%} mean depth at scale 1")
     return int(bool(late) or not low <= pooled <= high)
