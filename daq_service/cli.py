@@ -79,6 +79,7 @@ def run(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
+@click.option("--linger", is_flag=True, help="Stay after the last set and carry out orders.")
 @click.option("--restarted-because", default="", hidden=True)
 @SUPERVISED
 def record(**options: Any) -> None:

@@ -50,6 +50,7 @@ def run_demo(
     prepare_data_folder(folder)
     config = _write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
+    stay = not exit_when_done and not no_web
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
     invitation = _Invitation(say.line)
@@ -61,18 +62,18 @@ def run_demo(
         elif message["event"] == "progress":
             invitation.recording()
             say.progress(message)
-        elif message["event"] == "finished" and not exit_when_done and not no_web:
+        elif message["event"] == "finished" and stay:
             print_summary(summarise_run(settings, folder), folder)
             say.line("The test is done; the dashboard stays until Ctrl-C.")
 
     with stop_on_signals() as stop:
         supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=not no_web),
+            child_plans(config, folder, port=port, web=not no_web, linger=stay),
             folder,
             on_message=on_message,
             give_up=True,
         )
-        code = supervisor.run(stop, stay=not exit_when_done and not no_web)
+        code = supervisor.run(stop, stay=stay)
         interrupted = stop.is_set()
     if code != EXIT_OK:
         return code

@@ -43,6 +43,9 @@ log = logging.getLogger(__name__)
 DEADLINE_MARGIN_S = 60.0
 """Added to the longest bounded call: storing a set on a slow disk, reductions, compiling kernels."""
 
+LINGER_S = 0.1
+"""How often a recorder that is done looks for orders."""
+
 RETIRED = "a hole was found here: the transducer strikes no more"
 
 NOT_ANALYSED = "not_analysed"
@@ -60,8 +63,16 @@ def record(
     stop: threading.Event,
     tell: Teller,
     restarted_because: str = "",
+    linger: bool = False,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
+
+    Parameters
+    ----------
+    tell
+        Called with the name of an event and its values: ``progress``, ``finished``.
+    linger
+        Stay after the last set and carry out orders (acknowledgements) until ``stop``.
 
     Returns
     -------
@@ -86,7 +97,12 @@ def record(
         recorder = Recorder(
             settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
         )
-        return recorder.run(not_running_because=cause)
+        finished = recorder.run(not_running_because=cause)
+        if finished:
+            tell("finished")
+            if linger:
+                recorder.linger()
+        return finished
 
 
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
@@ -207,6 +223,12 @@ class Recorder:
         finished = not self._stop.is_set()
         self._say("schedule_done" if finished else "recorder_stopped", {"cost": self._cost.as_row()})
         return finished
+
+    def linger(self) -> None:
+        """Listen to the operator, strike nothing, until told to stop."""
+        self._doing = "waiting for orders; every set is taken"
+        while self._idle():
+            self._stop.wait(LINGER_S)
 
     # One set -----------------------------------------------------------------------------------
 

@@ -87,18 +87,30 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     click.echo(f"data: {folder}")
     with stop_on_signals() as stop:
         supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=not no_web), folder, on_message=on_message
+            child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
+            folder,
+            on_message=on_message,
         )
         code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
-def child_plans(config: Path | None, folder: Path, *, port: int | None, web: bool) -> list[ChildPlan]:
-    """Command lines of the children."""
+def child_plans(
+    config: Path | None, folder: Path, *, port: int | None, web: bool, linger: bool
+) -> list[ChildPlan]:
+    """Command lines of the children; a lingering recorder takes orders after its last set."""
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
     plans = [
         ChildPlan(
-            name="recorder", arguments=["record", *common, "--restarted-because", "{cause}"], watched=True
+            name="recorder",
+            arguments=[
+                "record",
+                *common,
+                "--restarted-because",
+                "{cause}",
+                *(["--linger"] if linger else []),
+            ],
+            watched=True,
         )
     ]
     if web:
@@ -110,7 +122,7 @@ def child_plans(config: Path | None, folder: Path, *, port: int | None, web: boo
 
 
 def record_alone(
-    *, config: Path | None, data_dir: Path | None, restarted_because: str, supervised: bool
+    *, config: Path | None, data_dir: Path | None, restarted_because: str, linger: bool, supervised: bool
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
     from daq_service.recorder import record
@@ -131,6 +143,7 @@ def record_alone(
                 stop=stop,
                 restarted_because=restarted_because,
                 tell=tell_supervisor if supervised else _tell_person,
+                linger=linger,
             )
         except SolimonError as error:
             log.error("%s", error)
@@ -138,8 +151,6 @@ def record_alone(
         except Exception:
             log.exception("the recorder failed")
             raise
-        if supervised:
-            tell_supervisor("finished" if finished else "stopped")
         return EXIT_OK if finished else EXIT_INTERRUPTED
 
 

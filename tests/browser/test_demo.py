@@ -1,0 +1,122 @@
+"""`solimon demo` as a stranger meets it: the printed address, opened in a browser."""
+
+import os
+import queue
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import httpx
+import pytest
+from browser_pages import expect
+
+pytestmark = [
+    pytest.mark.browser,
+    pytest.mark.skipif(os.name == "nt", reason="the demo is ended by SIGINT, which Windows lacks"),
+]
+
+ADDRESS_WITHIN_S = 20.0
+"""The promise includes compiling the kernels and reducing the plates."""
+ALIVE_WITHIN_S = 5.0
+ENDS_WITHIN_S = 5.0
+HOURS = 55
+"""Past the baseline, so that limits are drawn, and past the first alarms of B and C."""
+SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+
+
+class Demo:
+    """The running command: its lines with the second at which each came."""
+
+    def __init__(self, folder):
+        self.started = time.monotonic()
+        self.process = subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "daq_service.cli",
+                "demo",
+                "--hours",
+                str(HOURS),
+                "--data-dir",
+                str(folder),
+            ],
+            # A cache of its own: the first start on a fresh machine.
+            env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.lines = queue.Queue()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self):
+        for line in self.process.stdout:
+            self.lines.put((time.monotonic() - self.started, line))
+
+    def line_with(self, pattern, *, within_s):
+        deadline = time.monotonic() + within_s
+        while True:
+            at_s, line = self.lines.get(timeout=max(0.0, deadline - time.monotonic()))
+            if match := re.search(pattern, line):
+                return at_s, match[0]
+
+
+@pytest.fixture
+def demo(tmp_path):
+    running = Demo(tmp_path)
+    yield running
+    running.process.kill()
+    running.process.wait()
+    running.process.stdout.close()
+
+
+def points(page):
+    return int(page.locator("#tof").get_attribute("data-points") or 0)
+
+
+def sequence(page):
+    return page.locator("#waveform").get_attribute("data-sequence")
+
+
+def test_the_demo_comes_alive_ends_and_takes_an_acknowledgement(demo, open_page):
+    at_s, url = demo.line_with(r"http://127\.0\.0\.1:\d+", within_s=ADDRESS_WITHIN_S)
+    assert at_s < ADDRESS_WITHIN_S
+    opened = time.monotonic()
+    # The page stays open while the demo ends: only then it may miss its service.
+    page = open_page(url, forgiven=r"net::ERR_|WebSocket connection")
+    expect(page.locator("#waveform")).to_have_attribute("data-sequence", re.compile(r"\d+"))
+    seen, first_points = [sequence(page)], points(page)
+    while len(seen) < 3 or points(page) <= first_points:
+        assert time.monotonic() - opened < ALIVE_WITHIN_S, (seen, first_points, points(page))
+        if (now := sequence(page)) != seen[-1]:
+            seen.append(now)
+        page.evaluate("new Promise(requestAnimationFrame)")
+
+    page.get_by_role("button", name="Finish now").click()
+    demo.line_with("The test is done", within_s=60.0)
+    with httpx.Client(base_url=url) as api:
+        trend = api.get("/api/v1/trends/B").json()["columns"]
+        assert trend["due_h"][-1] == HOURS
+        for chart in ("#tof", "#distance"):
+            expect(page.locator(chart)).to_have_attribute("data-points", str(len(trend["due_h"])))
+        charts = page.evaluate("window.solimonDashboard.charts")
+        assert charts["tof"]["y"]["tof_pp_us"] == [value * 1e6 for value in trend["tof_pp_s"]]
+        assert charts["distance"]["y"]["distance_squared"] == trend["distance_squared"]
+        # An order given after the last set is carried out all the same.
+        (first, *_) = api.get("/api/v1/alarms").json()["items"]
+        assert first["state"] == "unacknowledged"
+        body = {"author": "ann", "note": "seen in the demo"}
+        order = api.post(f"/api/v1/alarms/{first['id']}/acknowledge", json=body).json()
+        while order["state"] == "pending":
+            page.evaluate("new Promise(requestAnimationFrame)")
+            order = api.get(f"/api/v1/commands/{order['id']}").json()
+        assert order["state"] == "done", order
+        assert api.get(f"/api/v1/alarms/{first['id']}").json()["acknowledged_by"] == "ann"
+
+    told = time.monotonic()
+    demo.process.send_signal(signal.SIGINT)
+    assert demo.process.wait(2 * ENDS_WITHIN_S) == 130
+    assert time.monotonic() - told < ENDS_WITHIN_S
