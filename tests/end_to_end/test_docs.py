@@ -1,0 +1,80 @@
+"""What the documentation says can be run, is run; what it points at exists."""
+
+import contextlib
+import io
+import json
+import re
+from pathlib import Path
+
+import click
+import pytest
+from small_experiment import run, small_settings
+
+from daq_service.archive import set_files
+from daq_service.cli import cli
+from daq_service.settings import load_settings
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def test_the_python_of_read_the_files_reads_the_files(tmp_path: Path) -> None:
+    assert run(small_settings(schedule={"end_h": 2.0}), tmp_path)
+    first, second = blocks(ROOT / "docs/how-to/read-the-files.md", "python")
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(first, {"path": set_files(tmp_path)[0]})
+        exec(second, {"folder": tmp_path})
+    waveforms, features = said.getvalue().splitlines()
+    match = re.fullmatch(r"3 shots of 13600 samples, first shot up to (\d\.\d\d) V", waveforms)
+    assert match, waveforms
+    # The incident wave of some 150 N fills half of the 5 V range; height and tilt scatter it by some ten per cent.
+    assert 1.7 < float(match[1]) < 3.3
+    match = re.fullmatch(r"4 sets, first time of flight (\d+\.\d) us", features)
+    assert match, features
+    # The coarse plate of this test is stiffer than the paper's: between rigid wall (317) and paper (339 us), widely.
+    assert 317.0 < float(match[1]) < 360.0
+
+
+@pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
+def test_the_toml_of_the_configuration_page_is_accepted(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "example.toml"
+    path.write_text(text, encoding="utf-8")
+    load_settings(path)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_and_path_leads_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
+        assert (page.parent / target).exists(), target
+    for target in re.findall(r"`((?:tests|benchmarks|daq_service|analysis|config)/[\w./]+)`", text):
+        assert (ROOT / target).exists(), target
+    for target in re.findall(r"python (benchmarks/\w+\.py)", text):
+        assert (ROOT / target).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_and_option_exists(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for line in re.findall(
+        r"solimon ([a-z-]+(?: [^`\n]*)?)", " ".join(re.findall(r"`(solimon[^`]*)`", text))
+    ):
+        name, *words = line.split()
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None, line
+        known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+        options = {word.partition("=")[0] for word in words if word.startswith("--")}
+        assert options <= known, line
+
+
+def test_the_api_page_names_every_resource() -> None:
+    snapshot = json.loads((ROOT / "tests/contract/openapi.json").read_text(encoding="utf-8"))
+    text = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
+    resources = {path.split("/")[3] for path in snapshot["paths"] if path.startswith("/api/v1/")}
+    missing = {resource for resource in resources if f"`{resource}" not in text}
+    assert missing == set()
