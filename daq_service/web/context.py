@@ -25,44 +25,32 @@ FAREWELLS = {"schedule_done": "finished", "recorder_stopped": "stopped"}
 
 
 class CatalogueAccess:
-    """Opens the catalogue when it is first there, once a thread.
-
-    Requests run in a pool of threads. A catalogue of its own keeps each thread's SQLite connection
-    out of the others' hands: shared by more than five threads, the catalogue's connection pool
-    closes connections that are in use.
-    """
+    """Opens the catalogue when it is first there; requests of every thread share it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._lock = threading.Lock()
-        self._catalogues: dict[threading.Thread, Catalogue] = {}
+        self._catalogue: Catalogue | None = None
 
     def get(self) -> Catalogue:
-        """Return this thread's open catalogue.
+        """Return the open catalogue.
 
         Raises
         ------
         NoDataYetError
             Before the first record.
         """
-        thread = threading.current_thread()
-        catalogue = self._catalogues.get(thread)
-        if catalogue is None:
-            catalogue = open_catalogue(self._folder)
-            with self._lock:
-                self._close_those_of_ended_threads()
-                self._catalogues[thread] = catalogue
-        return catalogue
-
-    def _close_those_of_ended_threads(self) -> None:
-        for ended in [thread for thread in self._catalogues if not thread.is_alive()]:
-            self._catalogues.pop(ended).close()
+        with self._lock:
+            if self._catalogue is None:
+                self._catalogue = open_catalogue(self._folder)
+            return self._catalogue
 
     def close(self) -> None:
-        """Close them all; the next `get` opens again."""
+        """Close it; the next `get` opens again."""
         with self._lock:
-            while self._catalogues:
-                self._catalogues.popitem()[1].close()
+            if self._catalogue is not None:
+                self._catalogue.close()
+                self._catalogue = None
 
 
 class CatalogueEvents:

@@ -32,11 +32,11 @@ def test_the_python_of_read_the_files_reads_the_files(tmp_path: Path) -> None:
     waveforms, features = said.getvalue().splitlines()
     match = re.fullmatch(r"3 shots of 13600 samples, first shot up to (\d\.\d\d) V", waveforms)
     assert match, waveforms
-    # The incident wave of some 150 N fills half of the 5 V range; height and tilt scatter it by some ten per cent.
+    # The incident wave of some 150 N fills half of the 5 V range; a shot scatters by some ten per cent.
     assert 1.7 < float(match[1]) < 3.3
     match = re.fullmatch(r"4 sets, first time of flight (\d+\.\d) us", features)
     assert match, features
-    # The coarse plate of this test is stiffer than the paper's: between rigid wall (317) and paper (339 us), widely.
+    # A coarse plate: anything between the rigid wall (317 us) and a plate softer than the paper's (339).
     assert 317.0 < float(match[1]) < 360.0
 
 
