@@ -16,7 +16,7 @@ import click
 
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.folder import prepare_data_folder
-from daq_service.run import child_plans, log_to, stop_on_signals
+from daq_service.run import check_owner, child_plans, log_to, stop_on_signals
 from daq_service.schedule import due_hours
 from daq_service.settings import Settings, load_settings
 from daq_service.summary import print_summary, summarise_run
@@ -48,6 +48,7 @@ def run_demo(
     settings = load_settings(None, overrides=_overrides(hours, seed, pace))
     folder = (data_dir or _new_folder()).absolute()
     prepare_data_folder(folder)
+    check_owner(settings, folder)
     config = _write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
     stay = not exit_when_done and not no_web
@@ -102,14 +103,8 @@ def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dic
 
 
 def _write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the file that the children read, and `solimon run` later; the folder's own one is kept.
-
-    Pace and end may change from start to start; a folder of another configuration is refused by the
-    recorder, which can name both.
-    """
+    """Write the file that the children read, and `solimon run` later; pace and end may change."""
     config = folder / CONFIGURATION_FILE
-    if config.exists() and load_settings(config).configuration_hash() != settings.configuration_hash():
-        config = folder / f"refused-{settings.configuration_hash()[:12]}.json"
     partial = config.with_suffix(".tmp")
     partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
     partial.replace(config)

@@ -34,13 +34,18 @@ _OWNER_OFFSET = 1
 """The first byte is the locked one: on Windows a locked byte cannot be read by others."""
 
 
+OWN_NAMES = frozenset(
+    {"catalogue.sqlite", "configuration.json", "heartbeat.json", "recorder.lock", "sets", "live", "logs"}
+)
+
+
 def prepare_data_folder(folder: Path) -> None:
     """Make the folder and prove that files can be made in it.
 
     Raises
     ------
     StorageError
-        A file is in the way, the folder is on a network, or it cannot be written.
+        A file is in the way, the folder holds something else, is on a network, or cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -54,6 +59,7 @@ def prepare_data_folder(folder: Path) -> None:
             f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; "
             "choose a local disk with --data-dir"
         )
+    _refuse_foreign_files(folder)
     probe = folder / f".write-test-{uuid.uuid4().hex}"
     try:
         probe.write_bytes(b"solimon")
@@ -65,6 +71,16 @@ def prepare_data_folder(folder: Path) -> None:
             f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
             "choose another with --data-dir"
         ) from error
+
+
+def _refuse_foreign_files(folder: Path) -> None:
+    """Refuse a folder that is somebody's documents: only an empty one, or one of ours, is used."""
+    names = {path.name for path in folder.iterdir()}
+    if names and not names & OWN_NAMES:
+        raise StorageError(
+            f"{folder} is not empty and is no data folder of solimon (it holds {min(names)!r}); "
+            "choose a new or empty one with --data-dir"
+        )
 
 
 @contextlib.contextmanager

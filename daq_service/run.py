@@ -16,6 +16,8 @@ from typing import Any
 
 import click
 
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
 from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.settings import Settings, load_settings
@@ -33,6 +35,21 @@ def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) 
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
     return base / settings.storage.folder
+
+
+def check_owner(settings: Settings, folder: Path) -> None:
+    """Compare a folder's configuration with ours before anything is written to it.
+
+    Raises
+    ------
+    StorageError
+        The folder belongs to another configuration: both hashes and the remedy.
+    """
+    try:
+        with open_catalogue(folder) as catalogue:
+            catalogue.check_owner(settings.configuration_hash())
+    except NoDataYetError:
+        return  # nobody's yet
 
 
 @contextmanager
@@ -76,6 +93,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     settings = load_settings(config)
     folder = data_folder(settings, config, data_dir)
     prepare_data_folder(folder)
+    check_owner(settings, folder)
 
     def on_message(child: str, message: Any) -> None:
         if message["event"] == "listening":

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -339,10 +340,25 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
     if not isinstance(values, dict):
         raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
     values.pop("$schema", None)
+    _refuse_unknown_variables()
     try:
         return Settings(**_laid_over(values, overrides or {}))
     except ValidationError as error:
         raise UsageError(_explain(error, path)) from error
+
+
+def _refuse_unknown_variables() -> None:
+    """Refuse a misspelt table in a variable's name; its keys are checked with those of the file."""
+    tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
+    for name in sorted(os.environ):
+        if name.startswith("SOLIMON_") and not name.startswith("SOLIMON_TEST_"):
+            table = name.upper().partition("__")[0]
+            if table not in tables:
+                near = difflib.get_close_matches(table, tables, n=1, cutoff=0.6)
+                hint = f"did you mean {near[0]}?" if near else "unset it"
+                raise UsageError(
+                    f"the environment variable {name} names no table of the configuration; {hint}"
+                )
 
 
 def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:

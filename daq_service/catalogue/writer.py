@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Table, bindparam, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
-from daq_service.catalogue.errors import CatalogueWriteError, OtherExperimentError
+from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.catalogue.reader import Catalogue, Row
 from daq_service.catalogue.rows import storable
 from daq_service.catalogue.tables import (
@@ -107,22 +107,6 @@ class RecorderCatalogue(Catalogue):
                 connection.execute(insert(experiment), storable(experiment, [row]))
         self.check_owner(configuration_hash)
         return self.experiment_row()
-
-    def check_owner(self, configuration_hash: str) -> None:
-        """Compare the folder's configuration with ours; a folder without an experiment is anybody's.
-
-        Raises
-        ------
-        OtherExperimentError
-            The folder belongs to another configuration.
-        """
-        row = self._row(select(experiment.c.configuration_hash, experiment.c.name))
-        if row is not None and row["configuration_hash"] != configuration_hash:
-            raise OtherExperimentError(
-                f"{self._path.parent} belongs to the experiment {row['name']!r} with configuration "
-                f"{row['configuration_hash']}, not to configuration {configuration_hash}; go on with the "
-                "configuration that began it, or choose another folder with --data-dir"
-            )
 
     def committed_sets(self) -> set[int]:
         """Return the indices of the sets whose rows are stored: those a restart leaves out."""
@@ -255,4 +239,4 @@ def _event_rows(rows: Rows, alarm_ids: Sequence[int]) -> list[Row]:
     return complete
 
 
-__all__ = ["Committed", "OtherExperimentError", "RecorderCatalogue", "SetCommit"]
+__all__ = ["Committed", "RecorderCatalogue", "SetCommit"]

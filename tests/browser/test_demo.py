@@ -30,7 +30,7 @@ SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 class Demo:
     """The running command: its lines with the second at which each came."""
 
-    def __init__(self, folder):
+    def __init__(self, folder, cache):
         self.started = time.monotonic()
         self.process = subprocess.Popen(
             [
@@ -44,7 +44,7 @@ class Demo:
                 str(folder),
             ],
             # A cache of its own: the first start on a fresh machine.
-            env={**os.environ, "XDG_CACHE_HOME": str(folder / "cache")},
+            env={**os.environ, "XDG_CACHE_HOME": str(cache)},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -66,7 +66,7 @@ class Demo:
 
 @pytest.fixture
 def demo(tmp_path):
-    running = Demo(tmp_path)
+    running = Demo(tmp_path / "data", tmp_path / "cache")
     yield running
     running.process.kill()
     running.process.wait()

@@ -27,6 +27,13 @@ def test_a_network_folder_is_refused_with_its_kind(tmp_path: Path, monkeypatch: 
     assert refusal.value.exit_code == 4
 
 
+def test_a_folder_of_documents_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    with pytest.raises(StorageError, match=r"thesis\.tex"):
+        prepare_data_folder(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
 def test_a_folder_that_refuses_writing_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(self: Path, data: bytes) -> int:
         raise OSError(30, "Read-only file system", str(self))

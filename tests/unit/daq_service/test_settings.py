@@ -104,6 +104,12 @@ def test_the_environment_overrides_the_file(tmp_path: Path, monkeypatch: pytest.
     assert (settings.twin.seed, settings.twin.scatter.scale) == (42, 2.0)
 
 
+def test_a_misspelt_variable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOLIMON_CHIAN__MASS_KG", "1")
+    with pytest.raises(UsageError, match=r"SOLIMON_CHIAN__MASS_KG.*did you mean SOLIMON_CHAIN\?"):
+        load_settings(None)
+
+
 def test_a_written_configuration_is_read_back_as_the_same(tmp_path: Path) -> None:
     settings = load_settings(None, overrides={"twin": {"seed": 9}, "schedule": {"end_h": 30.0}})
     path = write(tmp_path, settings.model_dump_json(), "configuration.json")

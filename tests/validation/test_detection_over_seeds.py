@@ -1,0 +1,67 @@
+"""Alarms and false alarms of the demo's experiment: one shortened seed always, eleven when asked.
+
+`benchmarks/detection_over_seeds.py` is the command; here its parts are held to what is promised.
+"""
+
+import json
+import subprocess
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "detection_over_seeds.py"
+
+
+@pytest.fixture(scope="module")
+def detection() -> ModuleType:
+    spec = spec_from_file_location("detection_over_seeds", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("position", ["B", "C"])
+def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleType, position: str) -> None:
+    outcome = detection.carry_out(detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=70.0))
+    assert outcome.n_baseline == 48
+    assert outcome.first_alarm_h is not None
+    assert outcome.first_alarm_h > 24.0
+    assert 0.0 < outcome.depth_at_alarm < 0.30
+
+
+def test_a_pristine_position_is_as_quiet_as_promised(detection: ModuleType) -> None:
+    run = detection.Run(position="D", seed=1, scale=1.0, drift=False, hours=100.0)
+    outcome = detection.carry_out(run)
+    low, high, expected = detection.predictive_counts([outcome], draws=1000)
+    assert outcome.first_alarm_h is None
+    assert low <= outcome.outliers <= high
+    # 127 judged sets at the nominal rate; 1,000 draws of a count that scatters by less than 2.
+    assert expected == pytest.approx(0.0027 * outcome.judged, abs=0.25)
+
+
+def test_the_baseline_scatters_as_assumed(detection: ModuleType) -> None:
+    run = detection.Run(position="D", seed=2, scale=1.0, drift=False, hours=24.0)
+    sd_percent = detection.carry_out(run).sd_percent
+    # The SD of 48 sets scatters by 10 %: three of these.
+    assert sd_percent["tof_pp_s"] == pytest.approx(0.5, rel=0.3)
+    assert sd_percent["amplitude_ratio"] == pytest.approx(2.5, rel=0.3)
+    assert sd_percent["isw_amplitude_v"] == pytest.approx(5.0, rel=0.3)
+
+
+@pytest.mark.slow
+def test_eleven_seeds_keep_what_is_promised() -> None:
+    """The documented command; its exit code is 1 for a late alarm or a pooled count outside 99.5 %."""
+    done = subprocess.run(
+        [sys.executable, str(SCRIPT), "--json"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = json.loads(done.stdout)
+    assert result["late_alarms"] == 0
+    pooled = result["d_drift_off"]
+    assert pooled["low"] <= pooled["pooled_outliers"] <= pooled["high"]
