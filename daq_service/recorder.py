@@ -9,11 +9,8 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +19,11 @@ from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
 from daq_service.alarms import Condition, Moment, update
 from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
 from daq_service.assessment import Assessment, SolitaryWaveAssessor
-from daq_service.catalogue import RecorderCatalogue, open_catalogue
-from daq_service.clock import NS_PER_H, SimulatedClock, WallClock, boot_id, parse_utc
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.clock import NS_PER_H, boot_id
 from daq_service.cost import Cost
 from daq_service.errors import RigError
-from daq_service.heartbeat import Heartbeat, read_heartbeat
+from daq_service.heartbeat import Heartbeat
 from daq_service.live import LivePicture
 from daq_service.memory import restored_assessors
 from daq_service.operator_commands import Operator
@@ -35,13 +32,10 @@ from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
 from daq_service.settings import Settings
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 log = logging.getLogger(__name__)
-
-DEADLINE_MARGIN_S = 60.0
-"""Added to the longest bounded call: storing a set on a slow disk, reductions, compiling kernels."""
 
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
@@ -51,95 +45,7 @@ RETIRED = "a hole was found here: the transducer strikes no more"
 NOT_ANALYSED = "not_analysed"
 """Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
 
-RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 Teller = Callable[..., None]
-
-
-def record(
-    settings: Settings,
-    folder: Path,
-    open_rig: RigOpener,
-    *,
-    stop: threading.Event,
-    tell: Teller,
-    restarted_because: str = "",
-    linger: bool = False,
-) -> bool:
-    """Follow the schedule to its end; the caller owns the folder.
-
-    Parameters
-    ----------
-    tell
-        Called with the name of an event and its values: ``progress``, ``finished``.
-    linger
-        Stay after the last set and carry out orders (acknowledgements) until ``stop``.
-
-    Returns
-    -------
-    bool
-        True when every planned set has its row, False when ``stop`` came first.
-
-    Raises
-    ------
-    StorageError, RigError
-        What cannot be mended here; every taken shot is stored.
-    """
-    cause = _why_not_running(folder, restarted_because)
-    with ExitStack() as stack:
-        catalogue = stack.enter_context(
-            open_catalogue(folder, writer=True, configuration_hash=settings.configuration_hash())
-        )
-        epoch_ns = _experiment_epoch(catalogue, settings)
-        clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
-        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + DEADLINE_MARGIN_S)
-        heartbeat.beat("opening the rig")
-        rig = stack.enter_context(open_rig(settings, clock, epoch_ns))
-        recorder = Recorder(
-            settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
-        )
-        finished = recorder.run(not_running_because=cause)
-        if finished:
-            tell("finished")
-            if linger:
-                recorder.linger()
-        return finished
-
-
-def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
-    """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
-    simulated = settings.clock.kind == "simulated"
-    row = catalogue.create_experiment(
-        name=settings.name,
-        configuration_hash=settings.configuration_hash(),
-        configuration=settings.model_dump(mode="json"),
-        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else time.time_ns(),
-        clock=settings.clock.kind,
-        solimon_version=version("solimon"),
-    )
-    return int(row["epoch_utc_ns"])
-
-
-def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
-    """Where a simulated clock goes on: at the end of the last committed set."""
-    ended = [
-        row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None
-    ]
-    return max(ended, default=epoch_ns)
-
-
-def _clock(settings: Settings, start_ns: int) -> SimulatedClock | WallClock:
-    if settings.clock.kind == "wall":
-        return WallClock()
-    return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
-
-
-def _why_not_running(folder: Path, restarted_because: str) -> str:
-    if restarted_because:
-        return f"the recorder {restarted_because}"
-    beat = read_heartbeat(folder)
-    if beat is None:
-        return "the recorder had not been started"
-    return f"the recorder was down; it was last seen {beat.doing}"
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

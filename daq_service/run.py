@@ -143,7 +143,7 @@ def record_alone(
     *, config: Path | None, data_dir: Path | None, restarted_because: str, linger: bool, supervised: bool
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
-    from daq_service.recorder import record
+    from daq_service.recording import record
     from daq_service.rig import open_rig
 
     settings = load_settings(config)

@@ -11,7 +11,7 @@ from typing import Any
 
 from daq_service.catalogue import open_catalogue
 from daq_service.folder import own_data_folder, prepare_data_folder
-from daq_service.recorder import record
+from daq_service.recording import record
 from daq_service.rig import open_rig
 from daq_service.settings import Settings, load_settings
 from hardware_drivers.instruments import Acquired, Clock, Rig

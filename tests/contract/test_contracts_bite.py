@@ -1,16 +1,20 @@
 """Each contract fails an instrument that breaks it in one way."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from clock_contract import ClockContract
 from digitizer_contract import DigitizerContract
+from power_supply_contract import PowerSupplyContract
 from pulse_echo_unit_contract import PulseEchoUnitContract
 from striker_contract import StrikerContract
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, Echo
-from hardware_drivers.measurement import Calibration, ShotKey, Waveform
+from hardware_drivers.measurement import Calibration, ShotKey, Stamp, SupplyReading, Waveform
 
 KEYS = tuple(ShotKey(position="C", set_index=0, shot_index=i) for i in (0, 1))
 UNKNOWN = ShotKey(position="nowhere", set_index=0, shot_index=0)
@@ -355,3 +359,60 @@ def test_a_broken_clock_fails(broken, test):
 def test_an_object_is_no_clock():
     with pytest.raises(AssertionError):
         run(ClockContract, "test_is_a_clock", clock=object())
+
+
+class SoundSupply:
+    def __init__(self):
+        self.on = True
+
+    def read(self, timeout_s):
+        stamp = Stamp(utc_ns=1, mono_ns=1, boot_id="test")
+        volts = 10.0 if self.on else 0.0
+        return SupplyReading(stamp=stamp, voltage_v=volts, current_a=0.1 * volts, output_on=self.on)
+
+    def make_safe(self):
+        self.on = False
+
+
+class StaysOn(SoundSupply):
+    def make_safe(self):
+        pass
+
+
+class Toggles(SoundSupply):
+    def make_safe(self):
+        self.on = not self.on
+
+
+class Recovers(SoundSupply):
+    """Switches itself on again after a while, as some supplies do after a fault."""
+
+    def read(self, timeout_s):
+        reading = super().read(timeout_s)
+        self.on = True
+        return reading
+
+
+class ReadsNothing(SoundSupply):
+    def read(self, timeout_s):
+        return replace(super().read(timeout_s), current_a=math.nan)
+
+
+@pytest.mark.parametrize("test", each_test(PowerSupplyContract))
+def test_a_sound_supply_passes(test):
+    run(PowerSupplyContract, test, supply=SoundSupply())
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (StaysOn, "test_safe_means_off"),
+        (Toggles, "test_making_safe_is_harmless_when_off"),
+        (Recovers, "test_reading_never_switches_it_on_again"),
+        (ReadsNothing, "test_a_reading_is_measured_and_dated"),
+        (object, "test_is_a_power_supply"),
+    ],
+)
+def test_a_broken_supply_fails(broken, test):
+    with pytest.raises(AssertionError):
+        run(PowerSupplyContract, test, supply=broken())

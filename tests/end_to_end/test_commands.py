@@ -246,6 +246,20 @@ def test_ctrl_c_and_sigterm_end_everything_within_five_seconds(
     assert len(stored) == sets_done(tmp_path), "every file has its rows"
 
 
+@posix_only
+def test_run_records_serves_and_stays_until_told_to_stop(tmp_path: Path) -> None:
+    config = tmp_path / "test.toml"
+    config.write_text("[schedule]\nend_h = 1.0\n[storage]\nfolder = 'here'\n", encoding="utf-8")
+    with started("run", str(config), "--port", "0") as process:
+        url = line_with(process, r"http://127\.0\.0\.1:\d+")
+        line_with(process, "the schedule is done")
+        with urllib.request.urlopen(f"{url}/api/v1/health", timeout=LIMIT_S) as answer:
+            assert json.load(answer)["as_of"]["recorder"] == "finished"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(LIMIT_S) == 130
+    assert sets_done(tmp_path / "here") == 2, "the folder of the configuration, beside its file"
+
+
 def test_a_second_recorder_on_the_same_folder_is_refused(tmp_path: Path) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
         wait_for(lambda: read_heartbeat(tmp_path) if tmp_path.exists() else None, "the recorder's start")

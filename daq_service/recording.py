@@ -1,0 +1,109 @@
+"""Open a recording session: catalogue, clock, rig; resume where the last one ended."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from importlib.metadata import version
+from pathlib import Path
+
+from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.clock import SimulatedClock, WallClock, parse_utc
+from daq_service.heartbeat import Heartbeat, read_heartbeat
+from daq_service.recorder import Recorder, Teller
+from daq_service.settings import Settings
+from hardware_drivers.instruments import Clock, Rig
+
+DEADLINE_MARGIN_S = 60.0
+"""Added to the longest bounded call: storing a set on a slow disk, reductions, compiling kernels."""
+
+RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
+
+
+def record(
+    settings: Settings,
+    folder: Path,
+    open_rig: RigOpener,
+    *,
+    stop: threading.Event,
+    tell: Teller,
+    restarted_because: str = "",
+    linger: bool = False,
+) -> bool:
+    """Follow the schedule to its end; the caller owns the folder.
+
+    Parameters
+    ----------
+    tell
+        Called with the name of an event and its values: ``progress``, ``finished``.
+    linger
+        Stay after the last set and carry out orders (acknowledgements) until ``stop``.
+
+    Returns
+    -------
+    bool
+        True when every planned set has its row, False when ``stop`` came first.
+
+    Raises
+    ------
+    StorageError, RigError
+        What cannot be mended here; every taken shot is stored.
+    """
+    cause = _why_not_running(folder, restarted_because)
+    with ExitStack() as stack:
+        catalogue = stack.enter_context(
+            open_catalogue(folder, writer=True, configuration_hash=settings.configuration_hash())
+        )
+        epoch_ns = _experiment_epoch(catalogue, settings)
+        clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
+        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + DEADLINE_MARGIN_S)
+        heartbeat.beat("opening the rig")
+        rig = stack.enter_context(open_rig(settings, clock, epoch_ns))
+        recorder = Recorder(
+            settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
+        )
+        finished = recorder.run(not_running_because=cause)
+        if finished:
+            tell("finished")
+            if linger:
+                recorder.linger()
+        return finished
+
+
+def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
+    """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
+    simulated = settings.clock.kind == "simulated"
+    row = catalogue.create_experiment(
+        name=settings.name,
+        configuration_hash=settings.configuration_hash(),
+        configuration=settings.model_dump(mode="json"),
+        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else time.time_ns(),
+        clock=settings.clock.kind,
+        solimon_version=version("solimon"),
+    )
+    return int(row["epoch_utc_ns"])
+
+
+def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
+    """Where a simulated clock goes on: at the end of the last committed set."""
+    ended = [
+        row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None
+    ]
+    return max(ended, default=epoch_ns)
+
+
+def _clock(settings: Settings, start_ns: int) -> SimulatedClock | WallClock:
+    if settings.clock.kind == "wall":
+        return WallClock()
+    return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+
+
+def _why_not_running(folder: Path, restarted_because: str) -> str:
+    if restarted_because:
+        return f"the recorder {restarted_because}"
+    beat = read_heartbeat(folder)
+    if beat is None:
+        return "the recorder had not been started"
+    return f"the recorder was down; it was last seen {beat.doing}"
