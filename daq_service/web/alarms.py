@@ -15,7 +15,7 @@ from daq_service.web.problem import conflict, not_found
 
 router = APIRouter(tags=["alarms"])
 ERRORS = problems(404, 422, 503)
-LARGEST_ID = 2**63 - 1
+LARGEST_ID = 2**53 - 1
 WAITING = ("unacknowledged", "returned_unacknowledged")
 
 

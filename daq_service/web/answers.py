@@ -7,16 +7,17 @@ from datetime import UTC, datetime
 from typing import Any
 
 import orjson
-from starlette.responses import Response
+from starlette.responses import JSONResponse
 
 NS_PER_S = 1_000_000_000
 NS_PER_H = 3600 * NS_PER_S
 
 
-class JsonAnswer(Response):
-    """JSON by orjson: NaN and infinities become null, NumPy arrays become lists."""
+class JsonAnswer(JSONResponse):
+    """JSON by orjson: NaN and infinities become null, NumPy arrays become lists.
 
-    media_type = "application/json"
+    A subclass of `JSONResponse`, by which FastAPI knows that the response model describes the body.
+    """
 
     def render(self, content: Any) -> bytes:
         """Encode."""

@@ -70,7 +70,7 @@ class Acknowledgement(BaseModel):
 
 
 Command = Annotated[FinishNow | Stop | AcknowledgeAlarm, Field(discriminator="kind")]
-ACCEPTED = problems(403, 404, 409, 413, 422, 503)
+ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
 
 
 @router.post(

@@ -21,6 +21,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
     }
     for status, text in {
+        400: "The body is not what its media type says",
         403: "The request comes from another origin",
         404: "There is no such thing",
         409: "The request does not fit the present state",

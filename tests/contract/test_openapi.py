@@ -70,6 +70,14 @@ def test_every_error_is_a_problem(operations):
                 assert set(answer["content"]) == {"application/problem+json"}, (path, status)
 
 
+def test_every_json_answer_has_a_shape(operations):
+    for path, _, operation in operations:
+        for status, answer in operation["responses"].items():
+            if status.startswith("2") and "application/json" in answer["content"]:
+                schema = answer["content"]["application/json"]["schema"]
+                assert set(references(schema)), (path, schema)
+
+
 def references(node):
     if isinstance(node, dict):
         yield from ([node["$ref"]] if "$ref" in node else [])
