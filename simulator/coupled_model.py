@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +36,8 @@ ENERGY_TOLERANCE = 1e-4
 """Largest defect of the energy balance, relative to the impact energy."""
 
 STEP_HALVINGS = 4
-"""A shot that misses `ENERGY_TOLERANCE` is repeated with half the step, at most so often."""
+"""A shot that misses `ENERGY_TOLERANCE` is repeated with half the step, at most so often; on a plate with
+each halved step twice, see `WIDE_CUT_PHASE_RAD`."""
 
 PHASE_PER_STEP_RAD = 0.05
 """The chain's highest frequency turns by no more than this in a step; see docs for the convergence."""
@@ -47,6 +48,11 @@ CUT_PHASE_RAD = 1.0
 CONTACT_PHASE_SQUARED = 1.0
 """So do modes that would let contact spring and plate swing against each other faster than this: on a
 very thin plate the explicit part of the integration could not follow."""
+
+WIDE_CUT_PHASE_RAD = 10.0
+"""Cut of the second attempt at a halved step, without that other limit: a strong dashpot keeps fast modes
+stable, and their energy, which the residual compliance would lose, stays in the balance. It is as far as
+`modal_weights` is exact."""
 
 TURN_TO_END = 2.5
 """A record of automatic length lasts so many times as long as the incident wave takes to turn round."""
@@ -148,7 +154,7 @@ class ShotModel:
             self._reduction = reduced_plate(plate, corrosion, cache_folder)
         elif corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
-        self._prepared: OrderedDict[tuple[float, float], _Propagator] = OrderedDict()
+        self._prepared: OrderedDict[tuple[float, float, bool], _Propagator] = OrderedDict()
         self._lock = threading.Lock()
 
     def shot(
@@ -179,8 +185,8 @@ class ShotModel:
             raise SpecimenError(_no_patch(self._plate.model, depth))
         chain = self._struck(drop_height_m, tilt_rad)
 
-        def specimen(step: float) -> _Propagator:
-            return self._propagator(depth, step)
+        def specimen(step: float, wide: bool) -> _Propagator:
+            return self._propagator(depth, step, wide)
 
         force = self._converged(chain, specimen, self._shortest_record_s)
         if self._chosen_duration_s is None:
@@ -203,7 +209,7 @@ class ShotModel:
             static_overlap_m=_without_last(chain.static_overlap_m),
         )
         force = self._converged(
-            free_end, lambda step: _UNMOVED, self._shortest_record_s, retainer_force_n=weight
+            free_end, lambda step, wide: _UNMOVED, self._shortest_record_s, retainer_force_n=weight
         )
         return replace(force, reflection_time_s=None)
 
@@ -218,19 +224,19 @@ class ShotModel:
     def _converged(
         self,
         chain: Chain,
-        specimen: Callable[[float], _Propagator],
+        specimen: Callable[[float, bool], _Propagator],
         duration_s: float,
         *,
         retainer_force_n: float = 0.0,
     ) -> ShotForce:
-        """Integrate with ever smaller steps until the energy balance closes."""
+        """Integrate with ever smaller steps, then also more modes, until the energy balance closes."""
         samples = round(duration_s / self._step_s) + 1
         defect = math.inf
-        for halving in range(STEP_HALVINGS + 1):
+        for halving, wide in self._attempts():
             every = 2**halving
             step = self._step_s / every
             force = np.empty((samples - 1) * every + 1)
-            defect_j, reflection = _integrate(chain, specimen(step), step, retainer_force_n, force)
+            defect_j, reflection = _integrate(chain, specimen(step, wide), step, retainer_force_n, force)
             defect = defect_j / chain.impact_energy_j
             if defect <= ENERGY_TOLERANCE:
                 return ShotForce(
@@ -246,18 +252,27 @@ class ShotModel:
             f"at most {ENERGY_TOLERANCE} is allowed; look for an extreme mass, stiffness or damping"
         )
 
-    def _propagator(self, depth: float, step: float) -> _Propagator:
+    def _attempts(self) -> Iterator[tuple[int, bool]]:
+        """Halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+        for halving in range(STEP_HALVINGS + 1):
+            yield halving, False
+            if halving and self._reduction is not None:
+                yield halving, True
+
+    def _propagator(self, depth: float, step: float, wide: bool) -> _Propagator:
         if self._reduction is None:
             return _specimen_without_modes(self._plate)
-        key = depth, step
+        key = depth, step, wide
         with self._lock:
             if key in self._prepared:
                 self._prepared.move_to_end(key)
                 return self._prepared[key]
-        yielding = CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
+        phase, yielding = CUT_PHASE_RAD, CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
+        if wide:
+            phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
         with one_blas_thread():
             every_mode = self._reduction.modes(depth)
-        modes = every_mode.cut_above(CUT_PHASE_RAD / step, yielding)
+        modes = every_mode.cut_above(phase / step, yielding)
         weights, own_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
         made = _Propagator(
             weights=weights,
