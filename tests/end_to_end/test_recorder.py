@@ -43,6 +43,17 @@ def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None
     assert len(rows["thickness"]) == SETS
 
 
+def test_strikes_come_at_the_due_time_and_four_seconds_apart(finished: Path) -> None:
+    with open_catalogue(finished) as catalogue:
+        (row,) = [row for row in catalogue.list_sets("A", limit=None) if row["set_index"] == 5]
+        times = {name: [s["utc_ns"] for s in catalogue.list_shots(name, 5)] for name in "ABCD"}
+    due_ns, step_ns = row["due_utc_ns"], 4_000_000_000
+    assert times["A"] == [due_ns]
+    # One transducer after the other, three strikes each.
+    for number, name in enumerate("BCD"):
+        assert times[name] == [due_ns + (3 * number + k) * step_ns for k in range(3)]
+
+
 def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
     """Features computed again from the file alone are those of the catalogue, to the last bit."""
     stored = {row["sequence"]: row for row in rows_of(finished)["shot_features"]}
@@ -169,8 +180,55 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         patch.setattr(RecorderCatalogue, "commit_set", killing_commit)
         with pytest.raises(_KilledError):
             run(small_settings(), tmp_path)
+    if boundary == "before the file":
+        told = {row["set_index"] for row in rows_of(tmp_path)["sets"]}
+        assert killed_at not in told, "nothing may be said of a set whose file is not durable"
     assert run(small_settings(), tmp_path)
     assert rows_of(tmp_path) == rows_of(finished)
+    assert sorted(set_files(tmp_path)) == list(range(SETS))
+
+
+def test_a_stored_set_is_not_struck_again_after_a_kill(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killing_commit(self: RecorderCatalogue, commit: Any) -> Any:
+        if commit.sets and commit.sets[0]["set_index"] == 3:
+            raise _KilledError
+        return commit_set(self, commit)
+
+    def note(key: ShotKey, acquired: Acquired) -> Acquired:
+        struck.append(key.set_index)
+        return acquired
+
+    commit_set = RecorderCatalogue.commit_set
+    struck: list[int] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(RecorderCatalogue, "commit_set", killing_commit)
+        with pytest.raises(_KilledError):
+            run(small_settings(), tmp_path)
+    assert run(small_settings(schedule={"end_h": 3.0}), tmp_path, rig=disturbed_rig(note))
+    assert sorted(set(struck)) == [4, 5], "set 3 is in its file: it is judged, not taken again"
+
+
+THINS_AFTER_THE_BASELINE = {"B": {"onset_h": 9.0, "reference_h": 12.0, "depth_fraction": 0.6}}
+
+
+def test_an_alarm_builds_up_across_a_restart(tmp_path: Path) -> None:
+    """Two outliers before the stop and one after it are three of five."""
+    settings = small_settings(twin={"thinning": THINS_AFTER_THE_BASELINE})
+    assert run(settings, tmp_path / "whole")
+    whole = rows_of(tmp_path / "whole")
+    (alarm,) = [row for row in whole["alarms"] if row["position"] == "B"]
+    assert alarm["kind"] == "wall_change"
+    assert alarm["proof"]["limit"] == pytest.approx(whole["baselines"][0]["limit_f"])
+    outliers = [row["set_index"] for row in whole["verdicts"] if row["position"] == "B" and row["outlier"]]
+    assert alarm["raised_set_index"] == outliers[2]
+    for last in outliers[:2]:
+        stop = threading.Event()
+        with _stopping_rig(stop, ShotKey(position="D", set_index=last, shot_index=2)) as rig:
+            assert not run(settings, tmp_path / "stopped", rig=rig, stop=stop)
+    assert run(settings, tmp_path / "stopped")
+    assert rows_of(tmp_path / "stopped") == whole
 
 
 def test_a_missed_strike_leaves_a_partial_set_with_its_cause(tmp_path: Path) -> None:
@@ -328,6 +386,9 @@ def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tm
     assert {row["cause"] for row in rows[2:5]} == {"the recorder was killed by signal 9"}
     # The set due at 3.0 h is taken late, at 3.2 h: its time is not over before the next one's.
     assert rows[5]["started_utc_ns"] - rows[5]["due_utc_ns"] > 0.1 * 3.6e12
+    with open_catalogue(tmp_path) as catalogue:
+        late = [shot["utc_ns"] for shot in catalogue.list_shots("D", 5)]
+    assert np.diff(late).tolist() == [4_000_000_000] * 2, "a late set is not taken in a hurry"
     assert len(gaps) == 3 * 4
 
 
