@@ -18,7 +18,7 @@ and S is a small part of B, so that the lower order is not seen. The contact wit
 implicitly with Newton's method.
 
 Modes above the cut follow the force statically, ``w = C (A d^(3/2) + dS/dt)``, with a backward
-difference. That of order three is not passive: on a unit circle of frequencies the real part of
+difference. That of order three is not passive: at some frequencies the real part of
 deflection by impulse falls to -C / (12 h), as it falls to -h / (3 m) for Adams-Moulton on the last
 sphere. A shot whose dashpot does not make up for both, ``1 / gamma > C / (12 h) + h / (3 m)``, may blow
 up, and the more so the smaller h; there the difference is of order two, whose real part is positive.
