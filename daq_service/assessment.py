@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from analysis.features import (
     FEATURE_NAMES,
     SetFeatures,
     ShotFeatures,
+    extract_from_average,
     mean_features,
 )
 from analysis.novelty import distance_squared, named_contributions
@@ -143,7 +144,7 @@ class SolitaryWaveAssessor:
 
     def assess(self, due: DueSet, shots: Sequence[Shot], features: Sequence[ShotFeatures]) -> Assessment:
         """Judge one set: the shots taken, in order, and their features."""
-        mean = mean_features(features, self._settings.baseline.minimum_valid_shots)
+        mean = self._set_features(shots, features)
         rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
         rows.append(_set_feature_row(self.position, due, mean))
         memory = self._memory
@@ -163,6 +164,17 @@ class SolitaryWaveAssessor:
             ),
             note=mean.reason,
         )
+
+    def _set_features(self, shots: Sequence[Shot], features: Sequence[ShotFeatures]) -> SetFeatures:
+        """Average the valid shots' features, or take those of their averaged record (the paper's way)."""
+        mean = mean_features(features, self._settings.baseline.minimum_valid_shots)
+        if self._settings.features.of_set == "mean_of_shots" or mean.quality == "bad":
+            return mean
+        valid = [shot.waveform for shot, found in zip(shots, features, strict=True) if found.valid]
+        averaged = extract_from_average(valid)
+        if not averaged.valid:
+            return replace(mean, quality="bad", reason=f"the averaged record is {', '.join(averaged.flags)}")
+        return replace(mean, mean=averaged.values())
 
     def _verdicts(self, due: DueSet, mean: SetFeatures) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
         memory = self._memory

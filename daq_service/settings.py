@@ -137,6 +137,14 @@ class UltrasoundSettings(Section):
     """Longitudinal velocity that finds the first echo (assumption: steel); eq. 17 itself needs none."""
 
 
+class FeatureSettings(Section):
+    """How the shots of a set become one feature vector."""
+
+    of_set: Literal["mean_of_shots", "averaged_waveform"] = "mean_of_shots"
+    """`mean_of_shots`: features of each valid shot, averaged; `averaged_waveform`: features of the averaged
+    record, the paper's way. The two are different quantities: a folder holds one kind."""
+
+
 class BaselineSettings(Section):
     """What counts as healthy."""
 
@@ -227,6 +235,7 @@ class Settings(BaseSettings):
     positions: dict[str, PositionSettings] = Field(default_factory=_paper_positions, min_length=1)
     """Monitored places by their short name (letters and digits)."""
     ultrasound: UltrasoundSettings = UltrasoundSettings()
+    features: FeatureSettings = FeatureSettings()
     baseline: BaselineSettings = BaselineSettings()
     novelty: NoveltySettings = NoveltySettings()
     alarms: AlarmSettings = AlarmSettings()

@@ -13,7 +13,7 @@ import pytest
 from small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
 
 import daq_service.recorder
-from analysis.features import extract_features
+from analysis.features import extract_features, extract_from_average
 from daq_service.archive import Archive, ArchiveWriteError, read_set, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.errors import RigError, StorageError
@@ -99,6 +99,23 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
     assert all(row["outlier"] is not None and row["limit_f"] is not None for row in judged)
     assert all(sum(row["contributions"].values()) == pytest.approx(row["distance_squared"]) for row in judged)
+
+
+def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:
+    assert run(small_settings(features={"of_set": "averaged_waveform"}, schedule={"end_h": 2.0}), tmp_path)
+    ours = rows_of(tmp_path)
+    usual = [row for row in rows_of(finished)["set_features"] if row["set_index"] < 4]
+    assert ours["shot_features"] == [
+        row for row in rows_of(finished)["shot_features"] if row["set_index"] < 4
+    ]
+    for averaged, mean in zip(ours["set_features"], usual, strict=True):
+        record = read_set(set_files(tmp_path)[averaged["set_index"]])
+        waveforms = [shot.waveform for shot in record.shots if shot.key.position == averaged["position"]]
+        assert averaged["tof_pp_s"] == extract_from_average(waveforms).tof_pp_s
+        # Other quantities, but of the same wave: shots of a set scatter by about one per cent.
+        assert averaged["tof_pp_s"] != mean["tof_pp_s"]
+        assert averaged["tof_pp_s"] == pytest.approx(mean["tof_pp_s"], rel=0.01)
+        assert averaged["noise_rms_v"] < 0.8 * mean["noise_rms_v"], "three records are averaged"
 
 
 def test_the_same_seed_repeats_every_row_and_another_does_not(finished: Path, tmp_path: Path) -> None:
