@@ -88,22 +88,32 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         click.echo(f"{name:<9} {json.dumps(row)}")
 
 
+FAREWELLS = {
+    "schedule_done": "finished: every planned set has its row",
+    "recorder_stopped": "stopped by its operator; start it again to go on",
+}
+
+
 def describe_status(folder: Path) -> dict[str, Any]:
     """Read the recorder's state, the counts, and the last word on each position."""
-    beat = read_heartbeat(folder) if folder.exists() else None
-    if beat is None:
-        recorder = "never started here"
-    elif (late_s := overdue_s(beat, mono_ns=time.monotonic_ns())) > 0.0:
-        recorder = f"not running: last sign of life {late_s + beat.deadline_s:.0f} s ago while {beat.doing}"
-    else:
-        recorder = f"running, {beat.doing}"
     try:
         with open_catalogue(folder, writer=False) as catalogue:
+            told = [row["kind"] for row in catalogue.events_after(0, {"service"}, limit=None)]
             return {
-                "recorder": recorder,
+                "recorder": FAREWELLS.get(told[-1] if told else "", _sign_of_life(folder)),
                 "counts": catalogue.counts(),
                 "positions": catalogue.positions_state(),
                 "alarms": catalogue.list_alarms(active=True),
             }
     except NoDataYetError:
-        return {"recorder": recorder, "counts": None, "positions": {}, "alarms": []}
+        return {"recorder": _sign_of_life(folder), "counts": None, "positions": {}, "alarms": []}
+
+
+def _sign_of_life(folder: Path) -> str:
+    beat = read_heartbeat(folder)
+    if beat is None:
+        return "never started here"
+    late_s = overdue_s(beat, mono_ns=time.monotonic_ns())
+    if late_s > 0.0:
+        return f"not running: last sign of life {late_s + beat.deadline_s:.0f} s ago while {beat.doing}"
+    return f"running, {beat.doing}"

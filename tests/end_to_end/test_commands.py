@@ -260,6 +260,36 @@ def test_run_records_serves_and_stays_until_told_to_stop(tmp_path: Path) -> None
     assert sets_done(tmp_path / "here") == 2, "the folder of the configuration, beside its file"
 
 
+def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
+    config = tmp_path / "test.toml"
+    config.write_text(
+        """
+        clock = { kind = "wall" }
+        baseline = { minimum_valid_shots = 2 }
+        [schedule]
+        phases = [{until_h = 0.0016, interval_h = 0.0008}]
+        shots_per_set = 2
+        shot_interval_s = 0.2
+        """,
+        encoding="utf-8",
+    )
+    folder = tmp_path / "data"
+    done = solimon("record", str(config), "--data-dir", str(folder))
+    assert done.returncode == 0, done.stderr
+    rows = rows_of(folder)
+    assert [row["state"] for row in rows["sets"]] == ["done"] * 8
+    starts = {(row["set_index"], row["position"]): row for row in rows["sets"]}
+    for set_index in (0, 1):
+        shots = [row for row in rows["shots"] if row["set_index"] == set_index]
+        strikes = [row["utc_ns"] for row in shots if row["position"] != "A"]
+        due_ns = starts[set_index, "B"]["due_utc_ns"]
+        # Strike k is due k * 0.2 s after the set; waiting may overshoot on a busy machine, never undershoot.
+        assert all(at_ns >= due_ns + k * 200_000_000 for k, at_ns in enumerate(strikes))
+    monotonic = [row["mono_ns"] for row in sorted(rows["shots"], key=lambda row: row["sequence"])]
+    assert monotonic == sorted(monotonic)
+    assert {row["boot_id"] for row in rows["shots"]} != {"simulated"}
+
+
 def test_a_second_recorder_on_the_same_folder_is_refused(tmp_path: Path) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
         wait_for(lambda: read_heartbeat(tmp_path) if tmp_path.exists() else None, "the recorder's start")
@@ -337,6 +367,7 @@ def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], 
     folder, _ = two_hours
     facts = json.loads(solimon("status", "--json", "--data-dir", str(folder)).stdout)
     assert facts["counts"]["sets"] == 4
+    assert facts["recorder"].startswith("finished"), "its last heartbeat is young, but it has ended"
     assert facts["positions"]["B"]["last_set"]["set_index"] == 3
     empty = solimon("status", "--data-dir", str(tmp_path))
     assert empty.returncode == 0
