@@ -6,7 +6,7 @@ mean depth then; for the pristine position D the outliers after the baseline, wi
 off. With the drift off, D's pooled count is compared with its predictive distribution: normal sets
 judged against a baseline of normal sets of the same size, simulated.
 
-    python benchmarks/detection_over_seeds.py                 eleven seeds, about 25 minutes on two cores
+    python benchmarks/detection_over_seeds.py                 eleven seeds, about ten minutes on two cores
     python benchmarks/detection_over_seeds.py --seeds 1 --hours 100 --scales 1
 
 Exit code 1 if B or C alarm later than at 30 % mean depth at scale 1, or D's pooled count lies outside
