@@ -16,7 +16,7 @@ import click
 
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.folder import prepare_data_folder
-from daq_service.run import check_owner, child_plans, log_to, stop_on_signals
+from daq_service.run import STOPPED, check_owner, child_plans, log_to, stop_on_signals
 from daq_service.schedule import due_hours
 from daq_service.settings import Settings, load_settings
 from daq_service.summary import print_summary, summarise_run
@@ -63,6 +63,8 @@ def run_demo(
         elif message["event"] == "progress":
             invitation.recording()
             say.progress(message)
+        elif message["event"] == "stopped":
+            say.line(STOPPED)
         elif message["event"] == "finished" and stay:
             print_summary(summarise_run(settings, folder), folder)
             say.line("The test is done; the dashboard stays until Ctrl-C.")

@@ -25,6 +25,8 @@ from daq_service.supervisor import ChildPlan, Supervisor, leave_when_pipe_closes
 
 log = logging.getLogger(__name__)
 
+STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
+
 LOG_BYTES, LOG_FILES = 5_000_000, 5
 """Each child's log is rotated: at most 25 MB."""
 
@@ -98,6 +100,8 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     def on_message(child: str, message: Any) -> None:
         if message["event"] == "listening":
             click.echo(f"dashboard: {message['url']}")
+        elif message["event"] == "stopped":
+            click.echo(STOPPED)
         elif message["event"] == "finished":
             click.echo(f"{child}: the schedule is done; Ctrl-C stops the dashboard")
 

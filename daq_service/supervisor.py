@@ -4,7 +4,8 @@ Children share nothing but the data folder. Each holds the reading end of a pipe
 input) whose other end the supervisor keeps open: when the supervisor ends, however it ends, the
 pipe closes and the children leave safely. A recorder whose heartbeat is overdue is killed and
 started again; so is a child that crashed. A child that ends with an exit code of the table
-(2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on.
+(2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on. A
+recorder that its operator told to stop (130) stays stopped.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq_service.errors import EXIT_OK
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.heartbeat import overdue_s, read_heartbeat
 
 log = logging.getLogger(__name__)
@@ -65,6 +66,7 @@ class _Child:
     quick_failures: int = 0
     cause: str = ""
     finished: bool = False
+    exit_code: int = EXIT_OK
     extra: list[str] = field(default_factory=list)
 
 
@@ -106,18 +108,18 @@ class Supervisor:
         try:
             while not stop.is_set():
                 for child in self._children:
-                    code = self._look_after(child)
+                    code = self._look_after(child, stop)
                     if code is not None:
                         return code
                 recorders = [child for child in self._children if child.plan.watched]
                 if recorders and all(child.finished for child in recorders) and not stay:
-                    return EXIT_OK
+                    return max(child.exit_code for child in recorders)
                 stop.wait(LOOK_EVERY_S)
             return EXIT_OK
         finally:
             self._take_down()
 
-    def _look_after(self, child: _Child) -> int | None:
+    def _look_after(self, child: _Child, stop: threading.Event) -> int | None:
         """Start, restart or kill one child as it needs; an exit code ends the supervision."""
         now = time.monotonic()
         if child.finished:
@@ -134,8 +136,12 @@ class Supervisor:
             return None
         self._close_pipe(child)
         child.process = None
-        if code == EXIT_OK and child.plan.watched:
+        if code in (EXIT_OK, EXIT_INTERRUPTED) and child.plan.watched:
+            # Done, or stopped by its operator: to start it again would strike on against the order.
             child.finished = True
+            child.exit_code = code
+            if code == EXIT_INTERRUPTED and not stop.is_set():
+                self._on_message(child.plan.name, {"event": "stopped"})
             return None
         if code in FINAL_CODES:
             return code

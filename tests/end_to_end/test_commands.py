@@ -260,6 +260,32 @@ def test_run_records_serves_and_stays_until_told_to_stop(tmp_path: Path) -> None
     assert sets_done(tmp_path / "here") == 2, "the folder of the configuration, beside its file"
 
 
+@posix_only
+def test_an_operators_stop_is_kept_by_the_supervisor(tmp_path: Path) -> None:
+    with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
+        url = line_with(process, r"http://127\.0\.0\.1:\d+")
+        recorder = children_of(process.pid)["record"]
+        order = urllib.request.Request(
+            f"{url}/api/v1/commands",
+            data=json.dumps({"kind": "stop", "author": "ann"}).encode(),
+            headers={"Content-Type": "application/json"},
+        )
+        with urllib.request.urlopen(order, timeout=LIMIT_S) as answer:
+            assert answer.status == 202
+        line_with(process, "the recorder was told to stop")
+        assert not is_running(recorder)
+        assert "record" not in children_of(process.pid)
+        stored = sets_done(tmp_path)
+        # The dashboard stays, and tells the state; nothing is struck meanwhile.
+        with urllib.request.urlopen(f"{url}/api/v1/health", timeout=LIMIT_S) as answer:
+            assert json.load(answer)["as_of"]["recorder"] == "stopped"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(LIMIT_S) == 130
+    assert sets_done(tmp_path) == stored
+    log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
+    assert "started again" not in log
+
+
 def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     config = tmp_path / "test.toml"
     config.write_text(

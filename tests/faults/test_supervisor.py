@@ -64,6 +64,13 @@ def test_a_recorder_that_is_done_ends_the_supervision(tmp_path: Path) -> None:
     assert supervise(tmp_path, "")[0] == 0
 
 
+def test_a_recorder_that_was_told_to_stop_is_not_started_again(tmp_path: Path) -> None:
+    """Exit code 130 is an operator's order: a restart would strike on against it."""
+    code, _ = supervise(tmp_path, "starts(sys.argv[1]); sys.exit(130)")
+    assert code == 130
+    assert (tmp_path / "starts").read_text() == "x"
+
+
 @pytest.mark.parametrize("code", [2, 3, 4, 5])
 def test_a_code_of_the_table_stops_everything_and_is_passed_on(tmp_path: Path, code: int) -> None:
     assert supervise(tmp_path, f"starts(sys.argv[1]); sys.exit({code})")[0] == code
