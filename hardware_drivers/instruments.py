@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
-from hardware_drivers.measurement import ShotKey, SupplyReading, Waveform
+from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading, Waveform
 
 
 @runtime_checkable
@@ -37,10 +37,19 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Acquired:
-    """What a digitizer or pulse-echo unit hands over."""
+    """What a digitizer or pulse-echo unit hands over.
+
+    Attributes
+    ----------
+    truth
+        What a simulated specimen knows of the record; empty on a real one.
+    settings
+        What the instrument says of the record, SI units in the names.
+    """
 
     waveform: Waveform
     truth: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, float | str] = field(default_factory=dict)
 
 
 @runtime_checkable
@@ -121,14 +130,74 @@ class PulseEchoUnit(Protocol):
 
 @runtime_checkable
 class PowerSupply(Protocol):
-    """The electrochemical drive. There is no call that switches it on by itself after a fault."""
+    """The electrochemical drive. Only `energise` switches it on, and only a person asks for that."""
 
     def read(self, timeout_s: float) -> SupplyReading:
-        """Measure voltage and current."""
+        """Measure voltage and current; never switches anything.
+
+        Raises
+        ------
+        ConnectionLostError
+            The supply does not answer: what its output does is unknown.
+        """
+        ...
+
+    def energise(self, voltage_v: float, current_limit_a: float) -> None:
+        """Set voltage and limit, read both back, then switch the output on.
+
+        Raises
+        ------
+        ConfigurationError
+            Beyond the configured caps, or not read back as set; the output stays off.
+        ConnectionLostError
+            The supply does not answer.
+        """
         ...
 
     def make_safe(self) -> None:
-        """Switch the output off; harmless when off."""
+        """Switch the output off and read that back; harmless when off.
+
+        Raises
+        ------
+        ConnectionLostError
+            The supply does not answer: what its output does is unknown.
+        """
+        ...
+
+    def identity(self) -> Mapping[str, str]:
+        """Maker, model, serial number and firmware, as the supply tells them."""
+        ...
+
+
+@runtime_checkable
+class ClimateProbe(Protocol):
+    """Thermometer and hygrometer beside the specimen."""
+
+    def read(self, timeout_s: float) -> ClimateReading:
+        """Temperature and humidity now.
+
+        Raises
+        ------
+        ConnectionLostError
+            The probe does not answer.
+        """
+        ...
+
+
+@runtime_checkable
+class SelfCalibrating(Protocol):
+    """An instrument that adjusts itself to its temperature; between sets only."""
+
+    def self_calibrate(self) -> Mapping[str, str]:
+        """Calibrate, read the scaling again, and say what was done (serial number: date and temperature).
+
+        Raises
+        ------
+        ConfigurationError
+            Called while armed.
+        ConnectionLostError, BusyError
+            As for a record.
+        """
         ...
 
 
@@ -150,6 +219,8 @@ class Rig:
     digitizer: Digitizer
     pulse_echo: PulseEchoUnit | None = None
     supply: PowerSupply | None = None
+    climate: ClimateProbe | None = None
+    self_calibrating: SelfCalibrating | None = None
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:

@@ -150,6 +150,9 @@ class Shot:
         Strictly increasing in an archive: the order, whatever the clocks say.
     truth
         What a simulated rig knows about the shot (SI units in the names); empty on a real rig.
+    settings
+        What the instrument says of its record: board, trigger level, calibration temperature, versions
+        (SI units in the names).
     """
 
     sequence: int
@@ -157,9 +160,11 @@ class Shot:
     stamp: Stamp
     waveform: Waveform
     truth: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -184,9 +189,11 @@ class PulseEchoRecord:
     offset_v: float
     averages: int
     truth: Mapping[str, float] = field(default_factory=dict)
+    settings: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "truth", MappingProxyType(dict(self.truth)))
+        object.__setattr__(self, "settings", MappingProxyType(dict(self.settings)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -197,3 +204,18 @@ class SupplyReading:
     voltage_v: float
     current_a: float
     output_on: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClimateReading:
+    """Air at the specimen.
+
+    Attributes
+    ----------
+    relative_humidity
+        0 (dry) to 1 (saturated).
+    """
+
+    stamp: Stamp
+    temperature_c: float
+    relative_humidity: float

@@ -15,7 +15,8 @@ from typing import Annotated, Any, ClassVar
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from simulator.parameters import DEEPEST_PATCH_FRACTION, check_bounds
+from hardware_drivers.bounds import check_bounds
+from simulator.parameters import DEEPEST_PATCH_FRACTION
 
 _FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 

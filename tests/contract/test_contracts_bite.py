@@ -365,6 +365,12 @@ class SoundSupply:
     def __init__(self):
         self.on = True
 
+    def energise(self, voltage_v, current_limit_a):
+        self.on = True
+
+    def identity(self):
+        return {"model": "test"}
+
     def read(self, timeout_s):
         stamp = Stamp(utc_ns=1, mono_ns=1, boot_id="test")
         volts = 10.0 if self.on else 0.0
