@@ -1,0 +1,216 @@
+"""What the NI-DAQmx driver is told: boards, wiring, record, strike. Imports nothing of the vendor's.
+
+A file embeds `DaqmxParameters` as ``[rig.daqmx]`` and each transducer's wiring as
+``[rig.daqmx.transducers.B]``, by the position it belongs to.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import check_bounds
+
+LONGEST_PULSE_S = 0.5
+"""Cap of the coil's on-time: many times what lifts a striker by millimetres, far from heating a coil."""
+
+GRAVITY_M_PER_S2 = 9.81
+
+_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+_SERIAL = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
+_INPUT = re.compile(r"ai\d{1,3}\Z")
+_COUNTER = re.compile(r"ctr\d\Z")
+_TERMINAL = re.compile(r"(PFI\d{1,2}|Ctr\dInternalOutput|RTSI\d|PXI_Trig\d)\Z")
+_LINE = re.compile(r"port\d/line\d{1,2}\Z")
+_ADDRESS = re.compile(r"[^\s:/]+:\d{1,5}\Z|\[[0-9A-Fa-f:]+\]:\d{1,5}\Z")
+_CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransducerWiring:
+    """Where one transducer is connected: its PZT disk to an input, its coil to a counter's output."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    board_serial: str
+    """Serial number of the digitizer board as printed on its label (hexadecimal, like `01A2B3C4`)."""
+    input: str = "ai0"
+    """Analog input of that board."""
+    range_v: Annotated[float, Gt(0.0), Le(100.0)] = 5.0
+    """Input range -range_v .. +range_v; one the board does not have is refused, not rounded."""
+    terminal_configuration: Literal["default", "rse", "nrse", "differential", "pseudo_differential"] = (
+        "default"
+    )
+    """How the input is referenced; `default` is the board's own (pseudo-differential on fast boards)."""
+    coupling: Literal["default", "dc", "ac"] = "default"
+    """Coupling of the input; `default` leaves it to the board (DC; many boards have no other)."""
+    striker_serial: str = ""
+    """Serial number of the board whose counter drives the coil; empty: the digitizer board itself."""
+    counter: str = "ctr0"
+    """Counter that times the coil's pulse; every coil has one of its own."""
+    output_terminal: str = "PFI12"
+    """Terminal the pulse leaves the board at (X and M Series: PFI12 is the home of `ctr0`)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        if self.striker_serial:
+            _match("striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty")
+        _match("input", self.input, _INPUT, "an analog input, like ai0")
+        _match("counter", self.counter, _COUNTER, "a counter, like ctr0")
+        _match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
+
+    @property
+    def coil_serial(self) -> str:
+        """Serial number of the board that drives the coil."""
+        return self.striker_serial or self.board_serial
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchdogWiring:
+    """X Series watchdog: the board itself pulls the coil's lines low if this program stops feeding it."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    board_serial: str
+    """Serial number of the X Series board whose counters drive the coils."""
+    lines: tuple[str, ...]
+    """Coils' terminals by their digital names (X Series: PFI12 is `port2/line4`); they expire to low."""
+    timeout_s: Annotated[float, Ge(0.01), Le(30.0)] = 2.0
+    """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
+        if not self.lines:
+            raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
+        for line in self.lines:
+            _match("lines", line, _LINE, "digital lines, like port2/line4")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DaqmxParameters:
+    """Digitizers and strikers of a rig on NI-DAQmx boards."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    transducers: Mapping[str, TransducerWiring]
+    """Wiring of each solitary-wave transducer, by its position."""
+    transport: Literal["library", "grpc"] = "library"
+    """`library`: boards in or at this computer; `grpc`: boards of another computer that runs NI's gRPC
+    device server."""
+    grpc_address: str = ""
+    """`host:port` of that server; only with `grpc`."""
+    grpc_client_name: str = ""
+    """Name under which this rig's tasks are kept on the server, so that those a killed recorder left are
+    found and cleared, never another client's; empty: the name of this computer."""
+    call_timeout_s: Annotated[float, Ge(0.05), Le(120.0)] = 10.0
+    """Longest wait for an answer of the gRPC server to a call that does not itself wait; a self-calibration
+    may take ten times as long. Without `grpc` nothing can end a hung call but the recorder's supervisor."""
+    sample_rate_hz: Annotated[float, Gt(0.0), Le(1e9)] = 10e6
+    """Sampling rate (paper: 10 MHz); a board that would use another one is refused."""
+    record_samples: Annotated[int, Ge(16), Le(100_000_000)] = 13_600
+    """Samples of a record: 0.1 ms before the trigger and 1.26 ms after it, so 1.2 ms after the peak."""
+    pretrigger_samples: Annotated[int, Ge(2), Le(100_000_000)] = 1_000
+    """Samples before the trigger (100 us at 10 MS/s)."""
+    trigger_level_v: Annotated[float, Ge(-100.0), Le(100.0)] = 0.25
+    """Voltage at the transducer's own input that triggers: a tenth of the incident wave."""
+    trigger_slope: Literal["rising", "falling"] = "rising"
+    """Direction in which the level is passed."""
+    pulse_s: Annotated[float, Ge(1e-3), Le(LONGEST_PULSE_S)] = 0.1
+    """Time the coil is on: it lifts the striker, which falls when it goes off. The board's counter times it,
+    so it ends whatever happens to this program. At most 0.5 s."""
+    drop_height_m: Annotated[float, Gt(0.0), Le(1.0)] = 5e-3
+    """Height the striker falls from (paper: 5 mm): the wave comes sqrt(2 h / g) after the pulse."""
+    fall_margin_s: Annotated[float, Ge(0.0), Le(5.0)] = 0.1
+    """Wait beyond that before a strike counts as missed: friction in the guide."""
+    self_calibration_interval_h: Annotated[float, Ge(0.0), Le(8760.0)] = 24.0
+    """Hours between two self-calibrations, done between sets; 0: never."""
+    dry_run: bool = False
+    """Rehearsal: everything is set up, but no coil's counter is ever started; records are taken without a
+    trigger, so they show the noise at the input."""
+    reference_clock: Literal["onboard", "PXI_Clk10", "PXIe_Clk100"] = "onboard"
+    """Clock the boards' time bases are locked to. `onboard`: each runs on its own, which is enough, since a
+    record's time zero is its own trigger; a chassis clock gives all positions one scale of time."""
+    watchdog: WatchdogWiring | None = None
+    """X Series watchdog over the coils' terminals around each strike; absent: none."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        object.__setattr__(self, "transducers", dict(self.transducers))
+        self._check_record()
+        self._check_transport()
+        self._check_wiring()
+        if self.watchdog is not None and self.watchdog.timeout_s <= self.longest_strike_s:
+            raise ValueError(
+                f"watchdog.timeout_s is {self.watchdog.timeout_s} s; it must be longer than a strike "
+                f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
+            )
+
+    def _check_record(self) -> None:
+        if self.pretrigger_samples >= self.record_samples:
+            raise ValueError(
+                f"pretrigger_samples is {self.pretrigger_samples}; it must be less than record_samples "
+                f"({self.record_samples})"
+            )
+        if not self.transducers:
+            raise ValueError("transducers is empty; wire at least one position")
+        for position, wiring in self.transducers.items():
+            if abs(self.trigger_level_v) >= wiring.range_v:
+                raise ValueError(
+                    f"trigger_level_v is {self.trigger_level_v} V; it must lie inside the range of position "
+                    f"{position!r} (+-{wiring.range_v} V)"
+                )
+
+    def _check_transport(self) -> None:
+        if self.transport == "grpc":
+            _match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
+        elif self.grpc_address:
+            raise ValueError(
+                f"grpc_address is {self.grpc_address!r} but transport is 'library'; set transport = 'grpc'"
+            )
+        _match("grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -")
+
+    def _check_wiring(self) -> None:
+        """Refuse two transducers on one input, counter or terminal.
+
+        A counter cannot serve two coils in turn: a route that a task has given up may stay connected,
+        and then both coils would pulse.
+        """
+        taken: dict[tuple[int, str], str] = {}
+        for position, wiring in self.transducers.items():
+            board, coil_board = int(wiring.board_serial, 16), int(wiring.coil_serial, 16)
+            ends = ((board, wiring.input), (coil_board, wiring.counter), (coil_board, wiring.output_terminal))
+            for end in ends:
+                other = taken.setdefault(end, position)
+                if other != position:
+                    raise ValueError(
+                        f"transducers {other!r} and {position!r} share {end[1]} of board {end[0]:08X}; each "
+                        "needs its own input, counter and output terminal"
+                    )
+
+    @property
+    def fall_s(self) -> float:
+        """Free fall of the striker, s."""
+        return math.sqrt(2.0 * self.drop_height_m / GRAVITY_M_PER_S2)
+
+    @property
+    def initial_delay_s(self) -> float:
+        """From the counter's start to the coil's pulse: twice the pre-trigger, which fills meanwhile."""
+        return 2.0 * self.pretrigger_samples / self.sample_rate_hz
+
+    @property
+    def longest_strike_s(self) -> float:
+        """From the counter's start to the last sample, friction allowed for."""
+        record_s = self.record_samples / self.sample_rate_hz
+        return self.initial_delay_s + self.pulse_s + self.fall_s + self.fall_margin_s + record_s
+
+
+def _match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
+    if not pattern.match(value):
+        raise ValueError(f"{name} is {value!r}; it must be {wanted}")
