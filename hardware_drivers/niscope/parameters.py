@@ -1,0 +1,88 @@
+"""Parameters of the pulse-echo unit: which probe hangs on which input, and how it is recorded.
+
+A file embeds them as ``[rig.niscope]`` with one ``[rig.niscope.probes.NAME]`` a position.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import check_bounds
+
+_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProbeWiring:
+    """One ultrasonic probe: its board, its input and its pulser-receiver."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    resource: str
+    """Name of the board in NI MAX or `nilsdev`, for example `PXI1Slot4`."""
+    serial_number: str = ""
+    """Serial number the board must report; empty: whatever board answers to `resource`."""
+    other_resources: tuple[str, ...] = ()
+    """Names under which a replugged board may come back; needs `serial_number`. No other board is touched."""
+    channel: str = "0"
+    """Input the receiver's RF output is wired to."""
+    range_v: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
+    """Input range -range_v .. +range_v; one that the board has, a coerced one is refused."""
+    offset_v: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    """Centre of the input range."""
+    coupling: Literal["ac", "dc"] = "dc"
+    """Coupling of the input."""
+    input_impedance_ohm: Literal[50, 1_000_000] = 50
+    """Impedance of the input; 50 for a pulser-receiver's output."""
+    bandwidth_hz: Annotated[float, Ge(0.0), Le(1e10)] = 0.0
+    """Corner of the board's noise filter; 0: the board's full bandwidth."""
+    trigger_source: Literal["external", "pfi_0", "pfi_1", "channel"] = "external"
+    """Where the pulser's sync comes in: the analog TRIG input, a digital PFI line, or `channel` itself."""
+    trigger_level_v: Annotated[float, Ge(-100.0), Le(100.0)] = 1.0
+    """Level of an analog trigger (`external`, `channel`); a digital line has its own threshold."""
+    trigger_slope: Literal["rising", "falling"] = "rising"
+    """Edge of the sync."""
+    firing_delay_s: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Time from the sync's edge to the firing pulse: the record starts this long after the trigger."""
+    gain_db: Annotated[float, Ge(-60.0), Le(120.0)] = 30.0
+    """Gain of the pulser-receiver as set by hand on its front; stored with every record."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        for name in ("resource", "channel"):
+            if not getattr(self, name).strip():
+                raise ValueError(
+                    f"{name} is empty; name the board and its input, for example PXI1Slot4 and 0"
+                )
+        if self.other_resources and not self.serial_number:
+            raise ValueError(
+                f"other_resources is {list(self.other_resources)} but serial_number is empty; give the serial "
+                "number, or another board could be taken for this one"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NiscopeParameters:
+    """All ultrasonic probes and how their records are taken."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    probes: Mapping[str, ProbeWiring]
+    """Wiring of each pulse-echo position by its name."""
+    sample_rate_hz: Annotated[float, Gt(0.0), Le(1e10)] = 100e6
+    """Sampling rate (paper: 100 MHz); a coerced one is refused."""
+    record_samples: Annotated[int, Ge(16), Le(10_000_000)] = 2_048
+    """Samples from the firing pulse on: 20.5 us hold five back-wall echoes of the paper's plate."""
+    averages: Annotated[int, Ge(1), Le(32_768)] = 16
+    """Records of one acquisition, summed in whole counts: noise falls with the square root."""
+    call_timeout_s: Annotated[float, Gt(0.0), Le(600.0)] = 5.0
+    """Longest wait for the pulser's triggers, whatever the caller allows."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if not self.probes:
+            raise ValueError("probes is empty; give each pulse-echo position its [rig.niscope.probes.NAME]")
