@@ -1,0 +1,150 @@
+"""Parameters of the instruments on serial lines: each with its unit, its bounds and what it means."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import check_bounds
+
+USB_SERIAL_PREFIX = "serial:"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SerialLineParameters:
+    """One serial line: where it is and how it speaks."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+    port: str
+    """A path (`/dev/serial/by-id/...`, which survives replugging), a name (`COM4`), or `serial:` and the
+    serial number of the USB adapter (`serial:FT4XYZ01`), which is found again under any name."""
+    baud_rate: Annotated[int, Ge(50), Le(4_000_000)] = 9600
+    """Bits a second, as set at the instrument."""
+    data_bits: Literal[7, 8] = 8
+    """Data bits of a character."""
+    parity: Literal["none", "even", "odd"] = "none"
+    """Parity bit of a character."""
+    stop_bits: Literal[1, 2] = 1
+    """Stop bits of a character."""
+    flow_control: Literal["none", "rts_cts", "dsr_dtr", "xon_xoff"] = "none"
+    """Handshake, as set at the instrument."""
+    terminator: Literal["\n", "\r\n", "\r"] = "\n"
+    """Ends every command and every reply."""
+    reply_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 1.0
+    """Longest wait for one reply; one that comes later is thrown away."""
+    longest_reply_bytes: Annotated[int, Ge(16), Le(65_536)] = 256
+    """A reply without a terminator is refused after this many bytes."""
+    reconnect_first_s: Annotated[float, Gt(0.0), Le(3600.0)] = 1.0
+    """After a failed attempt to reach the instrument the next comes this much later, then twice as much."""
+    reconnect_longest_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 60.0
+    """The wait between two attempts grows no further; they never end, since a plug may come back."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        name = self.port.removeprefix(USB_SERIAL_PREFIX)
+        if not name or name != name.strip() or not name.isprintable():
+            raise ValueError(
+                f"port is {self.port!r}; give a path, a name like COM4, or {USB_SERIAL_PREFIX}<serial number>"
+            )
+        if self.reconnect_longest_s < self.reconnect_first_s:
+            raise ValueError(
+                f"reconnect_longest_s is {self.reconnect_longest_s} s; it must be at least "
+                f"reconnect_first_s = {self.reconnect_first_s} s"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupplyParameters:
+    """The electrochemical drive: a DC supply between specimen (plus) and copper electrode (minus)."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+    line: SerialLineParameters
+    """Its serial line."""
+    identity: str
+    """Regular expression that the answer to `*IDN?` must begin with, up to the serial number
+    (`KEYSIGHT,E36312A,MY1234`): anything else on the line is refused and sent nothing but `*IDN?`."""
+    dialect: Literal["scpi"] = "scpi"
+    """Commands it understands: `scpi` (SCPI-1999: VOLT, CURR, OUTP, MEAS:VOLT?, MEAS:CURR?, SYST:ERR?)."""
+    protection_queries: tuple[str, ...] = ("VOLT:PROT:TRIP?", "CURR:PROT:TRIP?")
+    """Ask whether a protection has tripped (answer 0 or 1); empty for a supply that has none."""
+    voltage_v: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
+    """Voltage of the drive (paper: 10 V)."""
+    current_limit_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
+    """Current at which the supply stops holding its voltage."""
+    voltage_cap_v: Annotated[float, Gt(0.0), Le(60.0)] = 12.0
+    """No order beyond this is sent, whoever gives it (at most 60 V: extra-low voltage)."""
+    current_cap_a: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
+    """No limit beyond this is sent, whoever asks for it."""
+    readback_tolerance_v: Annotated[float, Gt(0.0), Le(1.0)] = 0.05
+    """How far the voltage read back or measured may lie above the one that was set."""
+    readback_tolerance_a: Annotated[float, Gt(0.0), Le(1.0)] = 0.02
+    """How far the current limit read back, or the current measured, may lie above the one that was set."""
+    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 10.0
+    """Seconds between two readings; charge is integrated over them."""
+    interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.5
+    """Measured current at which the interlock switches off (a hole or a short circuit)."""
+    interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
+    """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        check_identity(self.identity)
+        for query in self.protection_queries:
+            check_query("protection_queries", query)
+        for name, cap in (
+            ("voltage_v", "voltage_cap_v"),
+            ("current_limit_a", "current_cap_a"),
+        ):
+            if getattr(self, name) > getattr(self, cap):
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; it must be at most {cap} = {getattr(self, cap)}"
+                )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClimateParameters:
+    """Thermometer and hygrometer beside the specimen."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+    line: SerialLineParameters
+    """Its serial line."""
+    identity: str
+    """Regular expression that the answer to `identity_query` must begin with."""
+    identity_query: str = "*IDN?"
+    """Asks who it is."""
+    temperature_query: str = "MEAS:TEMP?"
+    """Asks for the temperature in degrees Celsius."""
+    humidity_query: str = "MEAS:HUM?"
+    """Asks for the relative humidity."""
+    humidity_unit: Literal["percent", "fraction"] = "percent"
+    """Unit in which the probe tells its relative humidity."""
+    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    """Seconds between two readings."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        check_identity(self.identity)
+        for name in ("identity_query", "temperature_query", "humidity_query"):
+            check_query(name, getattr(self, name))
+
+
+def check_identity(pattern: str) -> None:
+    """Refuse an identity that is no regular expression or that anything would match."""
+    try:
+        matches_anything = re.match(pattern, "") is not None
+    except re.error as error:
+        raise ValueError(f"identity is {pattern!r}; it is no regular expression: {error}") from error
+    if matches_anything:
+        raise ValueError(f"identity is {pattern!r}, which any instrument matches; give its maker and model")
+
+
+def check_query(name: str, query: str) -> None:
+    """Refuse what cannot be sent as one question."""
+    if not (query.isascii() and query.isprintable() and query.strip()) or ";" in query:
+        raise ValueError(f"{name} is {query!r}; give one command of printable ASCII characters")
