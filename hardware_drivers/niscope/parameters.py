@@ -60,8 +60,8 @@ class ProbeWiring:
                 )
         if self.other_resources and not self.serial_number:
             raise ValueError(
-                f"other_resources is {list(self.other_resources)} but serial_number is empty; give the serial "
-                "number, or another board could be taken for this one"
+                f"other_resources is {list(self.other_resources)} but serial_number is empty; give it, or "
+                "another board could be taken for this one"
             )
 
 
