@@ -72,6 +72,9 @@ class SupplyParameters:
     """Commands it understands: `scpi` (SCPI-1999: VOLT, CURR, OUTP, MEAS:VOLT?, MEAS:CURR?, SYST:ERR?)."""
     protection_queries: tuple[str, ...] = ("VOLT:PROT:TRIP?", "CURR:PROT:TRIP?")
     """Ask whether a protection has tripped (answer 0 or 1); empty for a supply that has none."""
+    setup_commands: tuple[str, ...] = ()
+    """Sent after each check of the identity, for example `SYST:REM` (many need it before they obey on a
+    serial line) or `INST:NSEL 1` (channel); only SYST, INST and DISP commands, which switch nothing."""
     voltage_v: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
     """Voltage of the drive (paper: 10 V)."""
     current_limit_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
@@ -86,8 +89,13 @@ class SupplyParameters:
     """How far the current limit read back, or the current measured, may lie above the one that was set."""
     log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 10.0
     """Seconds between two readings; charge is integrated over them."""
-    interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.5
-    """Measured current at which the interlock switches off (a hole or a short circuit)."""
+    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
+    """Longest time one reading (three questions, after a fault with finding the instrument again) may take."""
+    interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 0.9
+    """Measured current at which the interlock switches off (a hole, a short circuit). Below
+    `current_limit_a`, or it is never reached while the supply keeps its limit."""
+    interlock_readings: Annotated[int, Ge(1), Le(1000)] = 3
+    """So many readings in a row at or above `interlock_current_a` trip it."""
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
 
@@ -96,6 +104,12 @@ class SupplyParameters:
         check_identity(self.identity)
         for query in self.protection_queries:
             check_query("protection_queries", query)
+        for command in self.setup_commands:
+            check_query("setup_commands", command)
+            if not command.upper().lstrip(":").startswith(("SYST", "INST", "DISP")):
+                raise ValueError(
+                    f"setup_commands has {command!r}; only SYST, INST and DISP commands are sent"
+                )
         for name, cap in (
             ("voltage_v", "voltage_cap_v"),
             ("current_limit_a", "current_cap_a"),
@@ -126,6 +140,8 @@ class ClimateParameters:
     """Unit in which the probe tells its relative humidity."""
     log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
     """Seconds between two readings."""
+    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
+    """Longest time one reading may take."""
 
     def __post_init__(self) -> None:
         check_bounds(self)

@@ -1,0 +1,85 @@
+"""Thermometer and hygrometer on a serial line, for probes that answer one question with one number."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import ClimateReading, Stamp
+from hardware_drivers.serial_port.line import SerialLine, name_parts
+from hardware_drivers.serial_port.parameters import ClimateParameters
+
+TEMPERATURE_RANGE_C = (-60.0, 200.0)
+"""What air beside a specimen can have; without its sensor a probe often tells the end of its scale."""
+HUMIDITY_RANGE = (0.0, 1.05)
+"""Capacitive sensors read a little over 1 in fog."""
+
+
+class ScpiClimateProbe:
+    """A `ClimateProbe` of the instrument Protocols.
+
+    Parameters
+    ----------
+    parameters
+        Line, name and questions. Nothing is opened before the first call.
+    stamp
+        The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
+    """
+
+    def __init__(self, parameters: ClimateParameters, *, stamp: Callable[[], Stamp]) -> None:
+        self._parameters = parameters
+        self._stamp = stamp
+        self._line = SerialLine(
+            parameters.line,
+            identity=parameters.identity,
+            identity_query=parameters.identity_query,
+            stamp=stamp,
+        )
+
+    def identity(self) -> Mapping[str, str]:
+        """Maker, model, serial number and firmware, as the probe tells them, and its port.
+
+        Raises
+        ------
+        BusyError, ConfigurationError, ConnectionLostError
+            As for `read`.
+        """
+        self._line.connect(time.monotonic() + self._parameters.read_timeout_s)
+        return name_parts(self._line)
+
+    def read(self, timeout_s: float) -> ClimateReading:
+        """Temperature and relative humidity now.
+
+        Raises
+        ------
+        BusyError
+            Another program owns the port.
+        ConfigurationError
+            Another instrument is there, or the port cannot be opened as configured.
+        ConnectionLostError
+            The probe does not answer in time, or tells what air cannot have.
+        """
+        if not timeout_s > 0.0:
+            raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
+        deadline_s = time.monotonic() + timeout_s
+        parameters = self._parameters
+        self._line.connect(deadline_s)
+        stamp = self._stamp()
+        temperature_c = self._line.query_number(parameters.temperature_query, deadline_s)
+        humidity = self._line.query_number(parameters.humidity_query, deadline_s)
+        if parameters.humidity_unit == "percent":
+            humidity /= 100.0
+        for what, value, (low, high) in (
+            ("a temperature in degrees Celsius", temperature_c, TEMPERATURE_RANGE_C),
+            (f"a relative humidity (told in {parameters.humidity_unit})", humidity, HUMIDITY_RANGE),
+        ):
+            if not low <= value <= high:
+                raise self._line.refused(
+                    f"tells {value:g} as {what}; it must lie in {low:g}..{high:g}: check its sensor and unit"
+                )
+        return ClimateReading(stamp=stamp, temperature_c=temperature_c, relative_humidity=min(humidity, 1.0))
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.close()

@@ -1,0 +1,338 @@
+"""One instrument on one serial line: questions and answers as lines of ASCII text, each bounded in time.
+
+A line is either in step with its instrument or closed. Whatever goes wrong (silence, garbage, an
+unplugged cable) closes it, and the next call opens it again. What an instrument answers too late would
+otherwise answer the next question: after every opening the line asks who is there and throws away
+everything that comes before the expected name. Nothing else is sent to an instrument that has another.
+
+Attempts to open back off on the caller's clock: a call that comes too early fails at once with the
+cause of the last attempt, and no call waits longer than its timeout.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import re
+import time
+from collections.abc import Callable, Iterator
+
+import serial
+
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.parameters import SerialLineParameters
+from hardware_drivers.serial_port.port import PORT_ERRORS, open_port
+
+log = logging.getLogger(__name__)
+
+SHOWN_BYTES = 60
+"""So much of a refused reply is shown."""
+
+_ERROR_QUEUE_ENTRY = re.compile(r'[+-]?\d+\s*,\s*"')
+
+
+class SerialLine:
+    """Speaks with the instrument whose name is expected; opened by the first call that needs it.
+
+    Parameters
+    ----------
+    identity
+        Regular expression that the answer to ``identity_query`` must begin with.
+    stamp
+        The caller's clock: its monotonic time spaces the attempts to open.
+    """
+
+    def __init__(
+        self,
+        parameters: SerialLineParameters,
+        *,
+        identity: str,
+        stamp: Callable[[], Stamp],
+        identity_query: str = "*IDN?",
+    ) -> None:
+        self.parameters = parameters
+        self._identity = re.compile(identity)
+        self._identity_query = identity_query
+        self._stamp = stamp
+        self._port: serial.Serial | None = None
+        self._name = ""
+        self._attempts = 0
+        self._next_attempt_ns = 0
+        self._trouble: InstrumentError | None = None
+
+    @property
+    def connected(self) -> bool:
+        """True while the port is open and the instrument has told the expected name."""
+        return self._port is not None
+
+    @property
+    def name(self) -> str:
+        """What the instrument last answered when asked who it is."""
+        return self._name
+
+    # Opening -------------------------------------------------------------------------------------
+
+    def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
+        """Open the port and ask who is there, unless that is done already.
+
+        Parameters
+        ----------
+        deadline_s
+            Monotonic time of the machine at which the call must have ended.
+        at_once
+            Do not heed the wait after a failed attempt: for a person's order and for switching off.
+
+        Returns
+        -------
+        bool
+            True if the line was opened by this call.
+
+        Raises
+        ------
+        BusyError
+            Another program owns the port.
+        ConfigurationError
+            No right to open it, no serial port, or another instrument is there.
+        ConnectionLostError
+            No such port now, no answer, or still waiting for the next attempt.
+        """
+        if self._port is not None:
+            return False
+        now_ns = self._stamp().mono_ns
+        if self._trouble is not None and not at_once and now_ns < self._next_attempt_ns:
+            wait_s = (self._next_attempt_ns - now_ns) / 1e9
+            raise type(self._trouble)(f"{self._trouble}; next attempt in {wait_s:.3g} s") from self._trouble
+        try:
+            self._port = open_port(self.parameters)
+            self._name = self._identify(deadline_s)
+        except InstrumentError as error:
+            self.close()
+            self._attempts += 1
+            wait_s = min(
+                self.parameters.reconnect_first_s * 2.0 ** min(self._attempts - 1, 40),
+                self.parameters.reconnect_longest_s,
+            )
+            self._next_attempt_ns = self._stamp().mono_ns + round(wait_s * 1e9)
+            tries = f"after {self._attempts} attempt" + ("s" if self._attempts > 1 else "")
+            self._trouble = type(error)(f"{error} ({tries})")
+            raise self._trouble from error
+        if self._trouble is not None:
+            log.warning("%s: %s is back after %d attempts", self._where(), self._name, self._attempts)
+        self._attempts, self._trouble = 0, None
+        return True
+
+    def _identify(self, deadline_s: float) -> str:
+        """Ask who is there; what comes before the expected name is a late reply and thrown away."""
+        self._write(self._identity_query)
+        deadline_s = min(deadline_s, time.monotonic() + self.parameters.reply_timeout_s)
+        strangers, garbage = [], []
+        pending = bytearray()
+        while (raw := self._next_line(pending, deadline_s)) is not None:
+            reply = _text(raw)
+            if reply is None:
+                garbage.append(raw)
+            elif self._identity.match(reply):
+                return reply
+            elif _is_name(reply):
+                strangers.append(reply)
+                if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
+                    break
+        if strangers:
+            raise ConfigurationError(
+                f"the instrument at {self.parameters.port} answers as {strangers[-1]!r}; expected a name that begins with "
+                f"{self._identity.pattern!r}: connect the right instrument, or correct its identity"
+            )
+        if garbage:
+            raise ConnectionLostError(
+                f"the instrument at {self.parameters.port} answered {_shown(garbage[-1])} to {self._identity_query}; check baud rate, "
+                "parity and cable"
+            )
+        raise ConnectionLostError(
+            f"the instrument at {self.parameters.port} does not answer {self._identity_query} within "
+            f"{self.parameters.reply_timeout_s:g} s; check that it is on, its cable and its baud rate"
+        )
+
+    def close(self) -> None:
+        """Close the port; harmless when closed."""
+        port, self._port = self._port, None
+        if port is None:
+            return
+        with contextlib.suppress(*PORT_ERRORS):
+            # What the instrument did not take would hold up the closing for half a minute.
+            port.reset_output_buffer()
+        with contextlib.suppress(*PORT_ERRORS):
+            port.close()
+
+    # Talking -------------------------------------------------------------------------------------
+
+    def send(self, command: str) -> None:
+        """Send a command that is not answered.
+
+        Raises
+        ------
+        ConnectionLostError
+            It could not be sent; the line is closed.
+        """
+        self._write(command)
+
+    def query(self, question: str, deadline_s: float) -> str:
+        """Send a question and return its answer without its terminator.
+
+        Raises
+        ------
+        ConnectionLostError
+            No answer in time, or one that is no text, too long or followed by another: the line is
+            closed and finds its step again when it is opened next.
+        """
+        if time.monotonic() >= deadline_s:
+            raise ConnectionLostError(
+                f"{self._where()}: no time left to ask {question}; it is too slow for the timeout given"
+            )
+        self._write(question)
+        reply_timeout_s = self.parameters.reply_timeout_s
+        pending = bytearray()
+        raw = self._next_line(pending, min(deadline_s, time.monotonic() + reply_timeout_s))
+        if raw is None:
+            raise self._lost(
+                f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
+                + (f"; it sent only {_shown(bytes(pending))}" if pending else "")
+            )
+        if pending:
+            raise self._lost(f"answered {question} twice: {_shown(raw)} and {_shown(bytes(pending))}")
+        reply = _text(raw)
+        if reply is None:
+            raise self._lost(f"answered {_shown(raw)} to {question}: that is no text")
+        return reply
+
+    def query_number(self, question: str, deadline_s: float) -> float:
+        """Send a question whose answer is a finite number.
+
+        Raises
+        ------
+        ConnectionLostError
+            As `query`, and for anything that is no number or SCPI's 9.9E37 (infinite) and 9.91E37
+            (not a number).
+        """
+        reply = self.query(question, deadline_s)
+        try:
+            value = float(reply)
+        except ValueError as error:
+            raise self._lost(f"answered {reply!r} to {question}: that is no number") from error
+        if not math.isfinite(value) or abs(value) >= 9.9e37:
+            raise self._lost(f"answered {reply!r} to {question}: it has no value to give")
+        return value
+
+    def query_flag(self, question: str, deadline_s: float) -> bool:
+        """Send a question whose answer is 0 or 1 (some say OFF or ON).
+
+        Raises
+        ------
+        ConnectionLostError
+            As `query`, and for any other answer.
+        """
+        reply = self.query(question, deadline_s)
+        if reply.upper() in {"1", "+1", "ON"}:
+            return True
+        if reply.upper() in {"0", "+0", "OFF"}:
+            return False
+        raise self._lost(f"answered {reply!r} to {question}: expected 0 or 1")
+
+    def query_error(self, deadline_s: float) -> str | None:
+        """Take one entry off the instrument's error queue; None when it is empty.
+
+        Raises
+        ------
+        ConnectionLostError
+            As `query`, and for anything that is no entry of an error queue.
+        """
+        reply = self.query("SYST:ERR?", deadline_s)
+        if not _ERROR_QUEUE_ENTRY.match(reply):
+            raise self._lost(f"answered {reply!r} to SYST:ERR?: that is no entry of an error queue")
+        return None if int(reply.partition(",")[0]) == 0 else reply
+
+    def _write(self, command: str) -> None:
+        if self._port is None:
+            raise ConnectionLostError(f"{self._where()} is closed")
+        with self._translated(f"send {command}"):
+            # A reply that came too late must not answer this command.
+            self._port.reset_input_buffer()
+            self._port.write((command + self.parameters.terminator).encode("ascii"))
+
+    def _next_line(self, pending: bytearray, deadline_s: float) -> bytes | None:
+        """Return the next line without its terminator, None at the deadline; the rest stays in ``pending``.
+
+        Raises
+        ------
+        ConnectionLostError
+            The port is gone, or the line is longer than any reply.
+        """
+        port, terminator = self._port, self.parameters.terminator.encode("ascii")
+        assert port is not None, "only called while open"
+        while True:
+            line, end, rest = pending.partition(terminator)
+            if end:
+                pending[:] = rest
+                return bytes(line)
+            if len(pending) > self.parameters.longest_reply_bytes:
+                raise self._lost(
+                    f"sent more than {self.parameters.longest_reply_bytes} bytes without a terminator: "
+                    f"{_shown(bytes(pending))}; check baud rate and terminator"
+                )
+            if time.monotonic() >= deadline_s:
+                return None
+            with self._translated("be read"):
+                # A timeout of pyserial is a short read, here an empty one.
+                pending += port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
+
+    @contextlib.contextmanager
+    def _translated(self, doing: str) -> Iterator[None]:
+        try:
+            yield
+        except serial.SerialTimeoutException as error:
+            raise self._lost(f"does not take commands (could not {doing}); check flow control") from error
+        except PORT_ERRORS as error:
+            raise self._lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
+
+    def refused(self, message: str) -> ConnectionLostError:
+        """Close the line because of an answer that cannot be right; the caller raises what is returned."""
+        return self._lost(message)
+
+    def _lost(self, message: str) -> ConnectionLostError:
+        self.close()
+        return ConnectionLostError(f"{self._where()} {message}")
+
+    def _where(self) -> str:
+        return f"{self._name.rstrip() or 'the instrument'} at {self.parameters.port}"
+
+
+def name_parts(line: SerialLine) -> dict[str, str]:
+    """Answer to ``*IDN?`` by its four parts (IEEE 488.2); what is missing is empty."""
+    parts = [part.strip() for part in line.name.split(",", 3)]
+    parts += [""] * (4 - len(parts))
+    names = ("maker", "model", "serial_number", "firmware")
+    return {**dict(zip(names, parts, strict=True)), "port": line.parameters.port}
+
+
+def _text(raw: bytes) -> str | None:
+    """Printable ASCII of a reply, or None; spaces around it and a stray carriage return do not count."""
+    stripped = raw.strip(b" \t\r\n")
+    if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):
+        return None
+    return stripped.decode("ascii")
+
+
+def _is_name(reply: str) -> bool:
+    """Tell another instrument's name from a late number or error of the right one."""
+    if _ERROR_QUEUE_ENTRY.match(reply) or reply.upper() in {"ON", "OFF"}:
+        return False
+    try:
+        float(reply)
+    except ValueError:
+        return any(character.isalpha() for character in reply)
+    return False
+
+
+def _shown(raw: bytes) -> str:
+    return repr(raw[:SHOWN_BYTES]) + ("..." if len(raw) > SHOWN_BYTES else "")
