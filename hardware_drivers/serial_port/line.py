@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 SHOWN_BYTES = 60
 """So much of a refused reply is shown."""
 
-_ERROR_QUEUE_ENTRY = re.compile(r'[+-]?\d+\s*,\s*"')
+_ERROR_QUEUE_ENTRY = re.compile(r"[+-]?\d+\s*,")
 
 
 class SerialLine:
@@ -60,7 +60,7 @@ class SerialLine:
         self._name = ""
         self._attempts = 0
         self._next_attempt_ns = 0
-        self._trouble: InstrumentError | None = None
+        self._trouble: tuple[type[InstrumentError], str] | None = None
 
     @property
     def connected(self) -> bool:
@@ -103,7 +103,8 @@ class SerialLine:
         now_ns = self._stamp().mono_ns
         if self._trouble is not None and not at_once and now_ns < self._next_attempt_ns:
             wait_s = (self._next_attempt_ns - now_ns) / 1e9
-            raise type(self._trouble)(f"{self._trouble}; next attempt in {wait_s:.3g} s") from self._trouble
+            kind, message = self._trouble
+            raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
             self._port = open_port(self.parameters)
             self._name = self._identify(deadline_s)
@@ -116,10 +117,10 @@ class SerialLine:
             )
             self._next_attempt_ns = self._stamp().mono_ns + round(wait_s * 1e9)
             tries = f"after {self._attempts} attempt" + ("s" if self._attempts > 1 else "")
-            self._trouble = type(error)(f"{error} ({tries})")
-            raise self._trouble from error
+            self._trouble = (type(error), f"{error} ({tries})")
+            raise type(error)(self._trouble[1]) from error
         if self._trouble is not None:
-            log.warning("%s: %s is back after %d attempts", self._where(), self._name, self._attempts)
+            log.warning("%s: back after %d failed attempts to reach it", self._where(), self._attempts)
         self._attempts, self._trouble = 0, None
         return True
 
@@ -139,19 +140,21 @@ class SerialLine:
                 strangers.append(reply)
                 if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
                     break
+        asked = f"the instrument at {self.parameters.port}"
         if strangers:
             raise ConfigurationError(
-                f"the instrument at {self.parameters.port} answers as {strangers[-1]!r}; expected a name that begins with "
+                f"{asked} answers as {strangers[-1]!r}; expected a name that begins with "
                 f"{self._identity.pattern!r}: connect the right instrument, or correct its identity"
             )
+        garbage += [bytes(pending)] if pending else []
         if garbage:
             raise ConnectionLostError(
-                f"the instrument at {self.parameters.port} answered {_shown(garbage[-1])} to {self._identity_query}; check baud rate, "
-                "parity and cable"
+                f"{asked} answered {_shown(garbage[-1])} to {self._identity_query}; check baud rate, parity and "
+                "terminator"
             )
         raise ConnectionLostError(
-            f"the instrument at {self.parameters.port} does not answer {self._identity_query} within "
-            f"{self.parameters.reply_timeout_s:g} s; check that it is on, its cable and its baud rate"
+            f"{asked} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
+            "check that it is on, its cable and its baud rate"
         )
 
     def close(self) -> None:

@@ -90,7 +90,7 @@ class SupplyParameters:
     log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 10.0
     """Seconds between two readings; charge is integrated over them."""
     read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
-    """Longest time one reading (three questions, after a fault with finding the instrument again) may take."""
+    """Longest time one reading may take: three questions, after a fault also finding the instrument."""
     interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 0.9
     """Measured current at which the interlock switches off (a hole, a short circuit). Below
     `current_limit_a`, or it is never reached while the supply keeps its limit."""

@@ -77,7 +77,7 @@ class ScpiPowerSupply:
         return self._measure(deadline_s)
 
     def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
-        """What is set: voltage, current limit, output and tripped protections; changes nothing.
+        """Tell what is set: voltage, current limit, output and tripped protections; changes nothing.
 
         Raises
         ------
@@ -187,8 +187,8 @@ class ScpiPowerSupply:
             told = self._line.query_number(f"{command}?", deadline_s)
             if abs(told - value) > tolerance:
                 raise ConfigurationError(
-                    f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}; more than "
-                    f"{tolerance:g} {unit} off: check its range, its lock and that no other program sets it"
+                    f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
+                    f"than {tolerance:g} {unit} off; check its range, its lock and that no other program sets it"
                 )
 
     def _require_sound(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
@@ -215,7 +215,8 @@ class ScpiPowerSupply:
         ):
             if not 0.0 < value <= cap:
                 raise ConfigurationError(
-                    f"{name} is {value:g}; it must be above 0 and at most {cap_name} = {cap:g}. Nothing was sent"
+                    f"{name} is {value:g}; it must be above 0 and at most {cap_name} = {cap:g}; "
+                    "nothing was sent"
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
