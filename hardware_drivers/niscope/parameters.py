@@ -86,3 +86,24 @@ class NiscopeParameters:
         check_bounds(self)
         if not self.probes:
             raise ValueError("probes is empty; give each pulse-echo position its [rig.niscope.probes.NAME]")
+        object.__setattr__(self, "probes", dict(self.probes))
+        self._check_sharing()
+
+    def _check_sharing(self) -> None:
+        """Probes on one board take turns: each on its own input, and of one mind about the board."""
+        first_on: dict[str, str] = {}
+        wired: dict[tuple[str, str], str] = {}
+        for position, wiring in self.probes.items():
+            other = first_on.setdefault(wiring.resource, position)
+            first = self.probes[other]
+            if (first.serial_number, first.other_resources) != (wiring.serial_number, wiring.other_resources):
+                raise ValueError(
+                    f"probes {other!r} and {position!r} are both on {wiring.resource!r}; give both the same "
+                    "serial_number and other_resources"
+                )
+            other = wired.setdefault((wiring.resource, wiring.channel), position)
+            if other != position:
+                raise ValueError(
+                    f"probes {other!r} and {position!r} are both on channel {wiring.channel} of "
+                    f"{wiring.resource!r}; each needs its own input"
+                )

@@ -1,0 +1,142 @@
+"""From single records to one averaged record in whole counts.
+
+The average is kept as the exact integer sum of the records' counts; the scaling polynomial is divided by
+their number instead. So nothing is rounded: every sum is a count that can be stored, and
+``offset + gain / n * sum`` is the mean of the records' voltages.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+from hardware_drivers.measurement import Calibration, Counts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Codes:
+    """How a board's ADC fills the integers it hands over.
+
+    Attributes
+    ----------
+    width_bits
+        Width of the codes' scale: NI-SCOPE pads a 14-bit code with two low bits to 16.
+    step
+        Distance of two neighbouring codes: 4 for 14 bits in 16.
+    """
+
+    width_bits: int
+    step: int
+
+    @property
+    def lowest(self) -> int:
+        """Code at the lower end."""
+        return -(1 << (self.width_bits - 1))
+
+    @property
+    def highest(self) -> int:
+        """Code at the upper end."""
+        return (1 << (self.width_bits - 1)) - self.step
+
+
+def codes_of(*, gain_v: float, range_v: float, resolution_bits: int) -> Codes:
+    """Scale of the codes from the driver's gain, since only the gain says how far they are padded.
+
+    Parameters
+    ----------
+    gain_v
+        Volts a count.
+    range_v
+        Input range -range_v .. +range_v.
+    resolution_bits
+        Bits of the ADC.
+
+    Raises
+    ------
+    ConnectionLostError
+        The gain is no gain of this range and resolution.
+    """
+    if not (math.isfinite(gain_v) and gain_v > 0.0):
+        raise ConnectionLostError(f"the board reports a gain of {gain_v} V a count; it must be positive")
+    # Over-range and gain error move the ratio by a few percent, one bit more or less by a factor of 2.
+    width_bits = round(math.log2(2.0 * range_v / gain_v))
+    if not resolution_bits <= width_bits <= 32:
+        raise ConnectionLostError(
+            f"the board reports {gain_v} V a count over +-{range_v} V, a scale of {width_bits} bits; its "
+            f"ADC has {resolution_bits}"
+        )
+    return Codes(width_bits=width_bits, step=1 << (width_bits - resolution_bits))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AveragedRecord:
+    """Sum of the records and what they showed one by one.
+
+    Attributes
+    ----------
+    counts
+        int32, shape (record_samples,): sum over the records.
+    calibration
+        Turns the sum into the mean voltage.
+    clipped_records
+        Records with a sample at either end of the ADC's codes: in the sum this is no longer visible.
+    """
+
+    counts: Counts
+    calibration: Calibration
+    clipped_records: int
+
+
+def average(
+    records: NDArray[np.int16] | NDArray[np.int32],
+    *,
+    gain_v: float,
+    offset_v: float,
+    codes: Codes,
+    range_v: float,
+    calibration_date: str,
+) -> AveragedRecord:
+    """Sum the records without rounding.
+
+    Parameters
+    ----------
+    records
+        Shape (n_records, record_samples).
+    gain_v, offset_v
+        Volts of a single record: ``gain_v * count + offset_v``.
+
+    Raises
+    ------
+    ConfigurationError
+        The sum of so many records may not fit in 32 bits.
+    """
+    n_records = records.shape[0]
+    check_sum_fits(n_records, codes.width_bits)
+    clipped = (records.min(axis=1) <= codes.lowest) | (records.max(axis=1) >= codes.highest)
+    return AveragedRecord(
+        counts=records.sum(axis=0, dtype=np.int32),
+        calibration=Calibration(
+            coefficients_v=np.array([offset_v, gain_v / n_records]),
+            resolution_bits=_sum_bits(n_records, codes.width_bits),
+            range_v=range_v,
+            date=calibration_date,
+        ),
+        clipped_records=int(clipped.sum()),
+    )
+
+
+def _sum_bits(n_records: int, width_bits: int) -> int:
+    return width_bits + math.ceil(math.log2(n_records))
+
+
+def check_sum_fits(n_records: int, width_bits: int) -> None:
+    """Raise ConfigurationError if a sum of that many records may leave 32 bits."""
+    if _sum_bits(n_records, width_bits) > 32:
+        raise ConfigurationError(
+            f"averages is {n_records}; with counts of {width_bits} bits it must be at most "
+            f"{1 << (32 - width_bits)}, or their sum leaves 32 bits"
+        )

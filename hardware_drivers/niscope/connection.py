@@ -1,0 +1,170 @@
+"""Connection to one board: opened, set up, lost and found again.
+
+Recovery climbs one rung at each acquisition after the connection was lost: a fresh session, then a reset
+of the board, then a search for it under its other names. Only a board with the right serial number is ever
+reset. A successful record leads back to the first rung; once the ladder is used up the last rung is tried
+at every acquisition, since a board may be plugged in again hours later.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+from hardware_drivers.niscope.session import Board, Fetched, Setup, configure, describe, fetch, open_session
+from hardware_drivers.niscope.vendor_errors import BoardAbsentError, vendor_calls
+
+RESET_RUNG = 2
+SEARCH_RUNG = 3
+
+
+class BoardConnection:
+    """One board and the probe it is set up for.
+
+    Parameters
+    ----------
+    niscope
+        The vendor's package.
+    wiring
+        Any of the board's probes: they agree on its name and serial number.
+    """
+
+    def __init__(self, niscope: ModuleType, parameters: NiscopeParameters, wiring: ProbeWiring) -> None:
+        self._niscope = niscope
+        self._parameters = parameters
+        self._names: Sequence[str] = (wiring.resource, *wiring.other_resources)
+        self._serial_number = wiring.serial_number
+        self._session: Any = None
+        self._board: Board | None = None
+        self._position: str | None = None
+        self._setup: Setup | None = None
+        self._failures = 0
+
+    @property
+    def board(self) -> Board | None:
+        """Who the board was when it was last opened."""
+        return self._board
+
+    def prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
+        """Open the board if need be and set it up for a probe, unless it already is.
+
+        Raises
+        ------
+        InstrumentError
+            One of the four classes; after `ConnectionLostError` the next call climbs a rung.
+        """
+        with self._ladder():
+            return self._prepare(position, wiring)
+
+    def acquire(
+        self, position: str, wiring: ProbeWiring, timeout_s: float
+    ) -> tuple[Board, Setup, Fetched, str]:
+        """Return the records of one acquisition, and what the driver warned of meanwhile.
+
+        Raises
+        ------
+        InstrumentError
+            As for `prepare`.
+        """
+        with self._ladder():
+            board, setup = self._prepare(position, wiring)
+            with vendor_calls(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
+                fetched = fetch(self._session, setup, wiring, timeout_s)
+            self._failures = 0
+            return board, setup, fetched, noted.text()
+
+    def self_calibrate(self) -> Board:
+        """Let the board adjust itself; it is set up again before the next record."""
+        with self._ladder():
+            board = self._open()
+            self._position = None
+            with vendor_calls(self._niscope, f"calibrating {board.resource!r}"):
+                self._session.self_cal()
+            return board
+
+    def close(self) -> None:
+        """Let the board go; a dead connection is let go too."""
+        session, self._session, self._position = self._session, None, None
+        if session is None:
+            return
+        # What cannot be closed is lost already, and the next opening says so if that matters.
+        with contextlib.suppress(InstrumentError), vendor_calls(self._niscope, "closing"):
+            session.close()
+
+    @contextlib.contextmanager
+    def _ladder(self) -> Iterator[None]:
+        """Count what was lost: the next call climbs a rung."""
+        try:
+            yield
+        except ConnectionLostError as error:
+            self.close()
+            self._failures += 1
+            if self._failures > SEARCH_RUNG:
+                raise ConnectionLostError(f"{error}; not back after {self._failures - 1} attempts") from error
+            raise
+        except AcquisitionTimeoutError:
+            raise
+        except InstrumentError:
+            # Whatever the board is set up for now: say it all again before the next record.
+            self._position = None
+            raise
+
+    def _prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
+        board = self._open()
+        if self._position != position or self._setup is None:
+            self._position, self._setup = None, None
+            with vendor_calls(self._niscope, f"setting {board.resource!r} up for {position!r}"):
+                self._setup = configure(self._niscope, self._session, board, self._parameters, wiring)
+            self._position = position
+        return board, self._setup
+
+    def _open(self) -> Board:
+        """Open the board on the rung that the failures so far call for."""
+        if self._session is not None and self._board is not None:
+            return self._board
+        known = self._board
+        names = self._names if known is None or self._failures >= SEARCH_RUNG else (known.resource,)
+        problems: list[BusyError | ConnectionLostError] = []
+        for name in names:
+            try:
+                self._board = self._open_named(name)
+            except (BusyError, ConnectionLostError) as error:
+                problems.append(error)
+                continue
+            self._serial_number = self._board.serial_number
+            return self._board
+        kind: type[InstrumentError] = ConnectionLostError
+        if any(isinstance(problem, BusyError) for problem in problems):
+            kind = BusyError
+        elif known is None and all(isinstance(problem, BoardAbsentError) for problem in problems):
+            # A board that has never answered is not lost: the configuration names one that is not there.
+            kind = ConfigurationError
+        raise kind("; ".join(map(str, problems))) from problems[0]
+
+    def _open_named(self, name: str) -> Board:
+        with vendor_calls(self._niscope, f"opening {name!r}"):
+            self._session = open_session(self._niscope, name)
+        try:
+            with vendor_calls(self._niscope, f"asking {name!r} who it is"):
+                board = describe(self._session, name)
+                if self._serial_number and board.serial_number != self._serial_number:
+                    raise BoardAbsentError(
+                        f"{name!r} is a {board.product} with serial number {board.serial_number!r}, not "
+                        f"{self._serial_number!r}"
+                    )
+                if self._failures >= RESET_RUNG:
+                    self._session.reset_device()
+        except BaseException:
+            self.close()
+            raise
+        return board

@@ -1,0 +1,298 @@
+"""Steps of an NI-SCOPE acquisition: open, configure, read back, fetch.
+
+Functions of a session of the `niscope` package; which step follows after a fault is `board`'s business.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import version
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+from hardware_drivers.niscope.averaging import Codes, check_sum_fits, codes_of
+from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+
+FULL_BANDWIDTH_HZ = -1.0
+"""NI-SCOPE's value for an input without noise filter."""
+
+TRIGGER_TERMINALS = {"external": "VAL_EXTERNAL", "pfi_0": "VAL_PFI_0", "pfi_1": "VAL_PFI_1"}
+
+RELATIVE_TOLERANCE = 1e-9
+"""Asked and given are equal but for the rounding of a decimal number."""
+
+
+def vendor_package() -> ModuleType:
+    """Import `niscope` and make sure that both of its libraries load.
+
+    Raises
+    ------
+    ConfigurationError
+        The package, NI-SCOPE or NI-TClk is not installed.
+    """
+    try:
+        import niscope
+        import nitclk
+    except ImportError as error:
+        raise ConfigurationError(
+            "the rig has ultrasonic probes on NI-SCOPE, but the Python package niscope is not installed; "
+            'install it with: python -m pip install "solimon[niscope]"'
+        ) from error
+    try:
+        # `niscope.Session` opens the board first and loads NI-TClk after: without it the board would stay
+        # open with nobody to close it. A reference to no session loads the library and calls nothing.
+        nitclk.SessionReference(0)
+    except nitclk.errors.Error as error:
+        raise ConfigurationError(
+            f"NI-TClk, a part of the NI-SCOPE runtime, cannot be loaded: {error} Install NI-SCOPE again "
+            "with all of its parts"
+        ) from error
+    return niscope  # type: ignore[no-any-return]
+
+
+def open_session(niscope: ModuleType, resource: str) -> Any:
+    """Open a board without resetting it; nothing stays open if that fails half-way."""
+    session = niscope.Session.__new__(niscope.Session)
+    try:
+        session.__init__(resource)
+    except niscope.errors.DriverNotInstalledError as error:
+        raise ConfigurationError(
+            f"opening {resource!r}: the NI-SCOPE runtime is not installed or of the wrong bitness; install "
+            "NI-SCOPE from ni.com/downloads"
+        ) from error
+    except Exception:
+        # The package forgets a board that it opened but could not ask for its channels. If opening itself
+        # failed, closing is refused, which changes nothing: the first error is the one to report.
+        with contextlib.suppress(niscope.errors.Error, AttributeError):
+            session.close()
+        raise
+    return session
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """What a board says of itself."""
+
+    resource: str
+    serial_number: str
+    product: str
+    driver_version: str
+    channels: tuple[str, ...]
+
+
+def describe(session: Any, resource: str) -> Board:
+    """Ask a board who it is."""
+    return Board(
+        resource=resource,
+        serial_number=session.serial_number,
+        product=session.instrument_model,
+        driver_version=session.specific_driver_revision,
+        channels=tuple(session.get_channel_names(range(session.channel_count))),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """What the hardware really uses for one probe, read back after the commit."""
+
+    sample_rate_hz: float
+    record_samples: int
+    records: int
+    range_v: float
+    offset_v: float
+    resolution_bits: int
+    sample_bits: int
+    calibration_date: str
+    calibration_temperature_c: float
+
+
+def configure(
+    niscope: ModuleType, session: Any, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
+) -> Setup:
+    """Set the board up for one probe and read back what it took.
+
+    Raises
+    ------
+    ConfigurationError
+        No such channel, or the board coerced a value.
+    """
+    if wiring.channel not in board.channels:
+        raise ConfigurationError(
+            f"channel is {wiring.channel!r}; the {board.product} at {board.resource!r} has "
+            f"{', '.join(board.channels)}"
+        )
+    others = [name for name in board.channels if name != wiring.channel]
+    if others:
+        session.channels[others].channel_enabled = False
+    channel = session.channels[wiring.channel]
+    coupling = niscope.VerticalCoupling.AC if wiring.coupling == "ac" else niscope.VerticalCoupling.DC
+    channel.configure_vertical(range=2.0 * wiring.range_v, coupling=coupling, offset=wiring.offset_v)
+    channel.configure_chan_characteristics(
+        float(wiring.input_impedance_ohm), wiring.bandwidth_hz or FULL_BANDWIDTH_HZ
+    )
+    session.configure_horizontal_timing(
+        min_sample_rate=parameters.sample_rate_hz,
+        min_num_pts=parameters.record_samples,
+        ref_position=0.0,
+        num_records=parameters.averages,
+        enforce_realtime=True,
+    )
+    _configure_trigger(niscope, session, wiring)
+    session.commit()
+    setup = _read_back(session, channel)
+    _refuse_coerced(parameters, wiring, setup, channel, board)
+    check_sum_fits(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
+    return setup
+
+
+def _configure_trigger(niscope: ModuleType, session: Any, wiring: ProbeWiring) -> None:
+    slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
+    if wiring.trigger_source.startswith("pfi"):
+        session.configure_trigger_digital(
+            TRIGGER_TERMINALS[wiring.trigger_source], slope=slope, delay=wiring.firing_delay_s
+        )
+        return
+    session.configure_trigger_edge(
+        TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel),
+        wiring.trigger_level_v,
+        niscope.TriggerCoupling.DC,
+        slope=slope,
+        delay=wiring.firing_delay_s,
+    )
+
+
+def _read_back(session: Any, channel: Any) -> Setup:
+    return Setup(
+        sample_rate_hz=session.horz_sample_rate,
+        record_samples=session.horz_record_length,
+        records=session.horz_num_records,
+        range_v=0.5 * channel.vertical_range,
+        offset_v=channel.vertical_offset,
+        resolution_bits=session.resolution,
+        sample_bits=session.binary_sample_width,
+        calibration_date=session.get_self_cal_last_date_and_time().date().isoformat(),
+        calibration_temperature_c=session.get_self_cal_last_temp(),
+    )
+
+
+def _refuse_coerced(
+    parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Any, board: Board
+) -> None:
+    pairs: Mapping[str, tuple[float, float]] = {
+        "sample_rate_hz": (parameters.sample_rate_hz, setup.sample_rate_hz),
+        "record_samples": (parameters.record_samples, setup.record_samples),
+        "averages": (parameters.averages, setup.records),
+        "range_v": (wiring.range_v, setup.range_v),
+        "input_impedance_ohm": (wiring.input_impedance_ohm, channel.input_impedance),
+    }
+    for key, (asked, given) in pairs.items():
+        if not math.isclose(asked, given, rel_tol=RELATIVE_TOLERANCE):
+            raise ConfigurationError(
+                f"{key} is {asked}; the {board.product} at {board.resource!r} would use {given}: ask for "
+                "that or for another value that the board has"
+            )
+    if not 2 <= setup.resolution_bits <= 32:
+        raise ConnectionLostError(
+            f"the board at {board.resource!r} reports a resolution of {setup.resolution_bits} bits"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Fetched:
+    """Single records of one acquisition.
+
+    Attributes
+    ----------
+    records
+        int16 or int32, shape (n_records, record_samples).
+    gain_v, offset_v
+        Volts of a record: ``gain_v * count + offset_v``.
+    codes
+        Scale of the counts.
+    first_sample_s
+        float64, shape (n_records,): time from the trigger to each record's first sample.
+    """
+
+    records: NDArray[np.int16] | NDArray[np.int32]
+    gain_v: float
+    offset_v: float
+    codes: Codes
+    first_sample_s: NDArray[np.float64]
+
+
+def fetch(session: Any, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
+    """Acquire all records of one averaged record; the board is idle again on return.
+
+    Raises
+    ------
+    ConnectionLostError
+        The driver reports success but what it hands over cannot be such an acquisition.
+    """
+    shape = (setup.records, setup.record_samples)
+    records: NDArray[np.int16] | NDArray[np.int32] = (
+        np.empty(shape, dtype=np.int16) if setup.sample_bits <= 16 else np.empty(shape, dtype=np.int32)
+    )
+    buffer = records.reshape(-1)
+    # From rail to rail at every sample: no input does that, so what is still there was never written.
+    limits = np.iinfo(records.dtype)
+    buffer[0::2], buffer[1::2] = limits.min, limits.max
+    untouched = records.copy()
+    with session.initiate():
+        waveforms = session.channels[wiring.channel].fetch_into(buffer, timeout=timeout_s)
+    if [len(waveform.samples) for waveform in waveforms] != [setup.record_samples] * setup.records:
+        raise ConnectionLostError(
+            f"asked for {setup.records} records of {setup.record_samples} samples, the driver handed over "
+            f"{[len(waveform.samples) for waveform in waveforms]}"
+        )
+    if any(map(np.array_equal, records, untouched)):
+        raise ConnectionLostError("the driver reports success but left the buffer as it was")
+    first_sample_s = np.array([waveform.relative_initial_x for waveform in waveforms])
+    _check_time(waveforms, first_sample_s, setup, wiring)
+    gains = {(waveform.gain, waveform.offset) for waveform in waveforms}
+    if len(gains) != 1:
+        raise ConnectionLostError(f"gain and offset differ between the records of one acquisition: {gains}")
+    (gain_v, offset_v), *_ = gains
+    if not math.isfinite(offset_v):
+        raise ConnectionLostError(f"the board reports an offset of {offset_v} V")
+    return Fetched(
+        records=records,
+        gain_v=gain_v,
+        offset_v=offset_v,
+        codes=codes_of(gain_v=gain_v, range_v=setup.range_v, resolution_bits=setup.resolution_bits),
+        first_sample_s=first_sample_s,
+    )
+
+
+def _check_time(
+    waveforms: list[Any], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
+) -> None:
+    """Time zero is the firing pulse, one firing a record: the driver's own times must say so."""
+    step_s = 1.0 / setup.sample_rate_hz
+    steps = {waveform.x_increment for waveform in waveforms}
+    if not all(math.isclose(step, step_s, rel_tol=RELATIVE_TOLERANCE) for step in steps):
+        raise ConnectionLostError(
+            f"the samples are {steps} s apart; at the rate read back they are {step_s} s"
+        )
+    # The trigger falls somewhere between two samples, and the delay is a whole number of them.
+    departure_s = np.abs(first_sample_s - wiring.firing_delay_s)
+    if not bool((departure_s <= 2.0 * step_s).all()):
+        raise ConnectionLostError(
+            f"a record starts {first_sample_s[np.argmax(departure_s)]} s after its trigger; the firing pulse "
+            f"comes after {wiring.firing_delay_s} s"
+        )
+    # Boards without a time stamp report 0.
+    stamps_s = np.array([waveform.absolute_initial_x for waveform in waveforms])
+    if bool(stamps_s.any()) and not bool((np.diff(stamps_s) > 0.0).all()):
+        raise ConnectionLostError("the records' time stamps do not rise; a record was handed over twice")
+
+
+def package_version() -> str:
+    """Version of the `niscope` package."""
+    return version("niscope")

@@ -1,0 +1,148 @@
+"""What NI-SCOPE reports, as one of the four classes of `hardware_drivers.errors`.
+
+Codes are those of NI's header ``niScope.h`` (IVI base 0xBFFA0000, IVI class 0x2000, NI-SCOPE 0x4000).
+Newer boards run on NI-DAQmx's kernel and wrap its status as ``Status Code: -nnn`` in the text: a wrapped
+code is judged by its own table. ``docs/reference/faults-niscope.md`` says what follows from each.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import MappingProxyType, ModuleType
+
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+
+_IVI_ERROR = -0x40060000  # 0xBFFA0000 as a signed 32-bit number
+
+RESOURCE_UNKNOWN = _IVI_ERROR + 0x0060
+MAX_TIME_EXCEEDED = _IVI_ERROR + 0x2003
+INVALID_SESSION = _IVI_ERROR + 0x1190
+DIGITIZER_ALREADY_IN_USE = _IVI_ERROR + 0x402E
+SYNCHRONISATION_TIMEOUT = -1074108967
+"""An internal lock of the driver was not free in time (wraps -50550)."""
+
+_NO_TRIGGER = (0x2003, 0x4015, 0x4016)  # waited too long, record not acquired, no trigger
+_IN_USE = (0x402E,)
+_GONE = (
+    *(0x0000, 0x0001, 0x005D, 0x1190),  # cannot recover, instrument status, status not available, session
+    *(0x4001, 0x4002, 0x4004),  # software, hardware, data invalid
+    *(0x4009, 0x400A, 0x400E, 0x4018),  # acquisition in progress, no data, no thread, overwritten
+    *(0x401B, 0x401C, 0x401D, 0x401E, 0x401F, 0x4020, 0x4023),  # transfers, PLL, converter, DMA, counter
+    *(0x402A, 0x4030, 0x4031, 0x4039),  # not initiated, library, address, self-calibration
+)
+
+
+class BoardAbsentError(ConnectionLostError):
+    """The board that was asked for is not there, or another one answers to its name."""
+
+
+CLASS_OF_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
+    {
+        **{_IVI_ERROR + offset: AcquisitionTimeoutError for offset in _NO_TRIGGER},
+        **{_IVI_ERROR + offset: BusyError for offset in _IN_USE},
+        **{_IVI_ERROR + offset: ConnectionLostError for offset in _GONE},
+        RESOURCE_UNKNOWN: BoardAbsentError,
+        SYNCHRONISATION_TIMEOUT: ConnectionLostError,
+    }
+)
+"""Class of each code of NI-SCOPE; every other negative code is a `ConfigurationError`."""
+
+CLASS_OF_WRAPPED_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
+    {
+        **dict.fromkeys((-200284, -200560), AcquisitionTimeoutError),
+        **dict.fromkeys((-50103, -200022, -89137), BusyError),
+        **dict.fromkeys(
+            (-88710, -88709, -88708, -200324, -201003, -50401, -50405, -50550), ConnectionLostError
+        ),
+        **dict.fromkeys((-200088, -200279, -200361, -200010, -200019), ConnectionLostError),
+    }
+)
+"""Class of a code of the kernel below NI-SCOPE that the text names."""
+
+_WRAPPED = re.compile(r"Status Code:\s*(-?\d+)")
+
+_REMEDY: Mapping[type[InstrumentError], str] = {
+    AcquisitionTimeoutError: "check that the pulser fires and that its sync reaches the trigger input",
+    BusyError: "close the other program that uses the board (a soft front panel?)",
+    BoardAbsentError: "compare its name and serial number with NI MAX or `nilsdev`",
+    ConnectionLostError: "the board is opened again at the next record",
+    ConfigurationError: "compare [rig.niscope] with what the board can do",
+}
+
+
+class DriverWarnings:
+    """What the driver warned of while vendor calls ran: an overload, an unlocked clock."""
+
+    def __init__(self) -> None:
+        self.messages: list[str] = []
+
+    def text(self) -> str:
+        """All warnings on one line, each once."""
+        return "; ".join(dict.fromkeys(" ".join(message.split()) for message in self.messages))
+
+
+def class_of(code: int, description: str) -> type[InstrumentError]:
+    """Class of a driver's error."""
+    known = CLASS_OF_CODE.get(code)
+    if known is not None:
+        return known
+    wrapped = (CLASS_OF_WRAPPED_CODE.get(int(text)) for text in _WRAPPED.findall(description))
+    return next((found for found in wrapped if found is not None), ConfigurationError)
+
+
+def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:
+    """Translate an exception of the `niscope` package.
+
+    Parameters
+    ----------
+    doing
+        What was tried, beginning a sentence: "opening 'PXI1Slot4'".
+    """
+    if isinstance(error, niscope.errors.DriverError):
+        kind = class_of(error.code, error.description)
+        detail = " ".join(error.description.split()) or "no description"
+        remedy = next(text for base, text in _REMEDY.items() if issubclass(kind, base))
+        return kind(f"{doing}: NI-SCOPE error {error.code}: {detail}; {remedy}")
+    if isinstance(error, niscope.errors.DriverTooOldError | niscope.errors.UnsupportedConfigurationError):
+        return ConfigurationError(f"{doing}: {error}")
+    # What is left are answers that the package itself cannot make sense of: an unknown value, no waveform.
+    return ConnectionLostError(
+        f"{doing}: NI-SCOPE answered nonsense ({type(error).__name__}: {error}); "
+        f"{_REMEDY[ConnectionLostError]}"
+    )
+
+
+@contextmanager
+def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
+    """Translate what the calls inside raise and keep what the driver warns of.
+
+    Raises
+    ------
+    InstrumentError
+        One of the four classes, from the vendor's exception.
+    """
+    kept = DriverWarnings()
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always", niscope.errors.DriverWarning)
+        try:
+            yield kept
+        except InstrumentError:
+            raise
+        except (niscope.errors.Error, ValueError, TypeError, AssertionError, ArithmeticError) as error:
+            raise translated(niscope, error, doing) from error
+        finally:
+            for warning in seen:
+                if issubclass(warning.category, niscope.errors.DriverWarning):
+                    kept.messages.append(str(warning.message))
+    for warning in seen:
+        if not issubclass(warning.category, niscope.errors.DriverWarning):
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
