@@ -1,0 +1,113 @@
+"""Every error of the vendor's package leaves the driver as one of four classes, its cause attached."""
+
+import sys
+import warnings
+
+import pytest
+
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+from hardware_drivers.niscope.session import vendor_package
+from hardware_drivers.niscope.vendor_errors import (
+    CLASS_OF_CODE,
+    CLASS_OF_WRAPPED_CODE,
+    BoardAbsentError,
+    class_of,
+    vendor_calls,
+)
+
+niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscope]"')
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        # Numbers as NI prints them in its knowledge base and error boxes.
+        (-1074126845, AcquisitionTimeoutError),
+        (-1074118610, BusyError),
+        (-1074134944, BoardAbsentError),
+        (-1074118654, ConnectionLostError),
+        (-1074130544, ConnectionLostError),
+        (-1074108967, ConnectionLostError),
+        (-1074118622, ConfigurationError),
+        (-1, ConfigurationError),
+    ],
+)
+def test_class_of_a_code(code, kind):
+    assert class_of(code, "") is kind
+
+
+@pytest.mark.parametrize(("code", "kind"), CLASS_OF_WRAPPED_CODE.items())
+def test_class_of_a_code_of_the_kernel_below(code, kind):
+    assert class_of(-1074100000, f"Something happened.\n\nStatus Code: {code}") is kind
+
+
+def test_a_wrapped_code_that_nobody_knows_is_a_matter_of_configuration():
+    assert class_of(-1074100000, "Status Code: -123") is ConfigurationError
+
+
+@pytest.mark.parametrize("code", CLASS_OF_CODE)
+def test_a_driver_error_is_translated_and_kept_as_the_cause(code):
+    with (
+        pytest.raises(CLASS_OF_CODE[code], match=rf"opening 'X': NI-SCOPE error {code}: told\b") as raised,
+        vendor_calls(niscope, "opening 'X'"),
+    ):
+        raise niscope.errors.DriverError(code, "told")
+    assert isinstance(raised.value.__cause__, niscope.errors.DriverError)
+
+
+@pytest.mark.parametrize(
+    ("error", "kind"),
+    [
+        (niscope.errors.DriverTooOldError(), ConfigurationError),
+        (niscope.errors.UnsupportedConfigurationError(), ConfigurationError),
+        (niscope.errors.DriverTooNewError(), ConnectionLostError),
+        (ValueError("17 is not a valid VerticalCoupling"), ConnectionLostError),
+        (ZeroDivisionError("division by zero"), ConnectionLostError),
+        (AssertionError("Number of waveforms"), ConnectionLostError),
+    ],
+)
+def test_nothing_of_the_package_crosses_the_border(error, kind):
+    with pytest.raises(kind, match="setting up") as raised, vendor_calls(niscope, "setting up"):
+        raise error
+    assert raised.value.__cause__ is error
+
+
+def test_an_error_of_ours_passes_unchanged():
+    mine = ConfigurationError("ours")
+    with pytest.raises(InstrumentError) as raised, vendor_calls(niscope, "x"):
+        raise mine
+    assert raised.value is mine
+
+
+def test_what_the_driver_warns_of_is_kept_and_what_others_warn_of_goes_on():
+    with warnings.catch_warnings(record=True) as others:
+        warnings.simplefilter("always")
+        with vendor_calls(niscope, "x") as noted:
+            for _ in range(2):
+                warnings.warn(niscope.errors.DriverWarning(0x3FFA4008, "overload"), stacklevel=1)
+            warnings.warn("somebody else's", UserWarning, stacklevel=1)
+    assert [str(other.message) for other in others] == ["somebody else's"]
+    assert noted.text() == "Warning 1073365000 occurred. overload"
+
+
+def test_a_missing_package_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "niscope", None)
+    with pytest.raises(ConfigurationError, match=r'pip install "solimon\[niscope\]"'):
+        vendor_package()
+
+
+def test_a_missing_runtime_says_what_to_install(monkeypatch):
+    nitclk = pytest.importorskip("nitclk")
+
+    def not_there(_handle):
+        raise nitclk.errors.DriverNotInstalledError
+
+    monkeypatch.setattr(nitclk, "SessionReference", not_there)
+    with pytest.raises(ConfigurationError, match="Install NI-SCOPE again with all of its parts"):
+        vendor_package()
