@@ -1,11 +1,12 @@
 """One instrument on one serial line: questions and answers as lines of ASCII text, each bounded in time.
 
-A line is either in step with its instrument or closed. Whatever goes wrong (silence, garbage, an
-unplugged cable) closes it, and the next call opens it again. What an instrument answers too late would
-otherwise answer the next question: after every opening the line asks who is there and throws away
-everything that comes before the expected name. Nothing else is sent to an instrument that has another.
+A line is in step with its instrument or it is not. Whatever goes wrong (silence, garbage, an unplugged
+cable) takes it out of step, and what an instrument answers too late would then answer the next question:
+so the next call first asks who is there and throws away everything that comes before the expected name.
+Nothing else is ever sent to an instrument that has another. A port stays open over a single fault, since
+opening resets some instruments; it is opened anew when it is gone or its instrument stays silent.
 
-Attempts to open back off on the caller's clock: a call that comes too early fails at once with the
+Attempts back off on the caller's clock: a call that comes too early fails at once with the
 cause of the last attempt, and no call waits longer than its timeout.
 """
 
@@ -29,6 +30,9 @@ log = logging.getLogger(__name__)
 
 SHOWN_BYTES = 60
 """So much of a refused reply is shown."""
+
+ATTEMPTS_PER_OPENING = 3
+"""An instrument that was silent so often in a row is looked for behind a port opened anew."""
 
 _ERROR_QUEUE_ENTRY = re.compile(r"[+-]?\d+\s*,")
 
@@ -57,6 +61,7 @@ class SerialLine:
         self._identity_query = identity_query
         self._stamp = stamp
         self._port: serial.Serial | None = None
+        self._in_step = False
         self._name = ""
         self._attempts = 0
         self._next_attempt_ns = 0
@@ -64,8 +69,8 @@ class SerialLine:
 
     @property
     def connected(self) -> bool:
-        """True while the port is open and the instrument has told the expected name."""
-        return self._port is not None
+        """True while the port is open and every answer was right since the expected name was told."""
+        return self._in_step
 
     @property
     def name(self) -> str:
@@ -75,7 +80,7 @@ class SerialLine:
     # Opening -------------------------------------------------------------------------------------
 
     def connect(self, deadline_s: float, *, at_once: bool = False) -> bool:
-        """Open the port and ask who is there, unless that is done already.
+        """Open the port and ask who is there, unless the line is in step already.
 
         Parameters
         ----------
@@ -87,7 +92,7 @@ class SerialLine:
         Returns
         -------
         bool
-            True if the line was opened by this call.
+            True if this call brought the line into step.
 
         Raises
         ------
@@ -98,7 +103,7 @@ class SerialLine:
         ConnectionLostError
             No such port now, no answer, or still waiting for the next attempt.
         """
-        if self._port is not None:
+        if self._in_step:
             return False
         now_ns = self._stamp().mono_ns
         if self._trouble is not None and not at_once and now_ns < self._next_attempt_ns:
@@ -106,11 +111,13 @@ class SerialLine:
             kind, message = self._trouble
             raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
-            self._port = open_port(self.parameters)
+            if self._port is None:
+                self._port = open_port(self.parameters)
             self._name = self._identify(deadline_s)
         except InstrumentError as error:
-            self.close()
             self._attempts += 1
+            if isinstance(error, ConfigurationError) or self._attempts % ATTEMPTS_PER_OPENING == 0:
+                self.close()
             wait_s = min(
                 self.parameters.reconnect_first_s * 2.0 ** min(self._attempts - 1, 40),
                 self.parameters.reconnect_longest_s,
@@ -121,7 +128,7 @@ class SerialLine:
             raise type(error)(self._trouble[1]) from error
         if self._trouble is not None:
             log.warning("%s: back after %d failed attempts to reach it", self._where(), self._attempts)
-        self._attempts, self._trouble = 0, None
+        self._attempts, self._trouble, self._in_step = 0, None, True
         return True
 
     def _identify(self, deadline_s: float) -> str:
@@ -149,8 +156,8 @@ class SerialLine:
         garbage += [bytes(pending)] if pending else []
         if garbage:
             raise ConnectionLostError(
-                f"{asked} answered {_shown(garbage[-1])} to {self._identity_query}; check baud rate, parity and "
-                "terminator"
+                f"{asked} answered {_shown(garbage[-1])} to {self._identity_query}; check baud "
+                "rate, parity and terminator"
             )
         raise ConnectionLostError(
             f"{asked} does not answer {self._identity_query} within {self.parameters.reply_timeout_s:g} s; "
@@ -159,7 +166,7 @@ class SerialLine:
 
     def close(self) -> None:
         """Close the port; harmless when closed."""
-        port, self._port = self._port, None
+        port, self._port, self._in_step = self._port, None, False
         if port is None:
             return
         with contextlib.suppress(*PORT_ERRORS):
@@ -176,7 +183,7 @@ class SerialLine:
         Raises
         ------
         ConnectionLostError
-            It could not be sent; the line is closed.
+            It could not be sent.
         """
         self._write(command)
 
@@ -186,8 +193,8 @@ class SerialLine:
         Raises
         ------
         ConnectionLostError
-            No answer in time, or one that is no text, too long or followed by another: the line is
-            closed and finds its step again when it is opened next.
+            No answer in time, or one that is no text, too long or followed by another: the line finds
+            its step again at the next `connect`.
         """
         if time.monotonic() >= deadline_s:
             raise ConnectionLostError(
@@ -296,14 +303,15 @@ class SerialLine:
         except serial.SerialTimeoutException as error:
             raise self._lost(f"does not take commands (could not {doing}); check flow control") from error
         except PORT_ERRORS as error:
+            self.close()
             raise self._lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
     def refused(self, message: str) -> ConnectionLostError:
-        """Close the line because of an answer that cannot be right; the caller raises what is returned."""
+        """Take the line out of step for an answer that cannot be right; the caller raises the result."""
         return self._lost(message)
 
     def _lost(self, message: str) -> ConnectionLostError:
-        self.close()
+        self._in_step = False
         return ConnectionLostError(f"{self._where()} {message}")
 
     def _where(self) -> str:

@@ -91,19 +91,22 @@ def _explained(path: str, error: Exception) -> InstrumentError:
     code = getattr(error, "errno", None)
     if code is None and error.__context__ is not None and error.__context__.args:
         code = error.__context__.args[0]  # pyserial raises again without the number
-    if code in _BUSY or (sys.platform == "win32" and "PermissionError" in str(error)):
+    reason = os.strerror(code) if isinstance(code, int) else str(error)
+    # On Windows pyserial gives only the text of the system's error.
+    if code in _BUSY or (sys.platform == "win32" and "PermissionError" in reason):
         return BusyError(f"{path} is in use by {_owners(path)}; stop it, or give another port")
     if code in _FORBIDDEN:
         return ConfigurationError(
-            f"no right to open {path}; add this user to the group that owns it (often dialout), log in again"
+            f"no right to open {path} ({reason}); add this user to the group that owns it (often dialout) and "
+            "log in again"
         )
     if code in _NO_PORT or Path(path).is_file():
         return ConfigurationError(
-            f"{path} is no serial port, or not one for these parameters: {error}; correct them"
+            f"{path} is no serial port, or not one for these parameters ({reason}); correct them"
         )
     there = ", ".join(info.device for info in list_ports.comports())
     return ConnectionLostError(
-        f"{path} cannot be opened: {error}; ports there: {there or 'none'}; check plug and port"
+        f"{path} cannot be opened ({reason}); ports there: {there or 'none'}; check plug and port"
     )
 
 

@@ -188,7 +188,7 @@ class ScpiPowerSupply:
             if abs(told - value) > tolerance:
                 raise ConfigurationError(
                     f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
-                    f"than {tolerance:g} {unit} off; check its range, its lock and that no other program sets it"
+                    f"than {tolerance:g} {unit} off; check its range and its lock"
                 )
 
     def _require_sound(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:

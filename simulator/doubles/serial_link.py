@@ -1,0 +1,231 @@
+"""The instrument's end of a serial line: a pseudo terminal behind a path that survives replugging.
+
+A thread owns the terminal, hands each line that comes in to the instrument and writes its answer. The
+line can be unplugged and plugged in again (a new terminal behind the same path, as an adapter behind
+``/dev/serial/by-id``), and its answers can be lost, delayed, held back or garbled. Only systems with
+pseudo terminals have it: not Windows.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from simulator.errors import SimulatorError
+
+T = TypeVar("T")
+
+GARBAGE = b"\xff\x81\x00\x7f~\xc3\n"
+"""What a wrong baud rate makes of an answer."""
+ORDER_TIMEOUT_S = 10.0
+"""The owning thread never blocks, so an order that takes this long is a fault of the double."""
+
+
+def pseudo_terminals_missing() -> str:
+    """Reason why there can be no pseudo terminal here; empty where there can."""
+    if not hasattr(os, "openpty"):
+        return "this system has no pseudo terminals (Windows): use a real port, or run on Linux or macOS"
+    return ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LineFaults:
+    """What goes wrong with answers; the instrument hears and obeys all the same.
+
+    Attributes
+    ----------
+    silent
+        Every answer is lost.
+    slow_s
+        Every answer comes so much later.
+    hold
+        So many answers are held back until the next command comes: late, and just before its own answer.
+    garbage, garbage_bytes
+        So many answers are replaced by these bytes.
+    """
+
+    silent: bool = False
+    slow_s: float = 0.0
+    hold: int = 0
+    garbage: int = 0
+    garbage_bytes: bytes = GARBAGE
+
+
+class SerialLink:
+    """One instrument on one pseudo terminal; a context manager.
+
+    Parameters
+    ----------
+    path
+        Where the port is to be found: a symbolic link that the link makes and removes.
+    answer
+        The instrument: gets a command without its terminator, returns the answer or None.
+    """
+
+    def __init__(self, path: Path, answer: Callable[[str], str | None]) -> None:
+        missing = pseudo_terminals_missing()
+        if missing:
+            raise SimulatorError(missing)
+        self.path = path
+        self._answer = answer
+        self._faults = LineFaults()
+        self._terminal: tuple[int, int] | None = None
+        self._received = b""
+        self._held: list[bytes] = []
+        self._due: deque[tuple[float, bytes]] = deque()
+        self._heard: list[tuple[int, str]] = []
+        self._orders: deque[Callable[[], None]] = deque()
+        self._wake_read, self._wake_write = os.pipe()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name=f"serial double {path.name}", daemon=True)
+        self._thread.start()
+        self.plug()
+
+    def __enter__(self) -> SerialLink:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Orders, carried out by the owning thread ------------------------------------------------------
+
+    def plug(self) -> None:
+        """Open a terminal behind the path; harmless when plugged in."""
+        self._order(self._plug)
+
+    def unplug(self) -> None:
+        """Take the terminal and its path away; harmless when unplugged."""
+        self._order(self._unplug)
+
+    def inject(self, **faults: Any) -> None:
+        """Change some of the `LineFaults`."""
+        changed = replace(self._faults, **faults)
+        self._order(lambda: self._set_faults(changed))
+
+    def clear_faults(self) -> None:
+        """Let every answer through again; answers held back are lost."""
+        self._order(lambda: self._set_faults(LineFaults()))
+
+    def chatter(self, text: bytes) -> None:
+        """Send what nobody asked for."""
+        self._order(lambda: self._transmit(text))
+
+    def do(self, work: Callable[[], T]) -> T:
+        """Let the owning thread do something to the instrument between two commands."""
+        return self._order(work)
+
+    def heard(self) -> list[tuple[int, str]]:
+        """Every command so far, with its monotonic time in ns."""
+        return self._order(lambda: list(self._heard))
+
+    def close(self) -> None:
+        """Unplug and end the thread; harmless when closed."""
+        if not self._thread.is_alive():
+            return
+        self.unplug()
+        self._order(self._end)
+        self._thread.join(ORDER_TIMEOUT_S)
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def _order(self, work: Callable[[], T]) -> T:
+        future: Future[T] = Future()
+
+        def carry_out() -> None:
+            try:
+                future.set_result(work())
+            except BaseException as error:  # noqa: BLE001 - handed to the caller, who raises it
+                future.set_exception(error)
+
+        self._orders.append(carry_out)
+        os.write(self._wake_write, b"x")
+        return future.result(ORDER_TIMEOUT_S)
+
+    # The owning thread -----------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        while not self._ended:
+            watched = [self._wake_read] + ([self._terminal[0]] if self._terminal else [])
+            wait_s = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
+            ready, _, _ = select.select(watched, [], [], wait_s)
+            if self._terminal and self._terminal[0] in ready:
+                self._hear()
+            while self._due and self._due[0][0] <= time.monotonic():
+                self._transmit(self._due.popleft()[1])
+            if self._wake_read in ready:
+                os.read(self._wake_read, 1)
+                self._orders.popleft()()
+
+    def _hear(self) -> None:
+        assert self._terminal is not None, "only heard while plugged in"
+        self._received += os.read(self._terminal[0], 4096)
+        *lines, self._received = self._received.split(b"\n")
+        for line in lines:
+            command = line.decode("ascii", errors="replace").strip()
+            self._heard.append((time.monotonic_ns(), command))
+            for late in self._held:
+                self._transmit(late)
+            self._held.clear()
+            answer = self._answer(command)
+            if answer is not None:
+                self._reply(answer.encode("ascii") + b"\n")
+
+    def _reply(self, answer: bytes) -> None:
+        faults = self._faults
+        if faults.silent:
+            return
+        if faults.garbage:
+            self._faults = replace(faults, garbage=faults.garbage - 1)
+            answer = faults.garbage_bytes
+        if faults.hold:
+            self._faults = replace(self._faults, hold=faults.hold - 1)
+            self._held.append(answer)
+        elif faults.slow_s > 0.0:
+            self._due.append((time.monotonic() + faults.slow_s, answer))
+        else:
+            self._transmit(answer)
+
+    def _transmit(self, text: bytes) -> None:
+        if self._terminal is not None:
+            os.write(self._terminal[0], text)
+
+    def _set_faults(self, faults: LineFaults) -> None:
+        self._faults = faults
+        if faults == LineFaults():
+            self._held.clear()
+            self._due.clear()
+
+    def _plug(self) -> None:
+        if self._terminal is not None:
+            return
+        import tty  # not on Windows
+
+        # Both ends stay open here: without its other end a terminal reports an error, not silence.
+        self._terminal = os.openpty()
+        tty.setraw(self._terminal[1])
+        fresh = self.path.with_name(f".{self.path.name}.fresh")
+        fresh.symlink_to(os.ttyname(self._terminal[1]))
+        fresh.replace(self.path)
+
+    def _unplug(self) -> None:
+        if self._terminal is None:
+            return
+        self.path.unlink(missing_ok=True)
+        for end in self._terminal:
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._terminal, self._received = None, b""
+        self._held.clear()
+        self._due.clear()
+
+    def _end(self) -> None:
+        self._ended = True
