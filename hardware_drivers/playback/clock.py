@@ -1,0 +1,52 @@
+"""The recorded times as the experiment's time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hardware_drivers.instruments import Clock
+
+NS_PER_S = 1_000_000_000
+
+
+class RecordedClock:
+    """A clock that meets the recorded moments: a shot played back has the time at which it was struck.
+
+    A real rig strikes a little after each planned time. This clock waits for the recorded moment that
+    belongs to the planned time, where there is one; otherwise for the planned time itself.
+
+    Parameters
+    ----------
+    clock
+        Passes the time: one that jumps, or one that is paced. It must be able to stand at a past time.
+    next_moment
+        First recorded moment after a time, ns of UTC; None after the last one.
+    tolerance_s
+        A moment at most this long after the planned time belongs to it: half the interval of the strikes,
+        so that a strike that was missed does not borrow the time of the next one.
+    """
+
+    def __init__(
+        self, clock: Clock, next_moment: Callable[[int], int | None], *, tolerance_s: float = 2.0
+    ) -> None:
+        if not tolerance_s >= 0.0:
+            raise ValueError(f"tolerance_s is {tolerance_s}; it must be at least 0")
+        self._clock = clock
+        self._next_moment = next_moment
+        self._tolerance_ns = round(tolerance_s * NS_PER_S)
+
+    def utc_ns(self) -> int:
+        """Time of the moment that was reached last."""
+        return self._clock.utc_ns()
+
+    def mono_ns(self) -> int:
+        """Monotonic time of the clock below."""
+        return self._clock.mono_ns()
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        """Wait for the recorded moment at or soon after ``utc_ns``, or for ``utc_ns``."""
+        # Each moment belongs to one wait: the next one lies after now, and not before the planned time.
+        moment_ns = self._next_moment(max(self._clock.utc_ns(), utc_ns - 1))
+        if moment_ns is not None and moment_ns - utc_ns <= self._tolerance_ns:
+            return self._clock.wait_until(moment_ns, idle)
+        return self._clock.wait_until(utc_ns, idle)

@@ -1,0 +1,127 @@
+"""NI's scaling properties as one polynomial of the raw values.
+
+A channel's raw values become physical ones through numbered scales ``NI_Scale[i]_...``; the last one
+gives the result, and each names its input: the raw values or an earlier scale. Scales that are
+polynomials (linear, polynomial, sums and differences of them) are composed into one; a single one keeps
+its coefficients to the last bit. Others (tables, thermocouples, bridges) are refused: counts under such
+a scale are no volts of an ADC.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Polynomial = NDArray[np.float64]
+"""Coefficients, constant first, shape (order + 1,)."""
+
+RAW = 0xFFFFFFFF
+"""Input source that stands for the raw values."""
+_SCALE_TYPE = re.compile(r"NI_Scale\[(\d+)\]_Scale_Type")
+_LARGEST_ORDER = 32
+"""NI writes polynomials of order 3; a composition beyond this is a damaged file."""
+
+
+class ScalingError(ValueError):
+    """The scaling cannot be expressed as a polynomial of the raw values; says why."""
+
+
+def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
+    """Physical value as a polynomial of the raw one.
+
+    Returns
+    -------
+    ndarray or None
+        Shape (order + 1,), order >= 1. None if there are no scales, or they were applied before the
+        file was written (``NI_Scaling_Status`` is ``scaled``).
+
+    Raises
+    ------
+    ScalingError
+        A scale is no polynomial, lacks a property, or the chain leads nowhere.
+    """
+    count = _number_of_scales(properties)
+    if count == 0 or properties.get("NI_Scaling_Status", "unscaled") == "scaled":
+        return None
+    coefficients = _resolve(count - 1, properties, limit=count)
+    if coefficients.size < 2:
+        raise ScalingError("the scaling is a constant: every raw value has the same meaning")
+    if not np.isfinite(coefficients).all():
+        raise ScalingError(f"the scaling has coefficients that are not finite: {coefficients.tolist()}")
+    return coefficients
+
+
+def _number_of_scales(properties: Mapping[str, Any]) -> int:
+    if "NI_Number_Of_Scales" in properties:
+        return int(properties["NI_Number_Of_Scales"])
+    return max(
+        (int(match[1]) + 1 for name in properties if (match := _SCALE_TYPE.fullmatch(name))), default=0
+    )
+
+
+def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polynomial:
+    """Polynomial of the raw values that a source stands for; its inputs must have smaller numbers."""
+    identity = np.array([0.0, 1.0])
+    if source == RAW:
+        return identity
+    if not 0 <= source < limit:
+        raise ScalingError(f"a scale takes its input from scale {source}, which is not before it")
+    prefix = f"NI_Scale[{source}]_"
+    kind = properties.get(f"{prefix}Scale_Type")
+    if kind is None:
+        # The scaler of DAQmx raw data has a number, but no properties: it hands over the raw values.
+        return identity
+
+    def input_of(name: str) -> Polynomial:
+        return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
+
+    if kind == "Linear":
+        own = np.array(
+            [_number(properties, f"{prefix}Linear_Y_Intercept"), _number(properties, f"{prefix}Linear_Slope")]
+        )
+        return _composed(own, input_of("Linear"))
+    if kind == "Polynomial":
+        size = int(properties.get(f"{prefix}Polynomial_Coefficients_Size", 4))
+        names = [f"{prefix}Polynomial_Coefficients[{index}]" for index in range(size)]
+        own = np.array([_number(properties, name) for name in names])
+        return _composed(own, input_of("Polynomial"))
+    if kind == "AdvancedAPI":
+        return input_of("AdvancedAPI")
+    if kind in ("Add", "Subtract"):
+        left, right = input_of(f"{kind}_Left_Operand"), input_of(f"{kind}_Right_Operand")
+        # NI subtracts the left operand from the right one.
+        return _sum(left, right) if kind == "Add" else _sum(right, -left)
+    raise ScalingError(f"scale {source} is of type {kind!r}, which is no polynomial")
+
+
+def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
+    """Outer of inner; the identity changes no bit."""
+    if inner.tolist() == [0.0, 1.0]:
+        return outer
+    if (outer.size - 1) * (inner.size - 1) > _LARGEST_ORDER:
+        raise ScalingError(f"the scales compose to an order above {_LARGEST_ORDER}")
+    result = np.zeros(1)
+    for coefficient in outer[::-1]:
+        result = np.convolve(result, inner)
+        result[0] += coefficient
+    return result[: (outer.size - 1) * (inner.size - 1) + 1]
+
+
+def _sum(one: Polynomial, other: Polynomial) -> Polynomial:
+    result = np.zeros(max(one.size, other.size))
+    result[: one.size] += one
+    result[: other.size] += other
+    return result
+
+
+def _number(properties: Mapping[str, Any], name: str) -> float:
+    try:
+        return float(properties[name])
+    except KeyError as error:
+        raise ScalingError(f"the property {name} is missing") from error
+    except (TypeError, ValueError) as error:
+        raise ScalingError(f"the property {name} is {properties[name]!r}, no number") from error

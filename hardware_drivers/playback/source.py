@@ -1,0 +1,136 @@
+"""Where recorded shots come from: asked for one by one, so that a recording never has to fit in memory."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Mapping
+from typing import Protocol, runtime_checkable
+
+from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey
+
+Record = Shot | PulseEchoRecord
+
+SETS_KEPT = 2
+"""Sets held at a time: the one that is played back, and the one before it."""
+
+
+@runtime_checkable
+class ShotSource(Protocol):
+    """A recording."""
+
+    @property
+    def positions(self) -> Mapping[str, str]:
+        """Recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
+        ...
+
+    def find(self, key: ShotKey) -> Acquired | None:
+        """Record of a shot (an `Echo` where the method is pulse-echo), None if it was not recorded.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            It was recorded, but cannot be read any more: the message says why.
+        ConfigurationError
+            The recording as a whole cannot be read.
+        """
+        ...
+
+
+def acquired_of(record: Record) -> Acquired:
+    """Give a stored record the form in which its instrument handed it over; nothing in it changes."""
+    if isinstance(record, PulseEchoRecord):
+        return Echo(
+            waveform=record.waveform,
+            truth=record.truth,
+            settings=record.settings,
+            gain_db=record.gain_db,
+            offset_v=record.offset_v,
+            averages=record.averages,
+        )
+    return Acquired(waveform=record.waveform, truth=record.truth, settings=record.settings)
+
+
+def method_of(record: Record) -> str:
+    """Name the method that makes records of this kind."""
+    return "pulse_echo" if isinstance(record, PulseEchoRecord) else "solitary_wave"
+
+
+class ShotsInMemory:
+    """A short recording as a whole.
+
+    Parameters
+    ----------
+    records
+        Consumed at once; of two records with one key the later one counts.
+
+    Raises
+    ------
+    ValueError
+        A position has shots and pulse-echo records.
+    """
+
+    def __init__(self, records: Iterable[Record]) -> None:
+        self._records = {record.key: record for record in records}
+        self._positions: dict[str, str] = {}
+        for key, record in self._records.items():
+            method = self._positions.setdefault(key.position, method_of(record))
+            if method != method_of(record):
+                raise ValueError(f"position {key.position!r} has both shots and pulse-echo records")
+
+    @property
+    def positions(self) -> Mapping[str, str]:
+        """Recorded positions and their method."""
+        return self._positions
+
+    def find(self, key: ShotKey) -> Acquired | None:
+        """Record of a shot, None if it was not recorded."""
+        record = self._records.get(key)
+        return None if record is None else acquired_of(record)
+
+
+class ShotsBySet:
+    """A long recording, read set by set when a shot of the set is asked for.
+
+    Parameters
+    ----------
+    positions
+        Recorded positions and their method.
+    read
+        Records of a set; empty for a set that was not recorded. What it raises reaches the caller.
+    sets_kept
+        Sets held in memory.
+    """
+
+    def __init__(
+        self,
+        positions: Mapping[str, str],
+        read: Callable[[int], Iterable[Record]],
+        *,
+        sets_kept: int = SETS_KEPT,
+    ) -> None:
+        if sets_kept < 1:
+            raise ValueError(f"sets_kept is {sets_kept}; it must be at least 1")
+        self._positions = dict(positions)
+        self._read = read
+        self._sets_kept = sets_kept
+        self._sets: OrderedDict[int, dict[ShotKey, Record]] = OrderedDict()
+
+    @property
+    def positions(self) -> Mapping[str, str]:
+        """Recorded positions and their method."""
+        return self._positions
+
+    def find(self, key: ShotKey) -> Acquired | None:
+        """Record of a shot, None if it was not recorded."""
+        record = self.records_of_set(key.set_index).get(key)
+        return None if record is None else acquired_of(record)
+
+    def records_of_set(self, set_index: int) -> Mapping[ShotKey, Record]:
+        """Every record of a set, from memory if it was asked for lately."""
+        if set_index not in self._sets:
+            self._sets[set_index] = {record.key: record for record in self._read(set_index)}
+            while len(self._sets) > self._sets_kept:
+                self._sets.popitem(last=False)
+        self._sets.move_to_end(set_index)
+        return self._sets[set_index]

@@ -1,0 +1,297 @@
+"""LabVIEW TDMS files as a source of recorded shots.
+
+Opening reads the metadata of every file and finds out which shot each record is; samples are read when a
+shot is asked for. Whole numbers with NI scaling are counts and their polynomial the calibration, to the
+last bit. Values already scaled (SGL, DBL) become 32-bit codes of a fixed range, off by less than 1e-9 of
+it, and the shot's settings say ``quantised_from``.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.playback.parameters import TdmsMapping
+from hardware_drivers.playback.tdms_channel import (
+    Channel,
+    Conversion,
+    conversion_of,
+    pretrigger_samples,
+    sample_rate_hz,
+    start_utc_ns,
+)
+from hardware_drivers.playback.tdms_file import ValuesReader, read_channels, require_nptdms
+from hardware_drivers.playback.tdms_key import samples_of_record, shot_key
+
+_NS_PER_S = 1_000_000_000
+_NAMES_SHOWN = 5
+"""Of names that did not match, in the message that nothing matched."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Place:
+    """Where a record lies, and how it becomes a waveform."""
+
+    path: Path
+    group: str
+    channel: str
+    first_sample: int
+    n_samples: int
+    sample_rate_hz: float
+    pretrigger_samples: int
+    conversion: Conversion
+    settings: Mapping[str, float | str]
+    utc_ns: int | None
+
+    def __str__(self) -> str:
+        return f"{self.path}, group {self.group!r}, channel {self.channel!r}"
+
+
+class TdmsShots:
+    """An opened recording; `close` it, or use it as a context manager.
+
+    Made by `open_tdms`. One file is kept open at a time.
+    """
+
+    def __init__(self, places: Mapping[ShotKey, _Place], mapping: TdmsMapping) -> None:
+        self._places = places
+        self._mapping = mapping
+        self._positions = {key.position: _method(key.position, mapping) for key in places}
+        self._moments = sorted(place.utc_ns for place in places.values() if place.utc_ns is not None)
+        self._reader = ValuesReader()
+
+    @property
+    def positions(self) -> Mapping[str, str]:
+        """Recorded positions and their method."""
+        return self._positions
+
+    @property
+    def keys(self) -> list[ShotKey]:
+        """Every recorded shot, sorted by set, position, shot and attempt."""
+        return sorted(
+            self._places, key=lambda key: (key.set_index, key.position, key.shot_index, key.attempt)
+        )
+
+    def utc_ns(self, key: ShotKey) -> int | None:
+        """When a shot was recorded; None if its file does not tell, or there is no such shot."""
+        place = self._places.get(key)
+        return None if place is None else place.utc_ns
+
+    def next_moment(self, after_utc_ns: int) -> int | None:
+        """First recorded time after a time, None after the last one."""
+        index = bisect_right(self._moments, after_utc_ns)
+        return self._moments[index] if index < len(self._moments) else None
+
+    def find(self, key: ShotKey) -> Acquired | None:
+        """Record of a shot, None if it was not recorded.
+
+        Raises
+        ------
+        ConfigurationError
+            The file cannot be read any more, or a value is beyond the range.
+        """
+        place = self._places.get(key)
+        if place is None:
+            return None
+        values = self._reader.read(
+            place.path, place.group, place.channel, place.first_sample, place.n_samples
+        )
+        if len(values) != place.n_samples:
+            raise ConfigurationError(
+                f"{place}: {len(values)} of {place.n_samples} samples are left; the file was changed while "
+                "it was played back: open the recording again"
+            )
+        waveform = Waveform(
+            counts=place.conversion.counts(values, str(place)),
+            sample_rate_hz=place.sample_rate_hz,
+            pretrigger_samples=place.pretrigger_samples,
+            calibration=place.conversion.calibration,
+        )
+        if self._positions[key.position] == "pulse_echo":
+            return Echo(
+                waveform=waveform,
+                settings=place.settings,
+                gain_db=self._mapping.gain_db,
+                averages=self._mapping.averages,
+            )
+        return Acquired(waveform=waveform, settings=place.settings)
+
+    def close(self) -> None:
+        """Close the file that is open; a later `find` opens it again."""
+        self._reader.close()
+
+    def __enter__(self) -> TdmsShots:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_tdms(source: Path, mapping: TdmsMapping | None = None) -> TdmsShots:
+    """Find every shot in a folder of TDMS files, or in one file.
+
+    Raises
+    ------
+    ConfigurationError
+        npTDMS is missing; no file, or no record that the patterns match; a file is damaged; a record lacks
+        rate, trigger, scaling or unit; two records are the same shot. Names file, group, channel, remedy.
+    """
+    mapping = mapping or TdmsMapping()
+    require_nptdms()
+    places: dict[ShotKey, _Place] = {}
+    shared: dict[tuple[Any, ...], Conversion] = {}
+    others: list[str] = []
+    for path, name in _files(source, mapping):
+        for key, place in _records_of_file(path, name, mapping, shared, others):
+            if key in places:
+                raise ConfigurationError(
+                    f"{place} and {places[key]} are both shot {key.shot_index} of set {key.set_index} at "
+                    f"{key.position!r}; let the patterns tell them apart"
+                )
+            places[key] = place
+    if not places:
+        raise ConfigurationError(
+            f"{source} has no record that matches file_pattern {mapping.file_pattern!r}, group_pattern "
+            f"{mapping.group_pattern!r} and channel_pattern {mapping.channel_pattern!r}; correct the "
+            f"patterns; names found: {', '.join(others[:_NAMES_SHOWN]) or 'none'}"
+        )
+    return TdmsShots(places, mapping)
+
+
+def _files(source: Path, mapping: TdmsMapping) -> list[tuple[Path, str]]:
+    """Files looked at, and the names that are matched."""
+    if source.is_file():
+        return [(source, source.name)]
+    if not source.is_dir():
+        raise ConfigurationError(f"there is no TDMS file or folder {source}; correct source")
+    found = sorted(path for path in source.glob(mapping.files) if path.is_file())
+    if not found:
+        raise ConfigurationError(f"{source} has no file {mapping.files!r}; correct source, or files")
+    return [(path, path.relative_to(source).as_posix()) for path in found]
+
+
+def _records_of_file(
+    path: Path,
+    name: str,
+    mapping: TdmsMapping,
+    shared: dict[tuple[Any, ...], Conversion],
+    others: list[str],
+) -> Iterator[tuple[ShotKey, _Place]]:
+    """Find the records of the matching channels; names that do not match are added to ``others``."""
+    from_file = re.fullmatch(mapping.file_pattern, name)
+    if from_file is None:
+        others.append(name)
+        return
+    matched: dict[tuple[str, str], dict[str, str | None]] = {}
+
+    def wanted(group: str, channel: str) -> bool:
+        from_group = re.fullmatch(mapping.group_pattern, group)
+        from_channel = re.fullmatch(mapping.channel_pattern, channel)
+        if from_group is None or from_channel is None:
+            others.append(f"{name}/{group}/{channel}")
+            return False
+        matched[group, channel] = {
+            **from_file.groupdict(),
+            **from_group.groupdict(),
+            **from_channel.groupdict(),
+        }
+        return True
+
+    for channel in read_channels(path, wanted):
+        key = shot_key(channel, matched[channel.group, channel.name], mapping)
+        place = _place(channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared)
+        yield from _appended(key, place, channel.n_samples, mapping)
+
+
+def _place(
+    channel: Channel,
+    name: str,
+    position: str,
+    mapping: TdmsMapping,
+    shared: dict[tuple[Any, ...], Conversion],
+) -> _Place:
+    """First record of a channel."""
+    n_samples = samples_of_record(channel, mapping)
+    rate_hz = sample_rate_hz(channel, mapping)
+    conversion = _shared(conversion_of(channel, mapping), shared)
+    return _Place(
+        path=channel.path,
+        group=channel.group,
+        channel=channel.name,
+        first_sample=0,
+        n_samples=n_samples,
+        sample_rate_hz=rate_hz,
+        pretrigger_samples=pretrigger_samples(
+            channel,
+            mapping,
+            rate_hz=rate_hz,
+            record_samples=n_samples,
+            method=_method(position, mapping),
+        ),
+        conversion=conversion,
+        settings=_settings(channel, name, mapping, conversion),
+        utc_ns=start_utc_ns(channel, mapping),
+    )
+
+
+def _appended(
+    key: ShotKey, place: _Place, n_samples: int, mapping: TdmsMapping
+) -> Iterator[tuple[ShotKey, _Place]]:
+    """Give the first record of a channel and those appended to it."""
+    for number in range(n_samples // place.n_samples):
+        later_ns = round(number * mapping.shot_interval_s * _NS_PER_S)
+        yield (
+            replace(key, shot_index=key.shot_index + number),
+            replace(
+                place,
+                first_sample=number * place.n_samples,
+                utc_ns=None if place.utc_ns is None else place.utc_ns + later_ns,
+            ),
+        )
+
+
+def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) -> Conversion:
+    """One object for all channels that are converted alike: a recording has thousands of them."""
+    calibration = conversion.calibration
+    polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
+    key = (
+        calibration.coefficients_v.tobytes(),
+        calibration.resolution_bits,
+        calibration.range_v,
+        polynomial,
+    )
+    return known.setdefault(key, conversion)
+
+
+def _settings(
+    channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
+) -> Mapping[str, float | str]:
+    settings: dict[str, float | str] = {"tdms_channel": name}
+    properties = channel.properties
+    for property_name, setting in mapping.settings_properties.items():
+        if property_name not in properties:
+            raise channel.refuse(
+                f"the property {property_name!r} is missing", "take it out of settings_properties"
+            )
+        value = properties[property_name]
+        settings[setting] = float(value) if isinstance(value, (int, float, np.number)) else str(value)
+    if conversion.polynomial is not None:
+        settings["quantised_from"] = str(channel.dtype)
+        settings["quantisation_step_v"] = float(conversion.calibration.coefficients_v[1])
+    return settings
+
+
+def _method(position: str, mapping: TdmsMapping) -> str:
+    return "pulse_echo" if position in mapping.pulse_echo_positions else "solitary_wave"

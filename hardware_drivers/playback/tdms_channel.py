@@ -1,0 +1,296 @@
+"""One channel of a LabVIEW file: its sample rate, trigger, scaling and time, from properties or the mapping.
+
+Everything is decided from metadata, before a sample is read: a file that cannot be played back is refused
+when the recording is opened, with file, group, channel and remedy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import Calibration, Counts
+from hardware_drivers.playback.ni_scaling import ScalingError, raw_polynomial
+from hardware_drivers.playback.parameters import TdmsMapping
+
+QUANTISED_RANGE_V = 10.0
+"""Full scale of scaled values where the mapping gives none: the range of common boards."""
+QUANTISED_BITS = 32
+"""Scaled values become 32-bit codes: off by at most one code, 4.7e-10 of full scale."""
+_VOLT = {"v", "volt", "volts"}
+_RAW_TYPES = {np.dtype(np.int8): 8, np.dtype(np.int16): 16, np.dtype(np.int32): 32}
+_SCALED_TYPES = {np.dtype(np.float32), np.dtype(np.float64)}
+_TDMS_EPOCH_S = -2_082_844_800
+"""TDMS counts from 1904-01-01T00:00Z."""
+_NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Channel:
+    """What npTDMS tells of a channel, without npTDMS.
+
+    Attributes
+    ----------
+    own_properties, group_properties, file_properties
+        The three by themselves: NI's scales belong together and are never mixed.
+    dtype
+        Of the values as they lie in the file.
+    """
+
+    path: Path
+    group: str
+    name: str
+    own_properties: Mapping[str, Any]
+    group_properties: Mapping[str, Any]
+    file_properties: Mapping[str, Any]
+    dtype: np.dtype[Any]
+    n_samples: int
+
+    @property
+    def where(self) -> str:
+        """File, group and channel, for messages."""
+        return f"{self.path}, group {self.group!r}, channel {self.name!r}"
+
+    @property
+    def properties(self) -> Mapping[str, Any]:
+        """Those of the channel, over those of its group, over those of its file."""
+        return {**self.file_properties, **self.group_properties, **self.own_properties}
+
+    def refuse(self, problem: str, remedy: str) -> ConfigurationError:
+        """Error that names the channel."""
+        return ConfigurationError(f"{self.where}: {problem}; {remedy}")
+
+    def number(self, name: str) -> float | None:
+        """Property as a finite number, None if absent."""
+        value = self.properties.get(name)
+        if value is None:
+            return None
+        try:
+            number = float(value)
+        except (TypeError, ValueError) as error:
+            raise self.refuse(f"{name} is {value!r}, no number", "correct the file") from error
+        if not math.isfinite(number):
+            raise self.refuse(f"{name} is {number}", "correct the file")
+        return number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conversion:
+    """From values in the file to counts.
+
+    Attributes
+    ----------
+    polynomial
+        Of scaled (float) values only: volts as a polynomial of them; None where the values are counts.
+    """
+
+    calibration: Calibration
+    polynomial: NDArray[np.float64] | None = None
+
+    def counts(self, values: NDArray[Any], where: str) -> Counts:
+        """Make counts of a record, shape (n_samples,).
+
+        Raises
+        ------
+        ConfigurationError
+            A scaled value is not finite or beyond the range.
+        """
+        if self.polynomial is None:
+            # Whatever byte order the file has; 8-bit codes fit 16 bits.
+            return values.astype(np.int32) if values.dtype.itemsize == 4 else values.astype(np.int16)
+        return _quantised(values, self.polynomial, self.calibration, where)
+
+
+def _quantised(
+    values: NDArray[Any], polynomial: NDArray[np.float64], calibration: Calibration, where: str
+) -> NDArray[np.int32]:
+    """Nearest code of each value; the range itself is the highest code, so that it counts as clipped."""
+    volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
+    largest_v = float(np.max(np.abs(volts), initial=0.0))
+    if not math.isfinite(largest_v):
+        raise ConfigurationError(f"{where}: a value is not finite; leave this record out of the patterns")
+    if largest_v > calibration.range_v:
+        raise ConfigurationError(
+            f"{where}: a value of {largest_v:.6g} V is beyond the range of {calibration.range_v:g} V; raise "
+            "range_v of the mapping"
+        )
+    low, high = calibration.full_scale_counts
+    codes: NDArray[np.float64] = np.rint(volts / calibration.coefficients_v[1])
+    return codes.clip(low, high).astype(np.int32)
+
+
+def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
+    """How the channel's values become counts and volts.
+
+    Raises
+    ------
+    ConfigurationError
+        Values of another type, a scaling that is no polynomial, no scaling, or values that are not volts.
+    """
+    if channel.dtype in _SCALED_TYPES:
+        range_v = QUANTISED_RANGE_V if mapping.range_v is None else mapping.range_v
+        step_v = range_v / 2.0 ** (QUANTISED_BITS - 1)
+        return Conversion(
+            calibration=Calibration(
+                coefficients_v=np.array([0.0, step_v]), resolution_bits=QUANTISED_BITS, range_v=range_v
+            ),
+            polynomial=_volts_polynomial(channel, mapping, default=np.array([0.0, 1.0])),
+        )
+    if channel.dtype not in _RAW_TYPES:
+        raise channel.refuse(
+            f"values of type {channel.dtype} are neither counts nor volts",
+            "write I16, I32, SGL or DBL, or leave the channel out of channel_pattern",
+        )
+    bits = _resolution_bits(channel, mapping)
+    coefficients_v = _volts_polynomial(channel, mapping, default=None)
+    return Conversion(
+        calibration=Calibration(
+            coefficients_v=coefficients_v,
+            resolution_bits=bits,
+            range_v=mapping.range_v or _range_v(channel, coefficients_v, bits),
+        )
+    )
+
+
+def _resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
+    stored_bits = _RAW_TYPES[channel.dtype]
+    if mapping.resolution_bits is None and stored_bits == 32:
+        raise channel.refuse(
+            "32-bit codes of a converter whose resolution is not told: clipping could not be seen",
+            "give resolution_bits (18 for a PXIe-6396)",
+        )
+    bits = stored_bits if mapping.resolution_bits is None else mapping.resolution_bits
+    if bits > stored_bits:
+        raise channel.refuse(
+            f"resolution_bits is {bits}, yet the codes have {stored_bits}", "correct resolution_bits"
+        )
+    return bits
+
+
+def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -> float:
+    """Volts at the extreme codes, whichever is larger."""
+    codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
+    range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
+    if not (math.isfinite(range_v) and range_v > 0.0):
+        raise channel.refuse(
+            f"the scaling {coefficients_v.tolist()} gives a range of {range_v} V", "give range_v"
+        )
+    return range_v
+
+
+def _volts_polynomial(
+    channel: Channel, mapping: TdmsMapping, *, default: NDArray[np.float64] | None
+) -> NDArray[np.float64]:
+    """Volts as a polynomial of the values in the file; ``default`` where the file has no scales."""
+    if mapping.coefficients_v:
+        return np.array(mapping.coefficients_v)
+    scaling = _scaling_of(channel)
+    unit = str(channel.properties.get(mapping.unit_property, "")).strip()
+    if scaling is None:
+        scaling = default
+    if scaling is None and (unit.casefold() in _VOLT or mapping.volts_per_unit is None):
+        raise channel.refuse(
+            "whole numbers without NI scaling",
+            "give coefficients_v of the board (volts as a polynomial of its codes)",
+        )
+    if scaling is None:
+        scaling = np.array([0.0, 1.0])
+    if unit.casefold() in _VOLT:
+        return scaling
+    if mapping.volts_per_unit is None:
+        said = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
+        raise channel.refuse(f"{said}, V is needed", "give volts_per_unit")
+    return scaling * mapping.volts_per_unit
+
+
+def _scaling_of(channel: Channel) -> NDArray[np.float64] | None:
+    for properties in (channel.own_properties, channel.group_properties, channel.file_properties):
+        try:
+            polynomial = raw_polynomial(properties)
+        except ScalingError as error:
+            raise channel.refuse(str(error), "give coefficients_v") from error
+        if polynomial is not None:
+            return polynomial
+    return None
+
+
+def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
+    """Sample rate from the mapping or the increment.
+
+    Raises
+    ------
+    ConfigurationError
+        Neither is there, or the increment is not positive.
+    """
+    if mapping.sample_rate_hz is not None:
+        return mapping.sample_rate_hz
+    increment_s = channel.number(mapping.increment_property)
+    if increment_s is None:
+        raise channel.refuse(
+            f"no sample rate ({mapping.increment_property} is missing)", "give sample_rate_hz"
+        )
+    if not increment_s > 0.0:
+        raise channel.refuse(
+            f"{mapping.increment_property} is {increment_s} s; it must be positive", "give sample_rate_hz"
+        )
+    rate_hz = 1.0 / increment_s
+    # The reciprocal of a rounded reciprocal is off by a few last bits (2e-16): rates are whole hertz.
+    return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 1e-12 * rate_hz else rate_hz
+
+
+def pretrigger_samples(
+    channel: Channel, mapping: TdmsMapping, *, rate_hz: float, record_samples: int, method: str
+) -> int:
+    """Count the samples before the trigger, by the mapping or the start offset.
+
+    Raises
+    ------
+    ConfigurationError
+        The file does not say where the trigger is, or it lies outside the record.
+    """
+    name = mapping.start_offset_property
+    if method == "pulse_echo":
+        if channel.number(name):
+            raise channel.refuse(
+                f"{name} is {channel.number(name)} s, yet a pulse-echo record starts at the firing pulse",
+                "write it from the pulse on",
+            )
+        return 0
+    samples = mapping.pretrigger_samples
+    if samples is None:
+        offset_s = channel.number(name)
+        if offset_s is None or offset_s >= 0.0:
+            problem = f"{name} is missing" if offset_s is None else f"{name} is {offset_s} s"
+            raise channel.refuse(
+                f"where the trigger is cannot be told: {problem}, a pre-trigger needs a negative one",
+                "give pretrigger_samples",
+            )
+        samples = round(-offset_s * rate_hz)
+    if samples >= record_samples:
+        raise channel.refuse(
+            f"the trigger at sample {samples} is outside the record of {record_samples} samples",
+            "give pretrigger_samples",
+        )
+    return samples
+
+
+def start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
+    """UTC of the channel's first record, None if the file does not tell."""
+    stamp = channel.properties.get(mapping.start_time_property)
+    if stamp is None:
+        return None
+    try:
+        seconds, fractions = int(stamp.seconds), int(stamp.second_fractions)
+    except AttributeError as error:
+        raise channel.refuse(
+            f"{mapping.start_time_property} is {stamp!r}, no time stamp", "give another start_time_property"
+        ) from error
+    # Fractions are 2^-64 s; half is added to round to the nearest nanosecond.
+    return (seconds + _TDMS_EPOCH_S) * _NS_PER_S + ((fractions * _NS_PER_S + (1 << 63)) >> 64)

@@ -1,0 +1,145 @@
+"""The only door to npTDMS: what a file's channels are, and their values as they lie in it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.playback.tdms_channel import Channel
+
+_BRING_BACK = "bring the file back from a copy, or take it away: its shots are missed strikes then"
+
+
+def require_nptdms() -> None:
+    """Say what to install if npTDMS is missing."""
+    try:
+        import nptdms  # noqa: F401
+    except ImportError as error:
+        raise ConfigurationError(
+            "LabVIEW files need npTDMS, which is not installed; pip install 'solimon[tdms]'"
+        ) from error
+
+
+def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channel]:
+    """Metadata of the channels whose group and name are wanted, without the empty ones.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is damaged, or a wanted channel is cut short.
+    """
+    n_bytes = _size(path)
+    with _translated(path), _opened(path) as file:
+        statuses = file.file_status.channel_statuses or {}
+        found = []
+        for group in file.groups():
+            for channel in group.channels():
+                if wanted(group.name, channel.name):
+                    _refuse_cut_short(path, channel, statuses)
+                    if len(channel):
+                        found.append(_described(path, file, group, channel))
+    for described in found:
+        # A damaged length could ask for more memory than there is.
+        if described.n_samples * described.dtype.itemsize > n_bytes:
+            raise described.refuse(f"{described.n_samples} samples are more than the file holds", _BRING_BACK)
+    return found
+
+
+class ValuesReader:
+    """Reads values; keeps the file that was asked for last open."""
+
+    def __init__(self) -> None:
+        self._open: tuple[Path, Any] | None = None
+
+    def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[Any]:
+        """Values of a channel as they lie in the file; fewer than wanted if it was changed meanwhile.
+
+        Raises
+        ------
+        ConfigurationError
+            The file is gone or damaged.
+        """
+        with _translated(path):
+            if self._open is None or self._open[0] != path:
+                self.close()
+                self._open = (path, _opened(path))
+            return _raw_values(self._open[1][group][name], first, n_samples)
+
+    def close(self) -> None:
+        """Close the file; a later `read` opens it again."""
+        if self._open is not None:
+            self._open[1].close()
+            self._open = None
+
+
+def _opened(path: Path) -> Any:
+    import nptdms
+
+    # Raw time stamps have 2^-64 s, npTDMS's own conversion a microsecond.
+    return nptdms.TdmsFile.open(path, raw_timestamps=True)
+
+
+def _size(path: Path) -> int:
+    with _translated(path):
+        return path.stat().st_size
+
+
+def _described(path: Path, file: Any, group: Any, channel: Any) -> Channel:
+    return Channel(
+        path=path,
+        group=group.name,
+        name=channel.name,
+        own_properties=channel.properties,
+        group_properties=group.properties,
+        file_properties=file.properties,
+        # One sample tells the type of DAQmx raw data too, which hide it in their scaler.
+        dtype=_raw_values(channel, 0, 1).dtype.newbyteorder("="),
+        n_samples=len(channel),
+    )
+
+
+def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
+    """Values as they lie in the file: npTDMS scales none."""
+    values = channel.read_data(offset=first, length=n_samples, scaled=False)
+    if isinstance(values, dict):
+        if len(values) != 1:
+            raise ConfigurationError(
+                f"channel {channel.path} has {len(values)} DAQmx scalers; write each channel by itself"
+            )
+        values = next(iter(values.values()))
+    return np.asarray(values)
+
+
+def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
+    """NpTDMS fills what is missing with zeros or leaves it out, and only its status tells."""
+    status = statuses.get(channel.path)
+    if status is not None and status.read_length < status.expected_length:
+        raise ConfigurationError(
+            f"{path}, channel {channel.path}: cut short, {status.read_length} of the last "
+            f"{status.expected_length} samples are left; {_BRING_BACK}"
+        )
+
+
+@contextmanager
+def _translated(path: Path) -> Iterator[None]:
+    """Turn whatever npTDMS raises on a damaged file into our error."""
+    try:
+        yield
+    except ConfigurationError:
+        raise
+    except PermissionError as error:
+        raise ConfigurationError(f"{path} cannot be read: {error}; give this user the right to") from error
+    except FileNotFoundError as error:
+        raise ConfigurationError(f"there is no file {path} any more; bring it back") from error
+    except Exception as error:
+        # npTDMS raises what its parser meets: struct.error, KeyError, ValueError, EOFError and others.
+        raise ConfigurationError(
+            f"{path} is no whole TDMS file ({type(error).__name__}: {error}); bring it back from a copy, and "
+            f"delete {path.name}_index if it is older than the file"
+        ) from error

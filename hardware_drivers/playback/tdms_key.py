@@ -1,0 +1,95 @@
+"""Which shot a record of a LabVIEW file is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.playback.parameters import KEY_PARTS, TdmsMapping
+from hardware_drivers.playback.tdms_channel import Channel
+
+
+def shot_key(channel: Channel, names: Mapping[str, str | None], mapping: TdmsMapping) -> ShotKey:
+    """Shot of a channel's first record.
+
+    Parameters
+    ----------
+    names
+        What the named groups of the three patterns matched.
+
+    Raises
+    ------
+    ConfigurationError
+        No position; a property is missing; a number is none, or below the first.
+    """
+    told: dict[str, Any] = {part: names.get(part) for part in KEY_PARTS}
+    for part in ("position", "set", "shot"):
+        property_name = getattr(mapping, f"{part}_property")
+        if property_name:
+            if property_name not in channel.properties:
+                raise channel.refuse(
+                    f"the property {property_name!r} that tells the {part} is missing",
+                    f"correct {part}_property, or leave the channel out of the patterns",
+                )
+            told[part] = channel.properties[property_name]
+    position = str(told["position"] if told["position"] is not None else mapping.position)
+    if not position:
+        raise channel.refuse("nothing names the position", "correct the patterns")
+    firsts = {"set": mapping.first_set, "shot": mapping.first_shot, "attempt": 0}
+    indices = {part: _index(channel, part, told[part], first) for part, first in firsts.items()}
+    return ShotKey(
+        position=mapping.rename.get(position, position),
+        set_index=indices["set"],
+        shot_index=indices["shot"],
+        attempt=indices["attempt"],
+    )
+
+
+def _index(channel: Channel, part: str, told: Any, first: int) -> int:
+    """Index from 0; what is not told is 0."""
+    if told is None:
+        return 0
+    try:
+        number = int(told)
+    except (TypeError, ValueError) as error:
+        raise channel.refuse(
+            f"the {part} is called {told!r}, which is no whole number", f"correct what names the {part}"
+        ) from error
+    if number < first or number != float(told):
+        raise channel.refuse(
+            f"the {part} has the number {told}; whole numbers count from {first}",
+            f"correct first_{part}" if part != "attempt" else "correct the pattern",
+        )
+    return number - first
+
+
+def samples_of_record(channel: Channel, mapping: TdmsMapping) -> int:
+    """Length of each record of a channel.
+
+    Raises
+    ------
+    ConfigurationError
+        A record is cut short; the length of appended ones is not told, or does not fit the channel.
+    """
+    written = channel.number(mapping.samples_property)
+    if not mapping.appended:
+        if written is not None and written > channel.n_samples:
+            raise channel.refuse(
+                f"cut short, {channel.n_samples} of {written:.0f} samples ({mapping.samples_property}) are "
+                "left",
+                "bring the file back from a copy, or take it away: its shots are missed strikes then",
+            )
+        return channel.n_samples
+    samples = mapping.record_samples or written
+    if samples is None or samples < 1:
+        raise channel.refuse(
+            f"the length of a record cannot be told ({mapping.samples_property} is missing)",
+            "give record_samples",
+        )
+    if channel.n_samples % int(samples):
+        raise channel.refuse(
+            f"{channel.n_samples} samples are not a whole number of records of {int(samples)}",
+            "correct record_samples, or take the file away if its last record was cut short",
+        )
+    return int(samples)
