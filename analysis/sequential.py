@@ -135,3 +135,22 @@ def hole_states(
         state = next_hole_state(state, shot_flags, rule)
         states.append(state)
     return states
+
+
+def next_poor_sets(running: int, *, n_valid: int, n_tried: int, minimum_valid: int) -> int:
+    """Count the sets running that gave too few valid shots, after one more set.
+
+    Parameters
+    ----------
+    running
+        The count before this set.
+    n_valid
+        Valid shots of the set.
+    n_tried
+        Strikes tried; a set in which nothing was tried (a gap, a hold) neither counts nor interrupts.
+    minimum_valid
+        Fewer make a poor set.
+    """
+    if n_tried == 0:
+        return running
+    return running + 1 if n_valid < minimum_valid else 0

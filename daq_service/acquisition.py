@@ -1,7 +1,8 @@
 """Take one set: strike, read, and yield what came, in the order in which it was taken.
 
 A set is one due time: one pulse-echo record of each ultrasonic position, then ten strikes of each
-transducer, one transducer after the other.
+transducer, one transducer after the other. A strike that the quality gate wants again is repeated at
+once; what comes after it moves by one interval.
 """
 
 from __future__ import annotations
@@ -9,21 +10,33 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from daq_service.schedule import DueSet
-from hardware_drivers.errors import AcquisitionTimeoutError
+from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 
 NS_PER_S = 1_000_000_000
 
+LOST_IN_A_ROW = 3
+"""Records running that a lost connection may cost before the set is given up: as many as a driver's
+recovery has rungs (fresh tasks, reset, find the board again). The next set tries again."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedShot:
-    """A strike that left no record."""
+    """A strike or echo that left no record.
+
+    Attributes
+    ----------
+    reason
+        ``no_trigger``: nothing came in time; ``connection_lost``: the instrument did not answer.
+    """
 
     key: ShotKey
     cause: str
+    reason: Literal["no_trigger", "connection_lost"] = "no_trigger"
 
 
 Measurement = Shot | PulseEchoRecord | MissedShot
@@ -51,38 +64,56 @@ class SetPlan:
 
 
 def take_set(
-    rig: Rig, plan: SetPlan, *, first_sequence: int, boot_id: str, idle: Callable[[], bool]
+    rig: Rig,
+    plan: SetPlan,
+    *,
+    first_sequence: int,
+    boot_id: str,
+    idle: Callable[[], bool],
+    wants_restrike: Callable[[Shot | MissedShot], bool] = lambda _: False,
 ) -> Iterator[Measurement]:
     """Yield the measurements of a set; ends early once ``idle()`` is False.
+
+    Parameters
+    ----------
+    wants_restrike
+        Asked after each strike, when the caller has looked at it: strike once more?
 
     Raises
     ------
     InstrumentError
-        Anything but a missed record; what was yielded before is whole.
+        Anything but a missed record; what was yielded before is whole. A lost connection is raised
+        only after `LOST_IN_A_ROW` records running, when the driver has tried all it can.
     """
     sequence = itertools.count(first_sequence)
     start_ns = max(rig.clock.utc_ns(), plan.due.due_utc_ns)
+    lost = 0
     for position in plan.of_method("pulse_echo"):
         if not rig.clock.wait_until(start_ns, idle):
             return
-        yield _echo(
-            rig,
-            plan,
-            ShotKey(position=position, set_index=plan.due.set_index, shot_index=0),
-            sequence,
-            boot_id,
-        )
+        key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
+        yield _echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.of_method("solitary_wave"), range(plan.shots_per_set))
-    for number, (position, shot_index) in enumerate(strikes):
-        if not rig.clock.wait_until(start_ns + round(number * plan.shot_interval_s * NS_PER_S), idle):
-            return
-        key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=shot_index)
-        yield _strike(rig, plan, key, sequence, boot_id)
+    slot = itertools.count()
+    for position, shot_index in strikes:
+        for attempt in itertools.count():
+            if not rig.clock.wait_until(start_ns + round(next(slot) * plan.shot_interval_s * NS_PER_S), idle):
+                return
+            key = ShotKey(
+                position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
+            )
+            taken, error = _strike(rig, plan, key, sequence, boot_id)
+            yield taken
+            lost = 0 if error is None else lost + 1
+            if error is not None and lost >= LOST_IN_A_ROW:
+                raise error
+            if error is not None or not wants_restrike(taken):
+                break
 
 
 def _strike(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
-) -> Shot | MissedShot:
+) -> tuple[Shot | MissedShot, ConnectionLostError | None]:
     """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards."""
     stamp = _stamp(rig, boot_id)
     try:
@@ -91,24 +122,44 @@ def _strike(
         acquired = rig.digitizer.read(plan.read_timeout_s)
     except AcquisitionTimeoutError as error:
         rig.make_safe()
-        return MissedShot(key=key, cause=str(error))
+        return MissedShot(key=key, cause=str(error)), None
+    except ConnectionLostError as error:
+        _make_safe_as_far_as_reachable(rig, error)
+        return MissedShot(key=key, cause=str(error), reason="connection_lost"), error
     except BaseException:
         rig.make_safe()
         raise
-    return Shot(
-        sequence=next(sequence), key=key, stamp=stamp, waveform=acquired.waveform, truth=acquired.truth
+    shot = Shot(
+        sequence=next(sequence),
+        key=key,
+        stamp=stamp,
+        waveform=acquired.waveform,
+        truth=acquired.truth,
+        settings=acquired.settings,
     )
+    return shot, None
+
+
+def _make_safe_as_far_as_reachable(rig: Rig, error: ConnectionLostError) -> None:
+    """Switch off what answers; the pulse of a coil that cannot be reached ends by itself, in hardware."""
+    try:
+        rig.make_safe()
+    except InstrumentError as unreachable:
+        error.add_note(f"and it could not be made safe by command: {unreachable}")
 
 
 def _echo(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> PulseEchoRecord | MissedShot:
+    """One averaged record; a unit that does not answer costs its own record, not the strikes after it."""
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
     stamp = _stamp(rig, boot_id)
     try:
         echo = rig.pulse_echo.acquire(key, plan.read_timeout_s)
     except AcquisitionTimeoutError as error:
         return MissedShot(key=key, cause=str(error))
+    except ConnectionLostError as error:
+        return MissedShot(key=key, cause=str(error), reason="connection_lost")
     return PulseEchoRecord(
         sequence=next(sequence),
         key=key,
@@ -118,6 +169,7 @@ def _echo(
         offset_v=echo.offset_v,
         averages=echo.averages,
         truth=echo.truth,
+        settings=echo.settings,
     )
 
 

@@ -10,8 +10,8 @@
       └──────────── returned_unacknowledged                      normal
         acknowledge
 
-A latched alarm (a hole does not heal) never leaves by its condition. Severity is kept at the
-highest reached until the alarm is acknowledged.
+A latched alarm (a hole does not heal) never leaves by its condition, only by a person's reset.
+Severity is kept at the highest reached until the alarm is acknowledged.
 """
 
 from __future__ import annotations
@@ -111,6 +111,28 @@ def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) 
         acknowledged_utc_ns=moment.utc_ns,
         acknowledged_by=author,
         note=note,
+    )
+
+
+def reset(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Change:
+    """End a latched alarm by a person's word: what it stood for was put right.
+
+    Raises
+    ------
+    ValueError
+        The alarm has ended already.
+    """
+    if row["state"] == "normal":
+        raise ValueError(f"alarm {row['id']} has ended already: there is nothing to reset")
+    return _to(
+        row,
+        "normal",
+        moment,
+        "alarm_reset",
+        cleared_utc_ns=moment.utc_ns,
+        acknowledged_utc_ns=row["acknowledged_utc_ns"] or moment.utc_ns,
+        acknowledged_by=row["acknowledged_by"] or author,
+        note=note or row["note"],
     )
 
 

@@ -26,7 +26,16 @@ from analysis.features import (
     mean_features,
 )
 from analysis.novelty import distance_squared, named_contributions
-from analysis.sequential import AlarmRule, AlarmState, HoleRule, HoleState, next_alarm_state, next_hole_state
+from analysis.quality_gate import ACCEPTED
+from analysis.sequential import (
+    AlarmRule,
+    AlarmState,
+    HoleRule,
+    HoleState,
+    next_alarm_state,
+    next_hole_state,
+    next_poor_sets,
+)
 from analysis.threshold import f_predictive_limit, paper_limit
 from daq_service.alarms import Condition
 from daq_service.schedule import DueSet
@@ -46,8 +55,6 @@ class Assessment:
         Row of a baseline that this set completed, else None.
     verdicts
         This set's row, and those of the baseline's sets when it was completed.
-    retire
-        The transducer must strike no more.
     shot_flags, invalid
         Flags of each record by its sequence, and the sequences of those without trustworthy features.
     note
@@ -60,7 +67,6 @@ class Assessment:
     verdicts: Sequence[dict[str, Any]] = ()
     conditions: Sequence[Condition] = ()
     n_valid: int = 0
-    retire: bool = False
     shot_flags: Mapping[int, Sequence[str]] = field(default_factory=dict)
     invalid: frozenset[int] = frozenset()
     note: str = ""
@@ -88,6 +94,7 @@ class _Memory:
     limits: _Limits = field(default_factory=_Limits)
     alarm: AlarmState = field(default_factory=AlarmState)
     hole: HoleState = field(default_factory=HoleState)
+    poor_sets: int = 0
 
 
 class SolitaryWaveAssessor:
@@ -121,13 +128,16 @@ class SolitaryWaveAssessor:
         verdicts: Sequence[Mapping[str, Any]],
         baseline: Mapping[str, Any] | None,
         flags_by_set: Sequence[Sequence[Sequence[str]]],
+        sets: Sequence[Mapping[str, Any]] = (),
     ) -> None:
         """Rebuild the memory from catalogue rows, all in the order of sets.
 
         Parameters
         ----------
         flags_by_set
-            Flags of the shots of the position's last sets (as many as the hole rule looks at).
+            Flags of the accepted shots of the position's last sets (as many as the hole rule looks at).
+        sets
+            Rows of the position's sets.
         """
         memory = _Memory()
         for row in set_features:
@@ -140,24 +150,60 @@ class SolitaryWaveAssessor:
                 memory.alarm = next_alarm_state(memory.alarm, row["outlier"], self._alarm_rule)
         for flags in flags_by_set:
             memory.hole = next_hole_state(memory.hole, flags, self._hole_rule)
+        for row in sets:
+            # A retirement ends the count: who was put back begins anew.
+            memory.poor_sets = 0 if row["state"] == "retired" else self._poor_sets(memory, row)
         self._memory = memory
 
-    def assess(self, due: DueSet, shots: Sequence[Shot], features: Sequence[ShotFeatures]) -> Assessment:
-        """Judge one set: the shots taken, in order, and their features."""
-        mean = self._set_features(shots, features)
+    def reinstate(self) -> None:
+        """Forget what retired the transducer: a person says that it may strike again."""
+        self._memory.hole = HoleState()
+        self._memory.poor_sets = 0
+
+    def assess(
+        self,
+        due: DueSet,
+        shots: Sequence[Shot],
+        features: Sequence[ShotFeatures],
+        *,
+        outcomes: Sequence[str] | None = None,
+        n_missed: int = 0,
+    ) -> Assessment:
+        """Judge one set.
+
+        Parameters
+        ----------
+        shots, features
+            What was taken, in order, every attempt.
+        outcomes
+            ``accepted`` or ``superseded`` for each of them (`analysis.quality_gate.outcomes`); None: all
+            accepted. Only accepted shots are averaged and judged; all have rows.
+        n_missed
+            Strikes that left no record.
+        """
         rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
-        rows.append(_set_feature_row(self.position, due, mean))
+        outcomes = [ACCEPTED] * len(shots) if outcomes is None else outcomes
+        accepted = [number for number, outcome in enumerate(outcomes) if outcome == ACCEPTED]
+        counting = [features[number] for number in accepted]
+        mean = self._set_features([shots[number] for number in accepted], counting)
         memory = self._memory
-        memory.hole = next_hole_state(memory.hole, [found.flags for found in features], self._hole_rule)
+        memory.poor_sets = self._poor_sets(
+            memory, {"n_valid": mean.n_valid, "n_taken": len(shots), "n_missed": n_missed}
+        )
+        if not shots:
+            return Assessment(conditions=self._device_conditions(due, mean), note=mean.reason)
+        rows.append(_set_feature_row(self.position, due, mean))
+        memory.hole = next_hole_state(memory.hole, [found.flags for found in counting], self._hole_rule)
         baseline_row, verdicts = self._verdicts(due, mean)
-        conditions = [self._wall_condition(due, verdicts[-1]), self._hole_condition(due, features)]
+        # Strikes that come back without a reflection tell of the wall, not of the transducer.
+        conditions = [] if memory.hole.sets_running else self._device_conditions(due, mean)
+        conditions += [self._wall_condition(due, verdicts[-1]), self._hole_condition(due, counting)]
         return Assessment(
             features=rows,
             baseline=baseline_row,
             verdicts=verdicts,
             conditions=conditions,
             n_valid=mean.n_valid,
-            retire=memory.hole.hole,
             shot_flags={shot.sequence: found.flags for shot, found in zip(shots, features, strict=True)},
             invalid=frozenset(
                 shot.sequence for shot, found in zip(shots, features, strict=True) if not found.valid
@@ -318,6 +364,47 @@ class SolitaryWaveAssessor:
             "reason": reason,
             "contributions": contributions,
         }
+
+    def _poor_sets(self, memory: _Memory, row: Mapping[str, Any]) -> int:
+        """Count the sets running with too few valid shots, after one with these numbers."""
+        return next_poor_sets(
+            memory.poor_sets,
+            n_valid=row["n_valid"],
+            n_tried=row["n_taken"] + row["n_missed"],
+            minimum_valid=self._settings.baseline.minimum_valid_shots,
+        )
+
+    def _device_conditions(self, due: DueSet, mean: SetFeatures) -> list[Condition]:
+        """Too few valid shots, set after set: first an alarm, then the transducer retires."""
+        quality, poor = self._settings.quality, self._memory.poor_sets
+        told = f"{poor} sets running with too few valid shots at {self.position} (last: {mean.reason})"
+        check = "check coil, striker, sensor and cable"
+        proof = {
+            "set_index": due.set_index,
+            "poor_sets_running": poor,
+            "minimum_valid_shots": self._settings.baseline.minimum_valid_shots,
+        }
+        return [
+            Condition(
+                position=self.position,
+                kind="no_data",
+                family="device",
+                severity="medium",
+                present=poor >= quality.no_data_sets,
+                message=f"{told}; {check}",
+                proof=proof,
+            ),
+            Condition(
+                position=self.position,
+                kind="retired",
+                family="device",
+                severity="high",
+                present=0 < quality.retire_after_sets <= poor,
+                latched=True,
+                message=f"{told}: the transducer strikes no more; {check}, then reinstate it",
+                proof=proof,
+            ),
+        ]
 
     def _wall_condition(self, due: DueSet, verdict: Mapping[str, Any]) -> Condition:
         state, rule = self._memory.alarm, self._alarm_rule

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from analysis.quality_gate import ACCEPTED
 from daq_service.archive import read_waveform
 from daq_service.assessment import SolitaryWaveAssessor
 from daq_service.catalogue import Catalogue
@@ -34,16 +35,20 @@ def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -
                 verdicts=catalogue.list_verdicts(position),
                 baseline=catalogue.baseline(position),
                 flags_by_set=_last_flags(position, settings, catalogue),
+                sets=sorted(catalogue.list_sets(position, limit=None), key=lambda row: int(row["set_index"])),
             )
             assessors[position] = assessor
     return assessors
 
 
 def _last_flags(position: str, settings: Settings, catalogue: Catalogue) -> list[list[list[str]]]:
-    """List the flags of each shot of the sets that the hole rule still looks at."""
+    """List the flags of each accepted shot of the sets that the hole rule still looks at."""
     rows = [row for row in catalogue.list_sets(position, limit=None) if row["n_taken"]]
     recent = sorted(row["set_index"] for row in rows)[-settings.alarms.hole_sets :]
-    return [[shot["flags"] for shot in catalogue.list_shots(position, index)] for index in recent]
+    return [
+        [shot["flags"] for shot in catalogue.list_shots(position, index) if shot["outcome"] == ACCEPTED]
+        for index in recent
+    ]
 
 
 def _pulse_echo(position: str, settings: Settings, catalogue: Catalogue, folder: Path) -> PulseEchoAssessor:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from daq_service.alarms import Moment, acknowledge
+from daq_service.alarms import Condition, Moment, acknowledge, reset, update
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import SimulatedClock
 from daq_service.rows import Transaction
@@ -19,7 +19,22 @@ log = logging.getLogger(__name__)
 LISTEN_EVERY_NS = 200_000_000
 """A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 
+ORDERS = ("finish_now", "stop", "acknowledge_alarm", "hold", "release", "retire", "reinstate")
+
 AlarmKey = tuple[str | None, str]
+Alarms = Mapping[AlarmKey, Mapping[str, Any]]
+
+RETIRING = ("hole", "retired")
+"""Kinds of alarm at which a transducer strikes no more, until it is reinstated."""
+
+
+def retired_positions(alarms: Alarms) -> dict[str, str]:
+    """Transducers that strike no more, and the alarm's message that says why."""
+    return {
+        position: str(row["message"])
+        for (position, kind), row in alarms.items()
+        if position is not None and kind in RETIRING and row["state"] != "normal"
+    }
 
 
 class Operator:
@@ -31,23 +46,37 @@ class Operator:
         The recorder's current alarms by position and kind.
     store
         Stores a transaction and takes its alarms over.
+    reinstated
+        Called with a position that may strike again.
+    positions
+        The solitary-wave transducers.
     """
 
     def __init__(
         self,
         catalogue: RecorderCatalogue,
         clock: Clock,
-        alarms: Mapping[AlarmKey, Mapping[str, Any]],
+        alarms: Alarms,
         *,
         stop: threading.Event,
         store: Callable[[Transaction], None],
+        reinstated: Callable[[str], None],
+        positions: Sequence[str],
     ) -> None:
         self._catalogue = catalogue
         self._clock = clock
         self._alarms = alarms
         self._stop = stop
         self._store = store
+        self._reinstated = reinstated
+        self._positions = positions
         self._listened_ns: int | None = None
+        self._held = _hold_before(catalogue)
+
+    @property
+    def held(self) -> str:
+        """Who holds the test and why; empty while it runs. A hold outlives a restart."""
+        return self._held
 
     def listen(self, hour: float) -> None:
         """Carry out what is waiting; a refused order is answered with the reason."""
@@ -80,16 +109,103 @@ class Operator:
             case "acknowledge_alarm":
                 self._acknowledge(command, hour)
                 return "acknowledged"
+            case "hold":
+                return self._hold(command, hour)
+            case "release":
+                return self._release(command, hour)
+            case "retire":
+                return self._retire(command, hour)
+            case "reinstate":
+                return self._reinstate(command, hour)
             case other:
-                raise ValueError(f"unknown order {other!r}; there are finish_now, stop and acknowledge_alarm")
+                raise ValueError(f"unknown order {other!r}; there are {', '.join(ORDERS)}")
 
     def _acknowledge(self, command: Mapping[str, Any], hour: float) -> None:
         wanted = command["arguments"].get("alarm_id")
         rows = [row for row in self._alarms.values() if row["id"] == wanted]
         if not rows:
             raise ValueError(f"there is no current alarm {wanted!r}")
-        moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
-        transaction = Transaction()
-        note = str(command["arguments"].get("note", ""))
-        transaction.add_alarm(acknowledge(rows[0], command["author"], note, moment), moment)
+        moment, transaction = self._moment(hour), Transaction()
+        transaction.add_alarm(acknowledge(rows[0], command["author"], _note(command), moment), moment)
         self._store(transaction)
+
+    def _hold(self, command: Mapping[str, Any], hour: float) -> str:
+        if self._held:
+            raise ValueError(f"the test is already on hold: {self._held}")
+        held = f"held by {command['author']}" + (f": {_note(command)}" if _note(command) else "")
+        transaction = Transaction()
+        transaction.tell("hold", {"held": held, "author": command["author"]}, self._moment(hour))
+        self._store(transaction)
+        self._held = held
+        return "on hold: nothing strikes until the test is released; sets that fall due are missed"
+
+    def _release(self, command: Mapping[str, Any], hour: float) -> str:
+        if not self._held:
+            raise ValueError("the test is not on hold")
+        transaction = Transaction()
+        payload = {"held": "", "author": command["author"], "note": _note(command)}
+        transaction.tell("release", payload, self._moment(hour))
+        self._store(transaction)
+        self._held = ""
+        return "released: the next due set is taken"
+
+    def _retire(self, command: Mapping[str, Any], hour: float) -> str:
+        position = self._position(command)
+        if position in retired_positions(self._alarms):
+            raise ValueError(f"{position} is retired already")
+        condition = Condition(
+            position=position,
+            kind="retired",
+            family="device",
+            severity="medium",
+            present=True,
+            latched=True,
+            message=f"retired by {command['author']}: {_note(command) or 'no reason given'}",
+            proof={"command_id": command["id"]},
+        )
+        moment, transaction = self._moment(hour), Transaction()
+        change = update(self._alarms.get((position, "retired")), condition, moment)
+        assert change is not None, "a position that is not retired has no such alarm standing"
+        transaction.add_alarm(change, moment)
+        self._store(transaction)
+        return f"{position} strikes no more"
+
+    def _reinstate(self, command: Mapping[str, Any], hour: float) -> str:
+        position = self._position(command)
+        standing = [
+            row
+            for (place, kind), row in self._alarms.items()
+            if place == position and kind in RETIRING and row["state"] != "normal"
+        ]
+        if not standing:
+            raise ValueError(f"{position} is not retired")
+        moment, transaction = self._moment(hour), Transaction()
+        for row in standing:
+            transaction.add_alarm(reset(row, command["author"], _note(command), moment), moment)
+        self._store(transaction)
+        self._reinstated(position)
+        return f"{position} strikes again from the next set"
+
+    def _position(self, command: Mapping[str, Any]) -> str:
+        position = str(command["arguments"].get("position", ""))
+        if position not in self._positions:
+            names = ", ".join(self._positions) or "none"
+            raise ValueError(f"there is no solitary-wave transducer {position!r}; there are: {names}")
+        return position
+
+    def _moment(self, hour: float) -> Moment:
+        return Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
+
+
+def _note(command: Mapping[str, Any]) -> str:
+    return str(command["arguments"].get("note", ""))
+
+
+def _hold_before(catalogue: RecorderCatalogue) -> str:
+    """Whether the test was on hold when the last recorder ended: a restart never ends a hold."""
+    told = [
+        row
+        for row in catalogue.events_after(0, {"service"}, limit=None)
+        if row["kind"] in ("hold", "release")
+    ]
+    return str(told[-1]["payload"]["held"]) if told else ""

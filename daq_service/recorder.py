@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from analysis.features import ShotFeatures, extract_features
+from analysis.features import ShotFeatures
+from analysis.quality_gate import ACCEPTED, RestrikeRule
 from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
 from daq_service.alarms import Condition, Moment, update
 from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
@@ -26,52 +27,22 @@ from daq_service.errors import RigError
 from daq_service.heartbeat import Heartbeat
 from daq_service.live import LivePicture
 from daq_service.memory import restored_assessors
-from daq_service.operator_commands import Operator
+from daq_service.operator_commands import Operator, retired_positions
 from daq_service.provenance import provenance
 from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
 from daq_service.settings import Settings
-from hardware_drivers.errors import InstrumentError
+from daq_service.taken_set import TakenSet, features_of, n_missed, n_restrikes
+from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.measurement import Shot
 
 log = logging.getLogger(__name__)
 
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
-RETIRED = "a hole was found here: the transducer strikes no more"
-
-NOT_ANALYSED = "not_analysed"
-"""Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
-
 Teller = Callable[..., None]
-
-
-@dataclass(slots=True, kw_only=True, eq=False)
-class _Taken:
-    """A set while it is taken: whatever ends it early, what came before stays."""
-
-    shots: list[Shot] = field(default_factory=list)
-    echoes: list[PulseEchoRecord] = field(default_factory=list)
-    missed: list[MissedShot] = field(default_factory=list)
-    features: dict[int, ShotFeatures] = field(default_factory=dict)
-    error: InstrumentError | None = None
-    started_ns: int = 0
-    ended_ns: int = 0
-
-    def count(self, position: str) -> int:
-        records: list[Shot | PulseEchoRecord] = [*self.shots, *self.echoes]
-        return sum(item.key.position == position for item in records)
-
-
-def features_of(shot: Shot) -> ShotFeatures:
-    """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
-    try:
-        return extract_features(shot.waveform)
-    except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
-        log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
-        return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
 
 
 class Recorder:
@@ -104,13 +75,20 @@ class Recorder:
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         self._provenance = provenance(settings, rig)
         self._alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
-        self._retired = {position for position, kind in self._alarms if kind == "hole"}
         self._next_sequence = catalogue.next_sequence()
         self._cost = Cost()
         done = catalogue.committed_sets()
         self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
         self._assessors = restored_assessors(settings, catalogue, folder)
-        self._operator = Operator(catalogue, rig.clock, self._alarms, stop=stop, store=self._commit)
+        self._operator = Operator(
+            catalogue,
+            rig.clock,
+            self._alarms,
+            stop=stop,
+            store=self._commit,
+            reinstated=self._reinstated,
+            positions=settings.names_of("solitary_wave"),
+        )
 
     def run(self, *, not_running_because: str) -> bool:
         """Take every set that is still due; False when told to stop."""
@@ -142,29 +120,35 @@ class Recorder:
         self._doing = f"waiting for set {due.set_index}"
         if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
             return
+        if self._operator.held:
+            self._gap(due, dict.fromkeys(self._settings.positions, self._operator.held))
+            return
         self._doing = f"taking set {due.set_index}"
         taken = self._take(due)
-        if not taken.shots and not taken.echoes:
-            if self._stop.is_set():
-                return  # the set is still due after a restart
-            self._miss_all(due, taken)
-        else:
+        if not taken.is_empty:
             self._store_and_judge(due, taken)
-        if taken.error is not None:
+        elif not self._stop.is_set():
+            self._judge_empty(due, taken)
+        # else: the set is still due after a restart
+        if taken.trouble is not None and not _may_pass(taken.trouble):
             raise RigError(
-                f"set {due.set_index} ended early: {taken.error}; the {len(taken.shots)} shots before it are "
-                "stored"
-            ) from taken.error
+                f"set {due.set_index} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
+                "are stored"
+            ) from taken.trouble
 
-    def _take(self, due: DueSet) -> _Taken:
+    def _take(self, due: DueSet) -> TakenSet:
         """Strike and read; whatever happens, what came before it is kept."""
-        taken = _Taken(started_ns=self._rig.clock.utc_ns())
+        quality = self._settings.quality
+        restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
+        taken = TakenSet(
+            rule=RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes),
+            started_ns=self._rig.clock.utc_ns(),
+        )
+        retired = self._retired()
         set_plan = SetPlan(
             due=due,
             positions={
-                name: place.method
-                for name, place in self._settings.positions.items()
-                if name not in self._retired
+                name: place.method for name, place in self._settings.positions.items() if name not in retired
             },
             shots_per_set=self._settings.schedule.shots_per_set,
             shot_interval_s=self._settings.schedule.shot_interval_s,
@@ -175,7 +159,8 @@ class Recorder:
             set_plan,
             first_sequence=self._next_sequence,
             boot_id=self._boot_id,
-            idle=self._idle,
+            idle=self._idle_in_a_set,
+            wants_restrike=taken.wants_restrike,
         )
         try:
             while True:
@@ -186,25 +171,21 @@ class Recorder:
                 self._keep(measurement, taken, due)
         except InstrumentError as error:
             log.exception("set %d: the rig failed", due.set_index)
-            taken.error = error
+            taken.trouble = error
         taken.ended_ns = self._rig.clock.utc_ns()
         return taken
 
-    def _keep(self, measurement: Measurement, taken: _Taken, due: DueSet) -> None:
+    def _keep(self, measurement: Measurement, taken: TakenSet, due: DueSet) -> None:
+        taken.keep(measurement)
         if isinstance(measurement, MissedShot):
-            log.warning("set %d, %s: %s", due.set_index, measurement.key, measurement.cause)
-            taken.missed.append(measurement)
             return
         if isinstance(measurement, Shot):
-            taken.shots.append(measurement)
             with self._cost.of("extract_s"):
                 taken.features[measurement.sequence] = features_of(measurement)
-        else:
-            taken.echoes.append(measurement)
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
-    def _store_and_judge(self, due: DueSet, taken: _Taken) -> None:
+    def _store_and_judge(self, due: DueSet, taken: TakenSet) -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
         self._doing = f"storing set {due.set_index}"
         record = SetRecord(
@@ -217,6 +198,8 @@ class Recorder:
             positions=self._position_records(taken),
             shots=taken.shots,
             echoes=taken.echoes,
+            missed=taken.missed_records(),
+            outcomes=taken.superseded(),
             provenance=self._provenance,
         )
         stored = self._archive.store_set(record)
@@ -224,9 +207,10 @@ class Recorder:
         for stage, seconds in asdict(stored.timings).items():
             self._cost.seconds[stage] += seconds
         self._next_sequence += len(taken.shots) + len(taken.echoes)
-        self._judge(due, record, stored.file, taken.features)
+        self._judge(due, record, stored.file, taken.features, taken.trouble)
 
-    def _position_records(self, taken: _Taken) -> list[PositionRecord]:
+    def _position_records(self, taken: TakenSet) -> list[PositionRecord]:
+        retired = self._retired()
         return [
             PositionRecord(
                 position=name,
@@ -237,39 +221,52 @@ class Recorder:
                 serial_number=place.serial_number,
             )
             for name, place in self._settings.positions.items()
-            if name not in self._retired
+            if name not in retired
         ]
 
     def _n_planned(self, position: str) -> int:
         place = self._settings.positions[position]
         return 1 if place.method == "pulse_echo" else self._settings.schedule.shots_per_set
 
-    def _shortfall(self, position: str, taken: _Taken) -> str:
-        """Why a position has fewer records than planned; empty if it has all."""
-        if taken.count(position) == self._n_planned(position):
-            return ""
-        missed = [item.cause for item in taken.missed if item.key.position == position]
-        if taken.error is not None:
-            return str(taken.error)
-        return f"{len(missed)} missed: {missed[0]}" if missed else "the recorder was told to stop"
+    def _shortfall(self, position: str, taken: TakenSet) -> str:
+        told_to = self._operator.held or "the recorder was told to stop"
+        return taken.shortfall(position, self._n_planned(position), told_to)
+
+    def _retired(self) -> dict[str, str]:
+        """Transducers that strike no more, and why."""
+        return retired_positions(self._alarms)
+
+    def _reinstated(self, position: str) -> None:
+        assessor = self._assessors[position]
+        if isinstance(assessor, SolitaryWaveAssessor):
+            assessor.reinstate()
 
     # After the set is durable --------------------------------------------------------------------
 
-    def _judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
+    def _judge(
+        self,
+        due: DueSet,
+        record: SetRecord,
+        file: str,
+        features: Mapping[int, ShotFeatures],
+        trouble: InstrumentError | None,
+    ) -> None:
         """Assess every position; store rows, alarms and events in one transaction."""
         self._doing = f"judging set {due.set_index}"
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
         causes = {position.position: position.cause for position in record.positions}
+        retired = self._retired()
         transaction = Transaction()
         for position, place in self._settings.positions.items():
             if position not in causes:
+                cause = retired.get(position, "retired")
                 transaction.sets.append(
-                    set_row(due, position, method=place.method, state="retired", cause=RETIRED, n_planned=0)
+                    set_row(due, position, method=place.method, state="retired", cause=cause, n_planned=0)
                 )
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
-                assessment = self._assess(position, due, measurements, features)
+                assessment = self._assess(position, due, record, features)
             row = set_row(
                 due,
                 position,
@@ -279,30 +276,35 @@ class Recorder:
                 n_planned=self._n_planned(position),
                 n_taken=len(measurements),
                 n_valid=assessment.n_valid,
+                n_missed=n_missed(record, position),
+                n_restrikes=n_restrikes(record, position),
                 started_utc_ns=record.started_utc_ns,
                 ended_utc_ns=record.ended_utc_ns,
                 file=file if measurements else None,
             )
-            transaction.add_position(row, measurements, assessment, moment)
+            transaction.add_position(row, measurements, assessment, moment, record.outcomes)
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
+        self._carry_alarm(_rig_condition(trouble, due), moment, transaction)
         self._commit(transaction)
 
     def _assess(
-        self,
-        position: str,
-        due: DueSet,
-        measurements: Sequence[Shot | PulseEchoRecord],
-        features: Mapping[int, ShotFeatures],
+        self, position: str, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> Assessment:
-        if not measurements:
-            return Assessment()
         assessor = self._assessors[position]
         if isinstance(assessor, SolitaryWaveAssessor):
-            shots = [item for item in measurements if isinstance(item, Shot)]
-            return assessor.assess(due, shots, [features[shot.sequence] for shot in shots])
-        echoes = [item for item in measurements if isinstance(item, PulseEchoRecord)]
-        return assessor.assess(due, echoes[0])
+            shots = [shot for shot in record.shots if shot.key.position == position]
+            found = assessor.assess(
+                due,
+                shots,
+                [features[shot.sequence] for shot in shots],
+                outcomes=[record.outcomes.get(shot.sequence, ACCEPTED) for shot in shots],
+                n_missed=n_missed(record, position),
+            )
+            # A rehearsal records noise: what it says of wall and transducer is no alarm.
+            return replace(found, conditions=()) if self._rig.dry_run else found
+        echoes = [item for item in record.echoes if item.key.position == position]
+        return assessor.assess(due, echoes[0]) if echoes else Assessment()
 
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         change = update(self._alarms.get((condition.position, condition.kind)), condition, moment)
@@ -316,8 +318,6 @@ class Recorder:
             committed = self._catalogue.commit_set(transaction.rows())
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self._alarms[(row["position"], row["kind"])] = {**row, "id": alarm_id}
-            if row["kind"] == "hole":
-                self._retired.add(row["position"])
 
     # Sets that were taken already, or cannot be taken any more -----------------------------------
 
@@ -328,7 +328,7 @@ class Recorder:
             return False
         record = read_set(path)
         features = {shot.sequence: features_of(shot) for shot in record.shots}
-        self._judge(due, record, f"{path.parent.name}/{path.name}", features)
+        self._judge(due, record, f"{path.parent.name}/{path.name}", features, None)
         self._next_sequence = self._catalogue.next_sequence()
         log.warning("set %d: rows made again from %s", due.set_index, path)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -343,26 +343,48 @@ class Recorder:
         self._gap(due, dict.fromkeys(self._settings.positions, cause))
         return True
 
-    def _miss_all(self, due: DueSet, taken: _Taken) -> None:
-        """Not one record: rows with the causes, but no file."""
-        self._gap(due, {name: self._shortfall(name, taken) for name in self._settings.positions})
+    def _judge_empty(self, due: DueSet, taken: TakenSet) -> None:
+        """Not one record: rows with the causes and the device's alarms, but no file."""
+        moment = Moment(utc_ns=taken.ended_ns, due_h=due.due_h, set_index=due.set_index)
+        transaction = Transaction()
+        retired = self._retired()
+        for position in self._settings.positions:
+            tried = sum(item.key.position == position for item in taken.missed)
+            assessor = self._assessors[position]
+            assessment = Assessment()
+            if isinstance(assessor, SolitaryWaveAssessor) and position not in retired:
+                assessment = assessor.assess(due, [], [], n_missed=tried)
+            cause = retired.get(position) or self._shortfall(position, taken)
+            row = self._gap_row(due, position, retired=position in retired, cause=cause)
+            restrikes = taken.restrikes[position]
+            transaction.add_position(
+                {**row, "n_missed": tried, "n_restrikes": restrikes}, [], assessment, moment
+            )
+            for condition in assessment.conditions:
+                self._carry_alarm(condition, moment, transaction)
+        self._carry_alarm(_rig_condition(taken.trouble, due), moment, transaction)
+        self._commit(transaction)
 
     def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
         moment = Moment(utc_ns=self._rig.clock.utc_ns(), due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
-        for position, place in self._settings.positions.items():
-            retired = position in self._retired
-            row = set_row(
-                due,
-                position,
-                method=place.method,
-                state="retired" if retired else "missed",
-                cause=RETIRED if retired else causes[position],
-                n_planned=0 if retired else self._n_planned(position),
-            )
+        retired = self._retired()
+        for position in self._settings.positions:
+            cause = retired.get(position) or causes[position]
+            row = self._gap_row(due, position, retired=position in retired, cause=cause)
             transaction.add_position(row, [], Assessment(), moment)
         self._commit(transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+
+    def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> dict[str, Any]:
+        return set_row(
+            due,
+            position,
+            method=self._settings.positions[position].method,
+            state="retired" if retired else "missed",
+            cause=cause,
+            n_planned=0 if retired else self._n_planned(position),
+        )
 
     # Operator and supervisor ---------------------------------------------------------------------
 
@@ -372,6 +394,10 @@ class Recorder:
         self._operator.listen(self._hour())
         return not self._stop.is_set()
 
+    def _idle_in_a_set(self) -> bool:
+        """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
+        return self._idle() and not self._operator.held
+
     def _hour(self) -> float:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
 
@@ -379,3 +405,21 @@ class Recorder:
         self._catalogue.add_event(
             utc_ns=self._rig.clock.utc_ns(), topic="service", kind=kind, payload=payload
         )
+
+
+def _may_pass(trouble: InstrumentError) -> bool:
+    """Whether the next set may go better: a board that is busy or gone may be free or back by then."""
+    return isinstance(trouble, BusyError | ConnectionLostError)
+
+
+def _rig_condition(trouble: InstrumentError | None, due: DueSet) -> Condition:
+    """Alarm while sets end early because the instruments do not answer or belong to somebody else."""
+    return Condition(
+        position=None,
+        kind="rig_unavailable",
+        family="device",
+        severity="high",
+        present=trouble is not None,
+        message=f"set {due.set_index} ended early: {trouble}; the next set tries again",
+        proof={"set_index": due.set_index, "error": type(trouble).__name__ if trouble else None},
+    )

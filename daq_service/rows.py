@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
+from analysis.quality_gate import ACCEPTED
 from daq_service.alarms import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.assessment import Assessment
@@ -23,6 +25,8 @@ def set_row(
     n_planned: int,
     n_taken: int = 0,
     n_valid: int = 0,
+    n_missed: int = 0,
+    n_restrikes: int = 0,
     started_utc_ns: int | None = None,
     ended_utc_ns: int | None = None,
     file: str | None = None,
@@ -41,11 +45,15 @@ def set_row(
         "n_planned": n_planned,
         "n_taken": n_taken,
         "n_valid": n_valid,
+        "n_missed": n_missed,
+        "n_restrikes": n_restrikes,
         "file": file,
     }
 
 
-def shot_row(measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str]) -> dict[str, Any]:
+def shot_row(
+    measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: str = ACCEPTED
+) -> dict[str, Any]:
     """Row of a stored record."""
     return {
         "sequence": measurement.sequence,
@@ -59,6 +67,7 @@ def shot_row(measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequenc
         "crc32": waveform_crc32(measurement.waveform),
         "valid": valid,
         "flags": list(flags),
+        "outcome": outcome,
     }
 
 
@@ -72,6 +81,7 @@ class Transaction:
         self.thickness: list[dict[str, Any]] = []
         self.baselines: list[dict[str, Any]] = []
         self.verdicts: list[dict[str, Any]] = []
+        self.environment: list[dict[str, Any]] = []
         self.alarms: list[dict[str, Any]] = []
         self.events: list[dict[str, Any]] = []
 
@@ -81,13 +91,15 @@ class Transaction:
         measurements: Sequence[Shot | PulseEchoRecord],
         assessment: Assessment,
         moment: Moment,
+        outcomes: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
-        """Add what a set says of one position."""
+        """Add what a set says of one position; ``outcomes`` name the records that are not accepted."""
         self.sets.append(its_set)
         for measurement in measurements:
             flags = assessment.shot_flags[measurement.sequence]
             valid = measurement.sequence not in assessment.invalid
-            self.shots.append(shot_row(measurement, valid=valid, flags=flags))
+            outcome = outcomes.get(measurement.sequence, ACCEPTED)
+            self.shots.append(shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
         self.features += assessment.features
         self.thickness += assessment.thickness
         self.verdicts += assessment.verdicts
@@ -104,6 +116,17 @@ class Transaction:
             self._tell("verdicts", "baseline_frozen", baseline, moment, **place)
         for row in assessment.verdicts[-1:]:
             self._tell("verdicts", "set_judged", row, moment, **place)
+
+    def add_environment(self, row: dict[str, Any], moment: Moment) -> None:
+        """Add what supply and climate probe said around a set."""
+        self.environment.append(row)
+        self._tell("environment", "environment_read", row, moment, set_index=row["set_index"])
+
+    def tell(
+        self, kind: str, payload: Mapping[str, Any], moment: Moment, *, position: str | None = None
+    ) -> None:
+        """Add an event of the service itself."""
+        self._tell("service", kind, payload, moment, position=position, set_index=moment.set_index)
 
     def add_alarm(self, change: Change, moment: Moment) -> None:
         """Add an alarm's change; its event carries the id that the catalogue gives."""
@@ -127,6 +150,7 @@ class Transaction:
             thickness=self.thickness,
             baselines=self.baselines,
             verdicts=self.verdicts,
+            environment=self.environment,
             alarms=self.alarms,
             events=self.events,
         )

@@ -145,6 +145,26 @@ class FeatureSettings(Section):
     record, the paper's way. The two are different quantities: a folder holds one kind."""
 
 
+class QualitySettings(Section):
+    """What happens to a poor shot, and to a transducer that gives nothing else."""
+
+    restrike_flags: tuple[Literal["missed", "double", "clipped", "inverted", "no_psw", "noisy"], ...] = (
+        "missed",
+        "double",
+        "clipped",
+        "inverted",
+        "no_psw",
+        "noisy",
+    )
+    """Flags of a shot that is struck once more; both records are stored, the better one counts."""
+    restrikes_per_set: int = Field(default=3, ge=0, le=1000)
+    """Repetitions of each transducer in a set; 0: none."""
+    no_data_sets: int = Field(default=2, ge=1, le=1000)
+    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
+    retire_after_sets: int = Field(default=10, ge=0, le=100_000)
+    """Such sets running after which the transducer strikes no more, until `reinstate`; 0: never."""
+
+
 class BaselineSettings(Section):
     """What counts as healthy."""
 
@@ -236,6 +256,7 @@ class Settings(BaseSettings):
     """Monitored places by their short name (letters and digits)."""
     ultrasound: UltrasoundSettings = UltrasoundSettings()
     features: FeatureSettings = FeatureSettings()
+    quality: QualitySettings = QualitySettings()
     baseline: BaselineSettings = BaselineSettings()
     novelty: NoveltySettings = NoveltySettings()
     alarms: AlarmSettings = AlarmSettings()

@@ -209,6 +209,8 @@ class Rig:
     ----------
     kind
         ``simulated``, ``daqmx``, ``playback``: what the reader of a number should know of its origin.
+    dry_run
+        A rehearsal: everything is set up, but no coil is ever energised and records show noise.
     identity
         Serial numbers, driver versions and the like, stored with every set.
     """
@@ -221,6 +223,7 @@ class Rig:
     supply: PowerSupply | None = None
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
+    dry_run: bool = False
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:

@@ -15,6 +15,7 @@ from daq_service.archive.errors import (
 )
 from daq_service.archive.reader import Damage, read_set, read_waveform, verify_set
 from daq_service.archive.records import (
+    MissedRecord,
     PositionRecord,
     SetRecord,
     StoredSet,
@@ -32,6 +33,7 @@ __all__ = [
     "ConflictingSetError",
     "CorruptArchiveError",
     "Damage",
+    "MissedRecord",
     "PositionRecord",
     "SetNotFoundError",
     "SetRecord",

@@ -8,8 +8,11 @@
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
       <position>_truth        NXcollection: what a simulated rig knows of each record
-      shots                   NXcollection: one row a record: key, stamps, checksum, flags
+      <position>_settings     NXcollection: what the instrument says of each record
+      shots                   NXcollection: one row a record: key, stamps, checksum, flags, outcome
+      missed                  NXcollection: what was tried and left no record (absent: nothing)
       positions               NXcollection: what was planned, and why it fell short
+      environment             NXcollection: supply and climate around the set (absent: none)
       preview                 NXdata: mean, min, max in volts of each transducer
       provenance              NXnote: JSON
 
@@ -22,10 +25,10 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -42,7 +45,7 @@ from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.archive.units import unit_of
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
-FORMAT_VERSION = "1.0"
+FORMAT_VERSION = "1.1"
 """Raised in its first number when an older reader would misunderstand the file."""
 CLIPPED = 1
 """Bit of ``shots/flags``."""
@@ -97,9 +100,12 @@ def build_image(record: SetRecord) -> bytes:
         _add_facts(entry, record)
         _add_detectors(entry, record, groups)
         _add_records(entry, record, groups)
-        _add_truth(entry, record)
+        _add_facts_of_records(entry, record, "truth")
+        _add_facts_of_records(entry, record, "settings")
         _add_shots(entry, record)
+        _add_missed(entry, record)
         _add_positions(entry, record)
+        _add_environment(entry, record)
         _add_preview(entry, groups)
         _add_provenance(entry, record)
         return image_of(file)
@@ -246,22 +252,51 @@ def _add_time_axis(data: Any, group: _RecordGroup, time_axes: dict[tuple[float, 
     )
 
 
-def _add_truth(entry: Any, record: SetRecord) -> None:
+def _add_facts_of_records(entry: Any, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
+    """Add a group a position with a column a fact; ``known`` marks the records that have it."""
     for position in record.positions:
         records = [shot for shot in record.records if shot.key.position == position.position]
-        names = sorted(set().union(*(shot.truth for shot in records))) if records else []
+        facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in records]
+        names = sorted(set().union(*facts)) if facts else []
         if not names:
             continue
-        truth = add_group(
-            entry, f"{position.position}_truth", "NXcollection", {"position": position.position}
+        group = add_group(
+            entry, f"{position.position}_{kind}", "NXcollection", {"position": position.position}
         )
-        add_field(truth, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
+        add_field(group, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
         for name in names:
-            known = [name in shot.truth for shot in records]
-            values = np.array([shot.truth.get(name, np.nan) for shot in records], dtype=np.float64)
-            field = add_field(truth, name, values, units=unit_of(name))
+            known = [name in fact for fact in facts]
+            is_text = any(isinstance(fact.get(name), str) for fact in facts)
+            if is_text:
+                field = add_field(group, name, [str(fact.get(name, "")) for fact in facts])
+            else:
+                values = np.array([fact.get(name, np.nan) for fact in facts], dtype=np.float64)
+                field = add_field(group, name, values, units=unit_of(name))
             if not all(known):
                 set_attributes(field, {"known": np.array(known, dtype=np.uint8)})
+
+
+def _add_missed(entry: Any, record: SetRecord) -> None:
+    if not record.missed:
+        return
+    table = add_group(entry, "missed", "NXcollection")
+    add_field(table, "position", [item.key.position for item in record.missed])
+    for name in ("shot_index", "attempt"):
+        add_field(table, name, np.array([getattr(item.key, name) for item in record.missed], dtype=np.int64))
+    add_field(table, "reason", [item.reason for item in record.missed])
+    add_field(table, "cause", [item.cause for item in record.missed])
+
+
+def _add_environment(entry: Any, record: SetRecord) -> None:
+    known = {name: value for name, value in record.environment.items() if value is not None}
+    if not known:
+        return
+    group = add_group(entry, "environment", "NXcollection")
+    for name, value in sorted(known.items()):
+        if isinstance(value, str):
+            add_field(group, name, value)
+        else:
+            add_field(group, name, np.float64(value), units=unit_of(name))
 
 
 def _add_shots(entry: Any, record: SetRecord) -> None:
@@ -298,6 +333,12 @@ def _add_shots(entry: Any, record: SetRecord) -> None:
         np.array([CLIPPED if shot.waveform.clipped else 0 for shot in records], dtype=np.uint8),
         flag_masks=np.uint8(CLIPPED),
         flag_meanings="clipped",
+    )
+    add_field(
+        table,
+        "outcome",
+        [record.outcomes.get(shot.sequence, "accepted") for shot in records],
+        long_name="accepted, or superseded by a repetition of the same shot",
     )
 
 

@@ -7,7 +7,7 @@ while the recorder goes on.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
-from daq_service.archive.records import PositionRecord, SetRecord, waveform_crc32
+from daq_service.archive.records import MissedRecord, PositionRecord, SetRecord, waveform_crc32
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
@@ -81,12 +81,15 @@ def read_set(path: Path, *, skip_damaged: bool = False) -> SetRecord:
             positions=_read_positions(entry),
             shots=[record for record in records if isinstance(record, Shot)],
             echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+            missed=_read_missed(entry),
+            outcomes=_superseded(_read_table(entry), records),
+            environment=_read_environment(entry),
             provenance=json.loads(_text(entry["provenance/data"][0])),
         )
 
 
 def read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    """Read one record of a set, a shot's or (index 0) a pulse-echo record's; of several attempts the last.
+    """Read one record of a set, a shot's or (index 0) a pulse-echo record's; of attempts the accepted one.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
         ]
         if not rows:
             raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
-        row = max(rows, key=lambda row: int(table["attempt"][row]))
+        row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
         for name in _group_names(entry):
             if _text(entry[name].attrs["position"]) != position:
                 continue
@@ -185,7 +188,8 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
     """Every readable record in order, and the damaged ones."""
     table = _read_table(entry)
     set_index = int(entry["set_index"][()])
-    truths = _read_truths(entry)
+    truths = _read_facts(entry, "truth")
+    settings = _read_facts(entry, "settings")
     row_of = {sequence: row for row, sequence in enumerate(table["shot_id"])}
     trouble = dict.fromkeys(row_of, "no readable array holds it")
     found: dict[int, Shot | PulseEchoRecord] = {}
@@ -207,6 +211,7 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
                 "stamp": _stamp(table, row_of[sequence]),
                 "waveform": waveform,
                 "truth": truths.get(sequence, {}),
+                "settings": settings.get(sequence, {}),
             }
             found[sequence] = (
                 PulseEchoRecord(**common, **group.echo_settings(row)) if is_echo else Shot(**common)
@@ -221,9 +226,21 @@ def _read_table(entry: h5py.Group) -> _Columns:
     table = entry["shots"]
     names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
     columns = {name: table[name][()].tolist() for name in names}
+    # Format 1.0 knew no repetitions: every record counts.
+    columns["outcome"] = (
+        table["outcome"][()].tolist() if "outcome" in table else ["accepted"] * len(columns["shot_id"])
+    )
     return {
         name: [_text(value) if isinstance(value, bytes) else value for value in values]
         for name, values in columns.items()
+    }
+
+
+def _superseded(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
+    """Outcome of each readable record that is not simply accepted."""
+    told = dict(zip(table["shot_id"], table["outcome"], strict=True))
+    return {
+        record.sequence: told[record.sequence] for record in records if told[record.sequence] != "accepted"
     }
 
 
@@ -249,10 +266,10 @@ def _damage(table: _Columns, row: int, reason: str) -> Damage:
     )
 
 
-def _read_truths(entry: h5py.Group) -> dict[int, dict[str, float]]:
-    truths: dict[int, dict[str, float]] = {}
+def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
+    facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
-        if not group_name.endswith("_truth"):
+        if not group_name.endswith(f"_{kind}"):
             continue
         group = entry[group_name]
         sequences = group["shot_id"][()].tolist()
@@ -263,8 +280,36 @@ def _read_truths(entry: h5py.Group) -> dict[int, dict[str, float]]:
             known = field.attrs.get("known", np.ones(len(sequences)))
             for sequence, value, is_known in zip(sequences, field[()].tolist(), known, strict=True):
                 if is_known:
-                    truths.setdefault(sequence, {})[name] = value
-    return truths
+                    told = _text(value) if isinstance(value, bytes) else value
+                    facts.setdefault(sequence, {})[name] = told
+    return facts
+
+
+def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
+    if "missed" not in entry:
+        return []
+    table = entry["missed"]
+    columns = [table[name][()].tolist() for name in ("position", "shot_index", "attempt", "cause", "reason")]
+    set_index = int(entry["set_index"][()])
+    return [
+        MissedRecord(
+            key=ShotKey(
+                position=_text(position), set_index=set_index, shot_index=shot_index, attempt=attempt
+            ),
+            cause=_text(cause),
+            reason=_text(reason),
+        )
+        for position, shot_index, attempt, cause, reason in zip(*columns, strict=True)
+    ]
+
+
+def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
+    if "environment" not in entry:
+        return {}
+    values = {name: field[()] for name, field in entry["environment"].items()}
+    return {
+        name: _text(value) if isinstance(value, bytes) else float(value) for name, value in values.items()
+    }
 
 
 def _read_positions(entry: h5py.Group) -> list[PositionRecord]:

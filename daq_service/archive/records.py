@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform
 
 SETS_FOLDER = "sets"
 TEMPORARY_SUFFIX = ".tmp"
@@ -41,6 +41,15 @@ class PositionRecord:
     serial_number: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedRecord:
+    """A strike or echo that left no record, and why."""
+
+    key: ShotKey
+    cause: str
+    reason: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SetRecord:
     """Everything taken at one due time.
@@ -53,6 +62,13 @@ class SetRecord:
         Experiment time of the first and after the last measurement.
     positions
         Every position that was planned, also one of which nothing was taken.
+    missed
+        What was tried and left no record.
+    outcomes
+        Sequence of a record to ``accepted`` or ``superseded`` (a repetition of the same shot counts
+        instead); a record that is not named is accepted.
+    environment
+        JSON-ready: what supply and climate probe said around the set; empty where there are none.
     provenance
         JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
 
@@ -72,10 +88,13 @@ class SetRecord:
     positions: Sequence[PositionRecord]
     shots: Sequence[Shot] = ()
     echoes: Sequence[PulseEchoRecord] = ()
+    missed: Sequence[MissedRecord] = ()
+    outcomes: Mapping[int, str] = field(default_factory=dict)
+    environment: Mapping[str, float | str | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("positions", "shots", "echoes"):
+        for name in ("positions", "shots", "echoes", "missed"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
         if not records:

@@ -16,6 +16,7 @@ _UNITS = {
     "kg": "kg",
     "k": "K",
     "c": "degC",
+    "coulomb": "C",
     "rad": "rad",
     "j": "J",
     "db": "dB",

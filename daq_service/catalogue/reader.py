@@ -17,6 +17,7 @@ from daq_service.catalogue.tables import (
     alarms,
     baselines,
     commands,
+    environment,
     events,
     experiment,
     features,
@@ -210,6 +211,26 @@ class Catalogue:
         """List the stored shots of a set in the order in which they were taken."""
         statement = _where_equal(select(shots), shots, position=position, set_index=set_index)
         return self._rows(statement.order_by(shots.c.sequence))
+
+    def list_environment(
+        self,
+        after_id: int = 0,
+        limit: int | None = None,
+        first_h: float | None = None,
+        last_h: float | None = None,
+    ) -> list[Row]:
+        """List what supply and climate probe said, a row a set; ``first_h <= due_h <= last_h``."""
+        statement = select(environment).where(environment.c.id > after_id).order_by(environment.c.id)
+        if first_h is not None:
+            statement = statement.where(environment.c.due_h >= first_h)
+        if last_h is not None:
+            statement = statement.where(environment.c.due_h <= last_h)
+        return self._rows(statement.limit(limit))
+
+    def last_environment(self) -> Row | None:
+        """Return the newest row of the environment, None where there is none."""
+        rows = self._rows(select(environment).order_by(environment.c.id.desc()).limit(1))
+        return rows[0] if rows else None
 
     def list_features(
         self,

@@ -65,6 +65,8 @@ sets = Table(
     Column("n_planned", Integer, nullable=False),
     Column("n_taken", Integer, nullable=False),
     Column("n_valid", Integer, nullable=False),
+    Column("n_missed", Integer, nullable=False, server_default="0"),  # strikes that left no record
+    Column("n_restrikes", Integer, nullable=False, server_default="0"),  # repeated by the quality gate
     Column("file", String),  # relative to the data folder
     UniqueConstraint("position", "set_index", name="uq_sets_position_set_index"),
 )
@@ -84,6 +86,8 @@ shots = Table(
     Column("crc32", BigInteger, nullable=False),
     Column("valid", Boolean, nullable=False),
     Column("flags", _JSON, nullable=False),  # list of str: clipped, missed, no_psw, noisy, ...
+    # "accepted", or "superseded" by a repetition of the same shot
+    Column("outcome", String, nullable=False, server_default="accepted"),
     UniqueConstraint(
         "position", "set_index", "shot_index", "attempt", name="uq_shots_position_set_index_shot_index"
     ),
@@ -152,6 +156,31 @@ thickness = Table(
     Column("thickness_loss_m", Float),
     Column("correlation_coefficient", Float),
     UniqueConstraint("position", "set_index", name="uq_thickness_position_set_index"),
+)
+
+# What supply and climate probe said around a set: one row a set, NULL where nothing was heard.
+environment = Table(
+    "environment",
+    metadata,
+    Column("id", Integer, primary_key=True),
+    Column("set_index", Integer, nullable=False, unique=True),
+    Column("due_h", Float, nullable=False),
+    Column("supply_state", String, nullable=False),  # "on", "off", "unknown", or "absent"
+    Column("supply_quality", String, nullable=False),  # "good", "stale" or "lost"; "absent"
+    Column("supply_age_s", Float),  # since the newest reading, when the row was written
+    Column("supply_tripped", String),  # why the interlock is open; NULL: it is closed
+    Column("voltage_v", Float),  # means over the readings since the last set
+    Column("voltage_min_v", Float),
+    Column("voltage_max_v", Float),
+    Column("current_a", Float),
+    Column("current_min_a", Float),
+    Column("current_max_a", Float),
+    Column("charge_coulomb", Float),  # since hour 0, measured current only
+    Column("unknown_s", Float),  # since hour 0: time whose current nobody measured
+    Column("climate_quality", String, nullable=False),
+    Column("climate_age_s", Float),
+    Column("temperature_c", Float),
+    Column("relative_humidity", Float),  # 0 to 1
 )
 
 # A frozen baseline; it is never updated, a new one gets a new id.
@@ -244,7 +273,7 @@ commands = Table(
     Column("id", Integer, primary_key=True),
     Column("wall_utc_ns", BigInteger, nullable=False),
     Column("author", String, nullable=False),
-    Column("kind", String, nullable=False),  # "finish_now", "acknowledge_alarm", "retire", "stop"
+    Column("kind", String, nullable=False),  # "finish_now", "stop", "hold", "retire", ...
     Column("arguments", _JSON, nullable=False),
     Column("state", String, nullable=False),  # "pending", "done", "refused"
     Column("result", String),

@@ -18,6 +18,7 @@ from daq_service.catalogue.tables import (
     alarms,
     baselines,
     commands,
+    environment,
     events,
     experiment,
     features,
@@ -52,6 +53,7 @@ class SetCommit:
     thickness: Rows = ()
     baselines: Rows = ()
     verdicts: Rows = ()
+    environment: Rows = ()
     alarms: Rows = ()
     events: Rows = ()
 
@@ -135,6 +137,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, thickness, commit.thickness)
             baseline_ids = _insert_for_ids(connection, baselines, commit.baselines)
             _judge(connection, commit.verdicts)
+            _insert(connection, environment, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
             event_ids = _insert_for_ids(connection, events, _event_rows(commit.events, alarm_ids))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)

@@ -76,6 +76,8 @@ class SetRow(Answer):
     n_planned: int
     n_taken: int
     n_valid: int
+    n_missed: int = Field(description="Strikes that left no record")
+    n_restrikes: int = Field(description="Strikes repeated by the quality gate")
     file: str | None
     age_h: float
 
@@ -94,6 +96,9 @@ class ShotRow(Answer):
     crc32: int
     valid: bool
     flags: list[str]
+    outcome: Literal["accepted", "superseded"] = Field(
+        description="`superseded`: a repetition of the same shot counts instead"
+    )
 
 
 class FeatureRow(Answer):

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
 
-import daq_service.recorder
+import daq_service.taken_set
 from analysis.features import extract_features, extract_from_average
 from daq_service.archive import Archive, ArchiveWriteError, read_set, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.errors import RigError, StorageError
 from daq_service.rig import open_rig
 from daq_service.settings import Settings
-from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
 from simulator.coupled_model import ShotModel
@@ -259,7 +259,7 @@ def test_a_missed_strike_leaves_a_partial_set_with_its_cause(tmp_path: Path) -> 
         (row,) = [row for row in catalogue.list_sets("B", limit=None) if row["set_index"] == 2]
         shots = catalogue.list_shots("B", 2)
     assert (row["state"], row["n_taken"], row["n_valid"]) == ("partial", 2, 2)
-    assert row["cause"] == "1 missed: no trigger within 5 s"
+    assert row["cause"] == "2 missed: no trigger within 5 s"  # the strike and its repetition
     assert [shot["shot_index"] for shot in shots] == [0, 2]
 
 
@@ -281,13 +281,13 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
     assert set_files(tmp_path) == {}
 
 
-def test_a_rig_that_fails_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
+def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if (key.position, key.set_index, key.shot_index) == ("C", 1, 2):
-            raise ConnectionLostError("the chassis is gone")
+            raise ConfigurationError("the range is refused")
         return acquired
 
-    with pytest.raises(RigError, match="the chassis is gone") as failure:
+    with pytest.raises(RigError, match="the range is refused") as failure:
         run(small_settings(), tmp_path, rig=disturbed_rig(disturb))
     assert failure.value.exit_code == 3
     assert len(read_set(set_files(tmp_path)[1]).shots) == 5
@@ -328,7 +328,7 @@ def test_a_shot_that_cannot_be_analysed_stops_nothing(
         return extract_features(waveform)
 
     calls: list[Any] = []
-    monkeypatch.setattr(daq_service.recorder, "extract_features", failing)
+    monkeypatch.setattr(daq_service.taken_set, "extract_features", failing)
     assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
     shots = rows_of(tmp_path)["shots"]
     flagged = [shot for shot in shots if "not_analysed" in shot["flags"]]

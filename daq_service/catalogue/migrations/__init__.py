@@ -9,7 +9,7 @@ from sqlalchemy import Engine
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
 
-SCHEMA_REVISION = "0001"
+SCHEMA_REVISION = "0002"
 """The newest revision in ``versions``: what this version of solimon reads and writes."""
 
 

@@ -1,0 +1,213 @@
+"""A recording as the instruments of a rig: a data folder of our own, or LabVIEW TDMS files.
+
+`hardware_drivers.playback` plays back any source of shots and knows no archive; here the archive's reader
+is handed in.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path
+from typing import Protocol
+
+from daq_service.archive import CorruptArchiveError, SetRecord, read_set, set_files, verify_set
+from daq_service.archive.errors import ArchiveError
+from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.errors import UsageError
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
+from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.playback.clock import RecordedClock
+from hardware_drivers.playback.instruments import build_instruments
+from hardware_drivers.playback.parameters import PlaybackParameters
+from hardware_drivers.playback.source import Record, ShotsBySet, ShotSource
+
+
+class Recorded(ShotSource, Protocol):
+    """A source that knows when its shots were recorded."""
+
+    def next_moment(self, after_utc_ns: int) -> int | None:
+        """First recorded time after a time, ns of UTC; None after the last one."""
+        ...
+
+
+class ArchivedShots:
+    """The sets of a data folder as a source of shots, read set by set when they are asked for.
+
+    A damaged record is a missed strike whose cause names the damage; the others of its set are played.
+
+    Parameters
+    ----------
+    folder
+        A data folder, or a copy of one: only ``sets/`` is needed. It is never written to.
+
+    Raises
+    ------
+    UsageError
+        No set there can be read.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._files = set_files(folder)
+        if not self._files:
+            raise UsageError(
+                f"{folder} holds no sets; give the data folder of a test (the one that holds sets/)"
+            )
+        self._due_utc_ns = [_due_utc_ns(path) for path in self._files.values()]
+        self._damaged: dict[int, str] = {}
+        first = self._first_readable(folder)
+        self.rig_kind = first.rig_kind
+        self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
+        self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
+        # A test has the same positions from its first set on; later ones only retire.
+        positions = {place.position: place.method for place in first.positions}
+        self._shots = ShotsBySet(positions, self._records)
+        self._moments: dict[int, list[int]] = {}
+
+    @property
+    def positions(self) -> Mapping[str, str]:
+        """Recorded positions and their method."""
+        return self._shots.positions
+
+    def find(self, key: ShotKey) -> Acquired | None:
+        """Record of a shot, None if it was not recorded.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            Its record is damaged.
+        ConfigurationError
+            Its file cannot be opened.
+        """
+        found = self._shots.find(key)
+        if found is None and key.set_index in self._damaged:
+            raise AcquisitionTimeoutError(
+                f"shot {key.shot_index} of set {key.set_index} at {key.position!r} cannot be played back: "
+                f"{self._damaged[key.set_index]}"
+            )
+        return found
+
+    def next_moment(self, after_utc_ns: int) -> int | None:
+        """First recorded time after a time: the start of a set, or the stamp of a record."""
+        # A set may last into the next one's time, but not into that of the one after it.
+        first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
+        for set_index in islice(self._files, first, None):
+            moments = self._moments_of(set_index)
+            if moments and moments[-1] > after_utc_ns:
+                return next(moment for moment in moments if moment > after_utc_ns)
+        return None
+
+    def _moments_of(self, set_index: int) -> list[int]:
+        if set_index not in self._moments:
+            self._shots.records_of_set(set_index)
+        return self._moments[set_index]
+
+    def _first_readable(self, folder: Path) -> SetRecord:
+        for path in self._files.values():
+            try:
+                return read_set(path, skip_damaged=True)
+            except ArchiveError:
+                continue
+        raise UsageError(f"none of the {len(self._files)} sets of {folder} can be read; see `solimon verify`")
+
+    def _records(self, set_index: int) -> Iterable[Record]:
+        path = self._files.get(set_index)
+        if path is None:
+            return ()
+        try:
+            record = self._whole_or_what_is_left(set_index, path)
+        except CorruptArchiveError as error:
+            self._damaged[set_index] = str(error)
+            self._moments[set_index] = []
+            return ()
+        except ArchiveError as error:
+            raise ConfigurationError(f"the recording cannot be read: {error}") from error
+        self._moments[set_index] = sorted(
+            {record.started_utc_ns, *(item.stamp.utc_ns for item in record.records)}
+        )
+        return record.records
+
+    def _whole_or_what_is_left(self, set_index: int, path: Path) -> SetRecord:
+        try:
+            return read_set(path)
+        except CorruptArchiveError:
+            left = read_set(path, skip_damaged=True)
+            self._damaged[set_index] = f"{path}: {'; '.join(map(str, verify_set(path)))}"
+            return left
+
+
+def _due_utc_ns(path: Path) -> int:
+    """Due time of a set to the second, from its file's name."""
+    return parse_utc(path.stem.rpartition("_")[2])
+
+
+@contextmanager
+def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Recorded]:
+    """Open the source of a recording; a relative path counts from ``folder``.
+
+    Raises
+    ------
+    UsageError
+        It cannot be played back: the cause and the remedy.
+    """
+    source = folder / parameters.source
+    if parameters.format == "archive":
+        yield ArchivedShots(source)
+        return
+    from hardware_drivers.playback.tdms import open_tdms
+
+    try:
+        shots = open_tdms(source, parameters.tdms)
+    except ConfigurationError as error:
+        raise UsageError(f"the recording cannot be played back: {error}") from error
+    with shots:
+        yield shots
+
+
+def playback_rig(
+    source: Recorded,
+    clock: Clock,
+    *,
+    wanted: Mapping[str, str],
+    identity: Mapping[str, str],
+    recorded_times: bool,
+    shot_interval_s: float,
+) -> Rig:
+    """Rig that plays back a recording.
+
+    Parameters
+    ----------
+    clock
+        The experiment's clock. A simulated one that starts at the recording's epoch plays a simulated
+        recording to the same stamps.
+    wanted
+        Positions of the experiment and their method.
+    identity
+        What to store of the recording's origin.
+    recorded_times
+        Let the clock meet the recorded times rather than the planned ones (needs a simulated clock).
+    shot_interval_s
+        Between two strikes: half of it is how much later than planned a shot may have been recorded.
+
+    Raises
+    ------
+    UsageError
+        A wanted position was not recorded.
+    """
+    try:
+        instruments = build_instruments(source, wanted=wanted)
+    except ConfigurationError as error:
+        raise UsageError(f"the recording does not fit the configuration: {error}") from error
+    if recorded_times:
+        clock = RecordedClock(clock, source.next_moment, tolerance_s=shot_interval_s / 2.0)
+    return Rig(
+        kind="playback",
+        clock=clock,
+        striker=instruments.striker,
+        digitizer=instruments.digitizer,
+        pulse_echo=instruments.pulse_echo,
+        identity=identity,
+    )

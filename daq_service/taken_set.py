@@ -1,0 +1,138 @@
+"""A set while it is taken: whatever ends it early, what came before stays."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from dataclasses import dataclass, field
+
+from analysis.features import ShotFeatures, extract_features
+from analysis.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
+from daq_service.acquisition import Measurement, MissedShot
+from daq_service.archive import MissedRecord, SetRecord
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+
+log = logging.getLogger(__name__)
+
+NOT_ANALYSED = "not_analysed"
+"""Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class TakenSet:
+    """Records, misses and features so far, and what the quality gate made of them.
+
+    Attributes
+    ----------
+    features
+        Features of each shot by its sequence.
+    trouble
+        The instrument's error that ended the set; None: it ran to its end or was told to stop.
+    """
+
+    rule: RestrikeRule
+    shots: list[Shot] = field(default_factory=list)
+    echoes: list[PulseEchoRecord] = field(default_factory=list)
+    missed: list[MissedShot] = field(default_factory=list)
+    features: dict[int, ShotFeatures] = field(default_factory=dict)
+    restrikes: Counter[str] = field(default_factory=Counter)
+    trouble: InstrumentError | None = None
+    started_ns: int = 0
+    ended_ns: int = 0
+
+    def keep(self, measurement: Measurement) -> None:
+        """Take a measurement in; a shot's features are found elsewhere (`features`)."""
+        if isinstance(measurement, MissedShot):
+            log.warning("%s: %s", measurement.key, measurement.cause)
+            self.missed.append(measurement)
+        elif isinstance(measurement, Shot):
+            self.shots.append(measurement)
+        else:
+            self.echoes.append(measurement)
+
+    def wants_restrike(self, taken: Shot | MissedShot) -> bool:
+        """Ask the quality gate, and count what it grants."""
+        position = taken.key.position
+        flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
+        granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
+        if granted:
+            self.restrikes[position] += 1
+            log.info("%s is %s: struck once more", taken.key, ", ".join(flags))
+        return granted
+
+    @property
+    def is_empty(self) -> bool:
+        """True if there is not one record."""
+        return not self.shots and not self.echoes
+
+    def n_records(self, position: str) -> int:
+        """Shots of a position that have a record (each counted once), or its pulse-echo records."""
+        records: list[Shot | PulseEchoRecord] = [*self.shots, *self.echoes]
+        return len({item.key.shot_index for item in records if _at(item, position)})
+
+    def shortfall(self, position: str, n_planned: int, told_to: str) -> str:
+        """Why a position has fewer records than planned; empty if it has all.
+
+        Parameters
+        ----------
+        told_to
+            Why the set was ended, if nothing else explains it.
+        """
+        if self.n_records(position) >= n_planned:
+            return ""
+        missed = [item.cause for item in self.missed if _at(item, position)]
+        if self.trouble is not None:
+            return str(self.trouble)
+        return f"{len(missed)} missed: {missed[0]}" if missed else told_to
+
+    def missed_records(self) -> list[MissedRecord]:
+        """List what was tried and left no record, in the archive's form."""
+        return [MissedRecord(key=item.key, cause=item.cause, reason=item.reason) for item in self.missed]
+
+    def superseded(self) -> dict[int, str]:
+        """Sequence to outcome of the shots that do not count."""
+        return superseded(self.shots, self.features)
+
+
+def _at(item: Shot | PulseEchoRecord | MissedShot | MissedRecord, position: str) -> bool:
+    return item.key.position == position
+
+
+def features_of(shot: Shot) -> ShotFeatures:
+    """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
+    try:
+        return extract_features(shot.waveform)
+    except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
+        log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
+        return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
+
+
+def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int, str]:
+    """Sequence to outcome of the shots whose repetition counts instead of them."""
+    found: dict[int, str] = {}
+    for position in {shot.key.position for shot in shots}:
+        own = [shot for shot in shots if shot.key.position == position]
+        attempts = [
+            Attempt(
+                shot_index=shot.key.shot_index,
+                attempt=shot.key.attempt,
+                quality=features[shot.sequence].quality,
+            )
+            for shot in own
+        ]
+        for shot, outcome in zip(own, outcomes(attempts), strict=True):
+            if outcome == SUPERSEDED:
+                found[shot.sequence] = outcome
+    return found
+
+
+def n_missed(record: SetRecord, position: str) -> int:
+    """Strikes or echoes of a position that left no record."""
+    return sum(_at(item, position) for item in record.missed)
+
+
+def n_restrikes(record: SetRecord, position: str) -> int:
+    """Repetitions of a position's shots, with or without a record."""
+    tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
+    return sum(_at(item, position) and item.key.attempt > 0 for item in tried)
