@@ -25,7 +25,7 @@ _FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": Tr
 _SERIAL = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
 _INPUT = re.compile(r"ai\d{1,3}\Z")
 _COUNTER = re.compile(r"ctr\d\Z")
-_TERMINAL = re.compile(r"(PFI\d{1,2}|Ctr\dInternalOutput|RTSI\d|PXI_Trig\d)\Z")
+_TERMINAL = re.compile(r"(PFI\d{1,2}|Ctr\dOut)\Z")
 _LINE = re.compile(r"port\d/line\d{1,2}\Z")
 _ADDRESS = re.compile(r"[^\s:/]+:\d{1,5}\Z|\[[0-9A-Fa-f:]+\]:\d{1,5}\Z")
 _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
@@ -54,7 +54,7 @@ class TransducerWiring:
     counter: str = "ctr0"
     """Counter that times the coil's pulse; every coil has one of its own."""
     output_terminal: str = "PFI12"
-    """Terminal the pulse leaves the board at (X and M Series: PFI12 is the home of `ctr0`)."""
+    """Terminal the pulse leaves the board at (home of `ctr0`: PFI12 on X and M Series, Ctr0Out on S Series)."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -146,11 +146,7 @@ class DaqmxParameters:
         self._check_record()
         self._check_transport()
         self._check_wiring()
-        if self.watchdog is not None and self.watchdog.timeout_s <= self.longest_strike_s:
-            raise ValueError(
-                f"watchdog.timeout_s is {self.watchdog.timeout_s} s; it must be longer than a strike "
-                f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
-            )
+        self._check_watchdog()
 
     def _check_record(self) -> None:
         if self.pretrigger_samples >= self.record_samples:
@@ -194,10 +190,35 @@ class DaqmxParameters:
                         "needs its own input, counter and output terminal"
                     )
 
+    def _check_watchdog(self) -> None:
+        watchdog = self.watchdog
+        if watchdog is None:
+            return
+        if watchdog.timeout_s <= self.longest_strike_s:
+            raise ValueError(
+                f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
+                f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
+            )
+        coil_serials = {int(wiring.coil_serial, 16) for wiring in self.transducers.values()}
+        if int(watchdog.board_serial, 16) not in coil_serials:
+            raise ValueError(
+                f"watchdog.board_serial is {watchdog.board_serial}; no coil is driven by that board; name "
+                "the board whose counters drive the coils"
+            )
+
     @property
     def fall_s(self) -> float:
         """Free fall of the striker, s."""
         return math.sqrt(2.0 * self.drop_height_m / GRAVITY_M_PER_S2)
+
+    @property
+    def longest_call_s(self) -> float:
+        """Longest time one call of an instrument may take over gRPC, clean-up included.
+
+        Self-calibration is slowest: ten times `call_timeout_s`; then the coil is stopped and cleared and
+        the acquisition cleared, each within `call_timeout_s`.
+        """
+        return 13.0 * self.call_timeout_s + self.longest_strike_s
 
     @property
     def initial_delay_s(self) -> float:

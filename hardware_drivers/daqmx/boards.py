@@ -1,0 +1,132 @@
+"""Boards by serial number: what they are called today, and whether they can do what is asked."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
+from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+
+RELATIVE_AGREEMENT = 1e-6
+"""Two rates or ranges closer than this are the same: far below a board's own accuracy (50 ppm)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Board:
+    """One board under the name it has today.
+
+    Attributes
+    ----------
+    device
+        NI's view of it (`nidaqmx.system.Device`).
+    calibration_date, calibration_temperature_c
+        Of the last self-calibration; empty and NaN for a board that cannot calibrate itself.
+    """
+
+    serial: str
+    name: str
+    product: str
+    device: Any
+    calibration_date: str
+    calibration_temperature_c: float
+
+    @property
+    def label(self) -> str:
+        """How messages call it."""
+        return f"{self.product} {self.serial}"
+
+
+def serial_text(serial: int) -> str:
+    """Return a serial number as NI prints it on the label."""
+    return f"{serial:08X}"
+
+
+def same_serial(text: str) -> str:
+    """Return a configured serial number in the one form that is compared."""
+    return serial_text(int(text, 16))
+
+
+def installed(connection: Connection) -> dict[str, Any]:
+    """All boards the driver knows, by serial number (0 for NI's simulated devices: use one at a time)."""
+    with vendor_call("listing the boards"):
+        return {serial_text(device.serial_num): device for device in connection.system().devices}
+
+
+def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:
+    """Boards with these serial numbers, whatever they are called today.
+
+    Raises
+    ------
+    ConnectionLostError
+        One of them is not there: switched off, pulled, or its number mistyped.
+    """
+    there = installed(connection)
+    found = {}
+    for serial in sorted({same_serial(text) for text in serials}):
+        if serial not in there:
+            raise ConnectionLostError(
+                f"no board with serial number {serial}; there are: {_names(there)}; check its power, seating "
+                "and cable, and board_serial in [rig.daqmx.transducers]"
+            )
+        found[serial] = describe(serial, there[serial])
+    return found
+
+
+def describe(serial: str, device: Any) -> Board:
+    """Read what a board says of itself."""
+    with vendor_call(f"reading what board {serial} is"):
+        date, temperature_c = "", math.nan
+        if device.self_cal_supported:
+            date = device.self_cal_last_date_and_time.isoformat(timespec="minutes")
+            temperature_c = float(device.self_cal_last_temp)
+        return Board(
+            serial=serial,
+            name=str(device.name),
+            product=str(device.product_type),
+            device=device,
+            calibration_date=date,
+            calibration_temperature_c=temperature_c,
+        )
+
+
+def _names(there: Mapping[str, Any]) -> str:
+    return ", ".join(f"{serial} ({device.name})" for serial, device in there.items()) or "none"
+
+
+def check_board(board: Board, wiring: TransducerWiring, parameters: DaqmxParameters) -> None:
+    """Refuse a board that cannot take the asked record, and say what it can do.
+
+    Raises
+    ------
+    ConfigurationError
+        Too slow, no such range, or no analog trigger.
+    """
+    with vendor_call(f"reading what {board.label} can do"):
+        limit_hz = float(board.device.ai_max_single_chan_rate)
+        ends_v = [float(value) for value in board.device.ai_voltage_rngs]
+        triggers = bool(board.device.anlg_trig_supported)
+    if parameters.sample_rate_hz > limit_hz * (1.0 + RELATIVE_AGREEMENT):
+        raise ConfigurationError(
+            f"sample_rate_hz is {parameters.sample_rate_hz:.10g} Hz; {board.label} does at most "
+            f"{limit_hz:.10g} Hz on one channel; lower the rate to that or use a faster board"
+        )
+    ranges = list(zip(ends_v[::2], ends_v[1::2], strict=False))
+    if not any(agree(high, wiring.range_v) and agree(-low, wiring.range_v) for low, high in ranges):
+        have = ", ".join(f"{low:g}..{high:g}" for low, high in ranges)
+        raise ConfigurationError(
+            f"range_v is {wiring.range_v} V; {board.label} has the ranges {have} V; choose one of them"
+        )
+    if not triggers and not parameters.dry_run:
+        raise ConfigurationError(
+            f"{board.label} has no analog trigger, which starts every record; use a board that has one"
+        )
+
+
+def agree(given: float, asked: float) -> bool:
+    """Tell whether the driver took the value as asked."""
+    return math.isclose(given, asked, rel_tol=RELATIVE_AGREEMENT)

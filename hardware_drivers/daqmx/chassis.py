@@ -1,0 +1,281 @@
+"""What digitizer and striker share: the boards, the transducer whose turn it is, the way back after a loss.
+
+Transducers take turns: a board has one timing engine for analog input, so the tasks of one transducer
+are committed when its turn begins and cleared when another's does. Within a turn a shot is a start and
+a stop; nothing is created.
+
+Several boards need no common clock: a shot uses one analog-input board and one counter, and the
+record's time zero is its own trigger, so a counter on another board may start a little sooner or later.
+What matters is the order, which is kept here: acquisition first, counter second, and the counter's
+delay lets the pre-trigger fill. With ``reference_clock`` each digitizer's time base follows the
+chassis's clock, and then all records share one scale of time.
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
+from hardware_drivers.daqmx.boards import Board, check_board, find_boards, same_serial
+from hardware_drivers.daqmx.client_lock import ClientLock
+from hardware_drivers.daqmx.coil import Coil, commit_coil
+from hardware_drivers.daqmx.connection import Connection, client_name, package_versions
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
+
+log = logging.getLogger(__name__)
+
+ROLES = ("digitizer", "striker", "watchdog")
+"""The tasks there can be at one time; on a gRPC server they are found again by these names."""
+
+LADDER = ("fresh tasks", "reset of our boards", "new connection, boards found again")
+"""Rungs of recovery, the gentlest first; the last one is tried again and again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Turn:
+    """The committed tasks of one transducer."""
+
+    position: str
+    acquisition: Acquisition
+    coil: Coil
+
+
+class Chassis:
+    """Owner of all vendor objects; used by one thread.
+
+    Parameters
+    ----------
+    parameters
+        Checked against the boards while opening: what cannot work is refused now, not at night.
+
+    Raises
+    ------
+    ConfigurationError, BusyError, ConnectionLostError
+        As `prove`; nothing is left behind.
+    """
+
+    def __init__(self, parameters: DaqmxParameters) -> None:
+        self.parameters = parameters
+        self.driver_version = ""
+        self._thread = threading.get_ident()
+        self._lock: ClientLock | None = None
+        self._connection: Connection | None = None
+        self._boards: dict[str, Board] = {}
+        self._turn: Turn | None = None
+        self._rung = 0
+        self._lost = 0
+        self._shared = False
+        self._maybe_on: tuple[str, float] = ("", 0.0)
+        try:
+            if parameters.transport == "grpc":
+                self._lock = ClientLock(parameters.grpc_address, client_name(parameters))
+            self._connect()
+            self.prove()
+        except BaseException:
+            self.close()
+            raise
+
+    # One thread ----------------------------------------------------------------------------------
+
+    def check_thread(self) -> None:
+        """Refuse calls from another thread: NI's tasks are not made for that."""
+        if threading.get_ident() != self._thread:
+            raise ConfigurationError(
+                f"the instruments were opened by thread {self._thread} and called by thread "
+                f"{threading.get_ident()}; call them from the one that opened them"
+            )
+
+    # Turns ---------------------------------------------------------------------------------------
+
+    def turn(self, position: str) -> Turn:
+        """Commit a transducer's tasks, after the next rung of recovery if something was lost."""
+        if self._rung:
+            self._recover()
+        if self._turn is not None and self._turn.position == position:
+            return self._turn
+        self.end_turn()
+        self._turn = self._commit(position)
+        return self._turn
+
+    def end_turn(self) -> None:
+        """Clear the tasks, the coil's first; remembers a coil that may still be on."""
+        turn, self._turn = self._turn, None
+        if turn is None:
+            return
+        try:
+            if not turn.coil.close():
+                self._maybe_on = (turn.position, turn.coil.on_until)
+        finally:
+            turn.acquisition.close()
+
+    def _commit(self, position: str) -> Turn:
+        wiring = self.parameters.transducers[position]
+        connection = self.connection
+        coil_board = self._boards[same_serial(wiring.coil_serial)]
+        board = self._boards[same_serial(wiring.board_serial)]
+        acquisition = commit_acquisition(
+            connection, self.parameters, position, board, triggered=not self.parameters.dry_run
+        )
+        try:
+            coil = commit_coil(connection, self.parameters, position, coil_board)
+        except BaseException:
+            acquisition.close()
+            raise
+        return Turn(position=position, acquisition=acquisition, coil=coil)
+
+    def prove(self) -> None:
+        """Commit every transducer once: what the hardware refuses is said before a test begins."""
+        for position, wiring in self.parameters.transducers.items():
+            check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
+            self.turn(position)
+        self.end_turn()
+
+    # The coil ------------------------------------------------------------------------------------
+
+    def make_safe(self) -> None:
+        """Switch the coil off.
+
+        Raises
+        ------
+        ConnectionLostError
+            Its state is unknown; the board's counter ends the pulse in any case.
+        """
+        self.end_turn()
+        position, until = self._maybe_on
+        left_s = until - time.monotonic()
+        if left_s <= 0.0 or self._cleared_by_name():
+            return
+        raise ConnectionLostError(
+            f"the coil of {position!r} may be on for another {left_s:.2g} s: its board does not answer; the "
+            f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s whatever happens"
+        )
+
+    def _cleared_by_name(self) -> bool:
+        """On a server the coil's task may be alive although the object that stood for it is not."""
+        try:
+            cleared = self._connection is not None and self._connection.clear_leftovers(("striker",))
+        except InstrumentError:
+            log.warning("the coil's task could not be cleared", exc_info=True)
+            return False
+        if cleared:
+            self._maybe_on = ("", 0.0)
+        return cleared
+
+    # Losses and recovery -------------------------------------------------------------------------
+
+    @contextmanager
+    def attempt(self) -> Iterator[None]:
+        """Do something with the boards; an error leaves them safe and knows how to go on."""
+        try:
+            yield
+        except BaseException as error:
+            self.end_turn()
+            if isinstance(error, BusyError):
+                self._shared = True
+            if isinstance(error, ConnectionLostError):
+                self._lose(error)
+            raise
+
+    def _lose(self, error: ConnectionLostError) -> None:
+        self._lost += 1
+        tried = self._rung
+        self._rung = min(tried + 1, len(LADDER))
+        log.warning("connection lost (%d in a row), next: %s: %s", self._lost, LADDER[self._rung - 1], error)
+        if tried == len(LADDER):
+            raise ConnectionLostError(
+                f"{error}; still so after {self._lost - 1} attempts ({'; '.join(LADDER)}); every further "
+                "shot tries the last one again"
+            ) from error
+
+    def recovered(self) -> None:
+        """Start with the gentlest rung at the next loss: a sound record came."""
+        self._rung = self._lost = 0
+
+    def _recover(self) -> None:
+        log.info("recovering: %s", LADDER[self._rung - 1])
+        self.end_turn()
+        if self._rung == 1:
+            self.connection.clear_leftovers(ROLES)
+        elif self._rung == 2:
+            self._boards = find_boards(self.connection, self._serials())
+            if self._shared:
+                log.warning("not resetting: somebody else uses a board of ours too")
+                return
+            for board in self._boards.values():
+                with vendor_call(f"resetting {board.label}"):
+                    board.device.reset_device()
+        else:
+            self._connect()
+
+    def _connect(self) -> None:
+        """Reach the driver afresh and find the boards under whatever names they have now."""
+        if self._connection is not None:
+            self._connection.close()
+        self._connection = Connection(self.parameters)
+        self._connection.clear_leftovers(ROLES)
+        self._boards = find_boards(self._connection, self._serials())
+        with vendor_call("reading the driver's version"):
+            driver = self._connection.system().driver_version
+        self.driver_version = ".".join(str(part) for part in driver)
+
+    def _serials(self) -> list[str]:
+        wirings = self.parameters.transducers.values()
+        return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]
+
+    @property
+    def connection(self) -> Connection:
+        """The way to the driver."""
+        if self._connection is None:
+            raise ConfigurationError("the rig is closed; open it again")
+        return self._connection
+
+    # Calibration, identity, end ------------------------------------------------------------------
+
+    def self_calibrate(self) -> dict[str, str]:
+        """Calibrate every digitizer board, read date, temperature and scaling again."""
+        self.end_turn()
+        if self._rung:
+            self._recover()
+        done = {}
+        for serial in {same_serial(wiring.board_serial) for wiring in self.parameters.transducers.values()}:
+            board = self._boards[serial]
+            if not board.calibration_date:
+                done[serial] = "this board cannot calibrate itself"
+                continue
+            with vendor_call(f"self-calibrating {board.label}"):
+                board.device.self_cal()
+        self._boards = find_boards(self.connection, self._serials())
+        self.prove()
+        for serial, board in self._boards.items():
+            if serial not in done and board.calibration_date:
+                done[serial] = f"{board.calibration_date}, {board.calibration_temperature_c:.1f} C"
+        return done
+
+    def identity(self) -> dict[str, str]:
+        """Versions, transport and boards, for every set's record."""
+        return {
+            "transport": self.parameters.transport,
+            "daqmx_driver_version": self.driver_version,
+            **package_versions(),
+            **{f"board_{serial}": board.product for serial, board in self._boards.items()},
+        }
+
+    def close(self) -> None:
+        """Coil off, tasks cleared, connection ended; harmless when done before."""
+        connection, self._connection = self._connection, None
+        try:
+            self.end_turn()
+        finally:
+            try:
+                if connection is not None:
+                    connection.close()
+            finally:
+                if self._lock is not None:
+                    self._lock.release()

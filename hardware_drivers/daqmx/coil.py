@@ -1,0 +1,170 @@
+"""One striker's coil: a finite pulse timed by the board's counter, low before and after.
+
+The level is never a static line: once started, the counter ends the pulse whatever becomes of this
+program, of the connection or of the computer. Energising lifts the striker; it falls when the coil
+goes off.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from hardware_drivers.daqmx.boards import Board, same_serial
+from hardware_drivers.daqmx.connection import Connection, discard
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
+
+log = logging.getLogger(__name__)
+
+CAP_S = 0.5
+"""Longest pulse this module makes, whatever the parameters allow: a second cap, on purpose its own."""
+
+DONE_MARGIN_S = 0.25
+"""Wait for the counter's end beyond the pulse itself: latency of driver and network."""
+
+PULSE_AGREEMENT = 0.01
+"""The counter's time base may round the pulse by this part of it."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Coil:
+    """A committed counter task, its watchdog, and until when the coil may be on."""
+
+    position: str
+    board: Board
+    task: Any
+    watchdog: Any
+    longest_s: float
+    on_until: float = 0.0
+
+    def pulse(self) -> None:
+        """Pulse once and wait for the end; on return the counter is stopped and its output low.
+
+        Raises
+        ------
+        AcquisitionTimeoutError
+            The counter is not done in time, or the watchdog cut the pulse short.
+        """
+        if self.watchdog is not None:
+            with vendor_call(f"starting the watchdog of {self.position!r}"):
+                self.watchdog.start()
+        self.on_until = time.monotonic() + self.longest_s + DONE_MARGIN_S
+        with vendor_call(f"pulsing the coil of {self.position!r}"):
+            self.task.start()
+            self.task.wait_until_done(self.longest_s + DONE_MARGIN_S)
+            self.task.stop()
+        self.on_until = 0.0
+        if self.watchdog is not None:
+            self._relax()
+
+    def _relax(self) -> None:
+        with vendor_call(f"stopping the watchdog of {self.position!r}"):
+            expired = bool(self.watchdog.expired)
+            if expired:
+                self.watchdog.clear_expiration()
+            self.watchdog.stop()
+        if expired:
+            raise AcquisitionTimeoutError(
+                f"the watchdog of {self.board.label} expired during the strike at {self.position!r} and "
+                "pulled the coil low; lengthen watchdog.timeout_s or find what delayed this program"
+            )
+
+    def close(self) -> bool:
+        """Stop the pulse, clear the task; True if the coil is known to be off.
+
+        Errors are logged: whatever led here is the news, and a pulse ends by itself.
+        """
+        safe = time.monotonic() >= self.on_until
+        doing = f"switching off the coil of {self.position!r}"
+        for step in (self.task.stop, self.task.close):
+            try:
+                with vendor_call(doing):
+                    step()
+                safe = True
+            except Exception:  # the next step may still succeed
+                log.warning("%s failed", doing, exc_info=True)
+        if self.watchdog is not None:
+            discard(self.watchdog, doing)
+        return safe
+
+
+def commit_coil(connection: Connection, parameters: DaqmxParameters, position: str, board: Board) -> Coil:
+    """Build one striker's counter task and commit it: the output is connected and low, nothing moves.
+
+    Raises
+    ------
+    ConfigurationError
+        The pulse is longer than the cap, would be given another length or would idle high.
+    """
+    if not 0.0 < parameters.pulse_s <= CAP_S:
+        raise ConfigurationError(
+            f"pulse_s is {parameters.pulse_s} s; this driver pulses a coil for at most {CAP_S} s; shorten it"
+        )
+    doing = f"setting up the coil of {position!r} on {board.label}"
+    task = connection.task("striker")
+    watchdog = None
+    try:
+        with vendor_call(doing):
+            _configure(task, parameters, position, board)
+        wired = parameters.watchdog
+        if wired is not None and same_serial(wired.board_serial) == board.serial:
+            watchdog = _commit_watchdog(connection, parameters, board)
+    except BaseException:
+        discard(task, doing)
+        raise
+    return Coil(
+        position=position,
+        board=board,
+        task=task,
+        watchdog=watchdog,
+        longest_s=parameters.initial_delay_s + parameters.pulse_s,
+    )
+
+
+def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Board) -> None:
+    from nidaqmx.constants import Level, TaskMode
+
+    wiring = parameters.transducers[position]
+    # Without a timing of its own a pulse task makes one pulse, and on boards of every age with one counter.
+    channel = task.co_channels.add_co_pulse_chan_time(
+        f"{board.name}/{wiring.counter}",
+        idle_state=Level.LOW,
+        initial_delay=parameters.initial_delay_s,
+        high_time=parameters.pulse_s,
+    )
+    channel.co_pulse_term = f"/{board.name}/{wiring.output_terminal}"
+    high_s = float(channel.co_pulse_high_time)
+    # Before the commit: that is what connects the output.
+    if channel.co_pulse_idle_state != Level.LOW:
+        raise ConfigurationError(f"{board.label} would hold the coil of {position!r} on between strikes")
+    if not 0.0 < high_s <= CAP_S or abs(high_s - parameters.pulse_s) > PULSE_AGREEMENT * parameters.pulse_s:
+        raise ConfigurationError(
+            f"pulse_s is {parameters.pulse_s} s; {board.label} would pulse for {high_s} s (at most {CAP_S} s "
+            "is allowed); choose a pulse its counter can time"
+        )
+    task.control(TaskMode.TASK_COMMIT)
+
+
+def _commit_watchdog(connection: Connection, parameters: DaqmxParameters, board: Board) -> Any:
+    from nidaqmx.constants import Level
+    from nidaqmx.types import DOExpirationState
+
+    assert parameters.watchdog is not None
+    watchdog = connection.watchdog(board.name, "watchdog", parameters.watchdog.timeout_s)
+    doing = f"setting up the watchdog of {board.label}"
+    try:
+        with vendor_call(doing):
+            watchdog.cfg_watchdog_do_expir_states(
+                [
+                    DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)
+                    for line in parameters.watchdog.lines
+                ]
+            )
+    except BaseException:
+        discard(watchdog, doing)
+        raise
+    return watchdog

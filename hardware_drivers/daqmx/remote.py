@@ -1,0 +1,77 @@
+"""Way to the boards of another computer: a channel to NI's gRPC device server, every call bounded.
+
+Importing this module needs the `grpc` extra. NI's client sets no deadline on any call and gRPC's
+limit of a message is 4 MB; both are set here.
+"""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from collections.abc import Callable
+from typing import Any
+
+import grpc
+
+SLOW_CALLS = frozenset({"SelfCal", "ResetDevice"})
+"""Calls that take seconds on a sound board."""
+SLOWER = 10.0
+
+BYTES_PER_SAMPLE = 10
+"""Largest varint of a negative 32-bit sample."""
+OTHER_BYTES = 4 * 1024 * 1024
+
+
+class _CallDetails(
+    namedtuple(
+        "_CallDetails", ("method", "timeout", "metadata", "credentials", "wait_for_ready", "compression")
+    ),
+    grpc.ClientCallDetails,  # type: ignore[misc] # grpc ships no types
+):
+    """What gRPC hands to an interceptor, with another deadline."""
+
+
+class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc ships no types
+    """Give every call a deadline: the answer's own time after whatever the call itself waits for."""
+
+    def __init__(self, call_timeout_s: float) -> None:
+        self._call_timeout_s = call_timeout_s
+
+    def intercept_unary_unary(
+        self, continuation: Callable[[Any, Any], Any], client_call_details: Any, request: Any
+    ) -> Any:
+        """Send the request with its deadline."""
+        details = client_call_details
+        bounded = _CallDetails(
+            details.method,
+            self.deadline_s(details.method, request),
+            details.metadata,
+            details.credentials,
+            details.wait_for_ready,
+            details.compression,
+        )
+        return continuation(bounded, request)
+
+    def deadline_s(self, method: str, request: Any) -> float:
+        """Longest time this call may take."""
+        name = method.rsplit("/", 1)[-1]
+        if name in SLOW_CALLS:
+            return SLOWER * self._call_timeout_s
+        waits_s = 0.0
+        if name == "WaitUntilTaskDone":
+            waits_s = float(request.time_to_wait)
+        elif name.startswith("Read"):
+            waits_s = float(request.timeout)
+        return self._call_timeout_s + max(0.0, waits_s)
+
+
+class Channel:
+    """A gRPC channel that is closed once."""
+
+    def __init__(self, address: str, *, call_timeout_s: float, record_samples: int) -> None:
+        largest = BYTES_PER_SAMPLE * record_samples + OTHER_BYTES
+        self._plain = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", largest)])
+        self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
+
+    def close(self) -> None:
+        """End the connection."""
+        self._plain.close()

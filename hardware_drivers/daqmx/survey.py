@@ -1,0 +1,326 @@
+"""What `solimon doctor` asks of the boards: nothing strikes, nothing is changed, each answer has a state.
+
+`trial_strike` is the only thing here that moves a striker, and it goes the way of every shot.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
+from typing import Any, Literal
+
+import numpy as np
+
+from hardware_drivers.daqmx.acquisition import commit_acquisition
+from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, same_serial
+from hardware_drivers.daqmx.chassis import ROLES
+from hardware_drivers.daqmx.client_lock import ClientLock
+from hardware_drivers.daqmx.coil import commit_coil
+from hardware_drivers.daqmx.connection import Connection, client_name
+from hardware_drivers.daqmx.instruments import opened
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import ShotKey
+
+log = logging.getLogger(__name__)
+
+State = Literal["ok", "warn", "fail"]
+
+NOISE_TO_LEVEL = 0.2
+"""Noise above this part of the trigger level will now and then trigger by itself (5 sigma)."""
+
+WARMED_K = 5.0
+"""A board further than this from its calibration's temperature drifts out of it (NI's own advice)."""
+
+READ_TIMEOUT_S = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One thing looked at: what it is, how it stands, what to do.
+
+    Attributes
+    ----------
+    subject
+        ``driver``, ``board 01E18096``, ``transducer B`` ...
+    """
+
+    subject: str
+    check: str
+    state: State
+    detail: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardFacts:
+    """One board of the system, ours or not."""
+
+    serial: str
+    name: str
+    product: str
+    simulated: bool
+    ours: bool
+    max_rate_hz: float
+    ranges_v: tuple[tuple[float, float], ...]
+    terminals: tuple[str, ...]
+    counters: tuple[str, ...]
+    calibration_date: str
+    calibration_temperature_c: float
+    temperature_c: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Survey:
+    """Everything found.
+
+    Attributes
+    ----------
+    noise_rms_v
+        By position: noise at the input over one record, without a strike.
+    """
+
+    package_version: str
+    driver_version: str = ""
+    boards: tuple[BoardFacts, ...] = ()
+    noise_rms_v: Mapping[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def state(self) -> State:
+        """The worst state found."""
+        states = {finding.state for finding in self.findings}
+        return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
+
+
+def survey(parameters: DaqmxParameters) -> Survey:
+    """Look at driver, boards and every transducer's wiring without striking; errors become findings."""
+    look = _Look(parameters)
+    connection = look.reached()
+    if connection is not None:
+        try:
+            look.at_boards(connection)
+            for position in parameters.transducers:
+                look.at_transducer(connection, position)
+        finally:
+            connection.close()
+    look.end()
+    return look.result()
+
+
+def trial_strike(parameters: DaqmxParameters, position: str, timeout_s: float = READ_TIMEOUT_S) -> Acquired:
+    """Arm, strike once, read: the very way of a shot.
+
+    Raises
+    ------
+    InstrumentError
+        As for a shot.
+    """
+    key = ShotKey(position=position, set_index=0, shot_index=0)
+    with opened(parameters) as instruments:
+        instruments.digitizer.arm(key)
+        instruments.striker.strike(key)
+        return instruments.digitizer.read(timeout_s)
+
+
+class _Look:
+    """Findings as they come in."""
+
+    def __init__(self, parameters: DaqmxParameters) -> None:
+        # A rehearsal's settings would leave the trigger unchecked.
+        self._parameters = replace(parameters, dry_run=False)
+        self._findings: list[Finding] = []
+        self._facts: list[BoardFacts] = []
+        self._boards: dict[str, Board] = {}
+        self._noise_rms_v: dict[str, float] = {}
+        self._driver_version = ""
+        self._lock: ClientLock | None = None
+
+    def reached(self) -> Connection | None:
+        """Reach the driver, on a server under this rig's own name."""
+        parameters = self._parameters
+        connections: list[Connection] = []
+
+        def reach() -> str:
+            if parameters.transport == "grpc":
+                self._lock = ClientLock(parameters.grpc_address, client_name(parameters))
+            connection = Connection(parameters)
+            connections.append(connection)
+            connection.clear_leftovers(ROLES)
+            with vendor_call("reading the driver's version"):
+                driver = connection.system().driver_version
+            self._driver_version = ".".join(str(part) for part in driver)
+            return f"NI-DAQmx {self._driver_version} by {parameters.transport}"
+
+        if self._checked("driver", "reachable", reach):
+            return connections[0]
+        for connection in connections:
+            connection.close()
+        return None
+
+    def at_boards(self, connection: Connection) -> None:
+        """All boards, ours with what they say of themselves."""
+        there: dict[str, Any] = {}
+        self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
+        ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
+        ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
+        for serial, device in there.items():
+            subject = f"board {serial}"
+            self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
+        for serial in sorted(ours - set(there)):
+            self._add(
+                f"board {serial}",
+                "present",
+                "fail",
+                f"no board with this serial number; there are: {', '.join(there) or 'none'}",
+                "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]",
+            )
+        for facts in self._facts:
+            if facts.ours:
+                self._judge_board(facts)
+
+    def _describe(self, serial: str, device: Any, ours: bool) -> str:
+        board = describe(serial, device)
+        with vendor_call(f"reading what {board.label} can do"):
+            ends_v = [float(value) for value in device.ai_voltage_rngs]
+            facts = BoardFacts(
+                serial=serial,
+                name=board.name,
+                product=board.product,
+                simulated=bool(device.is_simulated),
+                ours=ours,
+                max_rate_hz=float(device.ai_max_single_chan_rate),
+                ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
+                terminals=tuple(device.terminals),
+                counters=tuple(channel.name for channel in device.co_physical_chans),
+                calibration_date=board.calibration_date,
+                calibration_temperature_c=board.calibration_temperature_c,
+                temperature_c=float(device.cal_dev_temp),
+            )
+        self._boards[serial] = board
+        self._facts.append(facts)
+        return f"{board.product} as {board.name}, up to {facts.max_rate_hz:.10g} Hz a channel"
+
+    def _judge_board(self, facts: BoardFacts) -> None:
+        subject = f"board {facts.serial}"
+        if facts.simulated:
+            self._add(
+                subject,
+                "real",
+                "warn",
+                "a device simulated by NI's driver: its records are made up",
+                "use it for rehearsal only",
+            )
+        if not facts.calibration_date:
+            self._add(
+                subject, "calibrated", "warn", "cannot calibrate itself", "follow its external interval"
+            )
+            return
+        away_k = abs(facts.temperature_c - facts.calibration_temperature_c)
+        self._add(
+            subject,
+            "calibrated",
+            "ok" if away_k <= WARMED_K else "warn",
+            f"on {facts.calibration_date} at {facts.calibration_temperature_c:.1f} C; it is at "
+            f"{facts.temperature_c:.1f} C now (at most {WARMED_K:g} K apart)",
+            "" if away_k <= WARMED_K else "warm the chassis up for half an hour, then self-calibrate",
+        )
+
+    def at_transducer(self, connection: Connection, position: str) -> None:
+        """Input, trigger, coil and noise of one transducer."""
+        parameters, wiring = self._parameters, self._parameters.transducers[position]
+        board = self._boards.get(same_serial(wiring.board_serial))
+        coil_board = self._boards.get(same_serial(wiring.coil_serial))
+        if board is None or coil_board is None:
+            return  # told with the board
+        subject = f"transducer {position}"
+        self._checked(subject, "board can do it", lambda: check_board(board, wiring, parameters))
+        self._checked(
+            subject,
+            "trigger",
+            lambda: commit_acquisition(connection, parameters, position, board, triggered=True).close(),
+        )
+        self._look_at_terminal(subject, position, coil_board)
+        # Committed, the output is connected and low; the counter is not started.
+        self._checked(
+            subject,
+            "coil's counter",
+            lambda: _require_off(commit_coil(connection, parameters, position, coil_board).close()),
+        )
+        self._checked(subject, "input read", lambda: self._measure_noise(connection, position, board))
+        noise_v = self._noise_rms_v.get(position)
+        if noise_v is not None:
+            level_v = abs(parameters.trigger_level_v)
+            quiet = noise_v <= NOISE_TO_LEVEL * level_v
+            self._add(
+                subject,
+                "noise",
+                "ok" if quiet else "warn",
+                f"{noise_v:.3g} V rms; the trigger level is {level_v:g} V",
+                "" if quiet else "check cable and screen, or raise trigger_level_v to five times the noise",
+            )
+
+    def _look_at_terminal(self, subject: str, position: str, board: Board) -> None:
+        wiring = self._parameters.transducers[position]
+        wanted = f"/{board.name}/{wiring.output_terminal}"
+        facts = next(facts for facts in self._facts if facts.serial == board.serial)
+        known = wanted in facts.terminals
+        self._add(
+            subject,
+            "coil's terminal",
+            "ok" if known else "fail",
+            f"{wanted} {'exists' if known else 'does not exist'} on {board.label}",
+            "" if known else "correct output_terminal in [rig.daqmx.transducers]",
+        )
+
+    def _measure_noise(self, connection: Connection, position: str, board: Board) -> str:
+        acquisition = commit_acquisition(connection, self._parameters, position, board, triggered=False)
+        try:
+            acquisition.start()
+            waveform = acquisition.read(READ_TIMEOUT_S)
+        finally:
+            acquisition.close()
+        self._noise_rms_v[position] = float(np.std(waveform.volts()))
+        return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
+
+    def end(self) -> None:
+        """Give the client name free."""
+        if self._lock is not None:
+            self._lock.release()
+
+    def result(self) -> Survey:
+        """All that was found."""
+        return Survey(
+            package_version=version("nidaqmx"),
+            driver_version=self._driver_version,
+            boards=tuple(self._facts),
+            noise_rms_v=self._noise_rms_v,
+            findings=tuple(self._findings),
+        )
+
+    def _checked(self, subject: str, check: str, work: Callable[[], object]) -> bool:
+        """Do it; an error is a finding, its message names the remedy."""
+        try:
+            detail = work()
+        except InstrumentError as error:
+            log.info("%s, %s", subject, check, exc_info=True)
+            problem, _, remedy = str(error).rpartition("; ")
+            self._add(subject, check, "fail", problem or str(error), remedy if problem else "")
+            return False
+        self._add(subject, check, "ok", detail if isinstance(detail, str) else "as asked")
+        return True
+
+    def _add(self, subject: str, check: str, state: State, detail: str, remedy: str = "") -> None:
+        self._findings.append(
+            Finding(subject=subject, check=check, state=state, detail=detail, remedy=remedy)
+        )
+
+
+def _require_off(known_off: bool) -> str:
+    assert known_off, "a counter that was never started is off"
+    return "connected and low, not started"
