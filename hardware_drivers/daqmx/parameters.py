@@ -54,7 +54,7 @@ class TransducerWiring:
     counter: str = "ctr0"
     """Counter that times the coil's pulse; every coil has one of its own."""
     output_terminal: str = "PFI12"
-    """Terminal the pulse leaves the board at (home of `ctr0`: PFI12 on X and M Series, Ctr0Out on S Series)."""
+    """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
         check_bounds(self)

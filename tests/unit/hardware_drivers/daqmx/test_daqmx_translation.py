@@ -1,0 +1,188 @@
+"""Every error NI's packages can raise becomes one of the four classes, with cause and remedy."""
+
+from __future__ import annotations
+
+import logging
+import re
+import warnings
+from pathlib import Path
+
+import pytest
+from nidaqmx import errors as vendor
+from nidaqmx.error_codes import DAQmxErrors
+
+from hardware_drivers.daqmx.translation import BUSY, LOST, MISSED, class_of, owner_in, translated, vendor_call
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+)
+
+PAGE = Path(__file__).parents[4] / "docs" / "reference" / "faults-daqmx.md"
+TABLES = {AcquisitionTimeoutError: MISSED, BusyError: BUSY, ConnectionLostError: LOST}
+FOUR = {AcquisitionTimeoutError, BusyError, ConnectionLostError, ConfigurationError}
+
+
+def raised_by_vendor_call(error):
+    with pytest.raises(tuple(FOUR)) as caught, vendor_call("testing"):
+        raise error
+    assert caught.value.__cause__ is error
+    assert str(caught.value).startswith("testing: ")
+    return caught.value
+
+
+@pytest.mark.parametrize("kind", [vendor.DaqError, vendor.DaqReadError, vendor.DaqWriteError])
+def test_every_status_of_the_package_has_its_class(kind):
+    extra = () if kind is vendor.DaqError else (0,)
+    for code in DAQmxErrors:
+        if code is DAQmxErrors.UNKNOWN:
+            continue
+        error = raised_by_vendor_call(kind("The driver says no.", code.value, *extra))
+        assert type(error) is next(
+            (cls for cls, table in TABLES.items() if code.value in table), ConfigurationError
+        )
+        assert str(code.value) in str(error)
+        assert code.name in str(error)
+
+
+def test_the_tables_name_real_statuses_once():
+    codes = [code for table in TABLES.values() for code in table]
+    assert len(codes) == len(set(codes))
+    known = {code.value for code in DAQmxErrors}
+    assert set(codes) <= known
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        (-200284, AcquisitionTimeoutError),
+        (-200560, AcquisitionTimeoutError),
+        (-50103, BusyError),
+        (-200022, BusyError),
+        (-89137, BusyError),
+        *((code, ConnectionLostError) for code in (-88710, -88709, -88708, -200324, -201003, -50401, -50405)),
+        *((code, ConnectionLostError) for code in (-200088, -200279, -200361, -200010, -200019)),
+        (-200077, ConfigurationError),
+        (-200170, ConfigurationError),
+        (-999999, ConfigurationError),
+    ],
+)
+def test_the_statuses_the_laboratory_meets(code, expected):
+    assert class_of(code) is expected
+
+
+def every_error_class_of_the_package():
+    found = set()
+    pending = [vendor.Error, vendor.FeatureNotSupportedError]
+    while pending:
+        kind = pending.pop()
+        found.add(kind)
+        pending += kind.__subclasses__()
+    return found
+
+
+def made(kind):
+    if kind in (vendor.DaqReadError, vendor.DaqWriteError):
+        return kind("text", -200284, 0)
+    if kind is vendor.DaqError:
+        return kind("text", -200284)
+    if kind is vendor.RpcError:
+        return kind("UNAVAILABLE", "text")
+    return kind("text")
+
+
+def test_every_error_class_of_the_package_is_translated():
+    kinds = every_error_class_of_the_package()
+    assert {"DaqError", "DaqNotFoundError", "DaqNotSupportedError", "RpcError"} <= {k.__name__ for k in kinds}
+    for kind in kinds:
+        assert type(raised_by_vendor_call(made(kind))) in FOUR
+
+
+@pytest.mark.parametrize(
+    ("error", "expected", "remedy"),
+    [
+        (vendor.DaqNotFoundError("x"), ConfigurationError, "install NI's driver"),
+        (vendor.DaqNotSupportedError("x"), ConfigurationError, "transport = 'grpc'"),
+        (vendor.DaqFunctionNotSupportedError("x"), ConfigurationError, "newer NI-DAQmx"),
+        (ValueError("7 is not a valid Level"), ConnectionLostError, "makes no sense"),
+    ],
+)
+def test_errors_without_a_status(error, expected, remedy):
+    translated_error = raised_by_vendor_call(error)
+    assert type(translated_error) is expected
+    assert remedy in str(translated_error)
+
+
+def test_every_grpc_code_is_translated():
+    grpc = pytest.importorskip("grpc", reason="the grpc extra is not installed")
+    beyond_cure = {
+        "UNAUTHENTICATED", "PERMISSION_DENIED", "UNIMPLEMENTED", "RESOURCE_EXHAUSTED", "INVALID_ARGUMENT",
+    }  # fmt: skip
+    for code in grpc.StatusCode:
+        expected = ConfigurationError if code.name in beyond_cure else ConnectionLostError
+        wrapped = raised_by_vendor_call(vendor.RpcError(code, "text"))
+        assert type(wrapped) is expected
+        assert code.name in str(wrapped)
+        bare = type("Bare", (grpc.RpcError,), {"code": lambda _, code=code: code})
+        assert type(raised_by_vendor_call(bare())) is expected
+
+
+def test_an_instrument_error_passes_unchanged():
+    original = BusyError("already told")
+    with pytest.raises(BusyError) as caught, vendor_call("testing"):
+        raise original
+    assert caught.value is original
+    assert translated(original, "testing") is original
+
+
+def test_a_stop_is_no_vendor_error():
+    with pytest.raises(KeyboardInterrupt), vendor_call("testing"):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("text", "owner"),
+    [
+        ("Required Resources in Use by\nTask Name: _unnamedTask<3>\n", "_unnamedTask<3>"),
+        ("The resource is reserved.\nReserved by: LabVIEW on BENCH-7.", "LabVIEW on BENCH-7"),
+        ("The specified resource is reserved.", ""),
+    ],
+)
+def test_a_busy_resource_names_its_owner(text, owner):
+    assert owner_in(text) == owner
+    error = raised_by_vendor_call(vendor.DaqError(text, -200022))
+    assert (owner or "not named by the driver") in str(error)
+
+
+def test_a_warning_of_the_driver_is_logged_and_raises_nothing(caplog):
+    with caplog.at_level(logging.WARNING), vendor_call("testing"):
+        warnings.warn(vendor.DaqWarning("rounded", 200011), stacklevel=1)
+    assert "testing" in caplog.text
+    assert "rounded" in caplog.text
+
+
+def test_the_message_is_one_line_with_its_remedy():
+    error = raised_by_vendor_call(vendor.DaqError("First.\n\nSecond.\nStatus Code: -200324\n", -200324))
+    assert str(error) == (
+        "testing: First. Second (DAQmx -200324, DEV_ABSENT_OR_UNAVAILABLE); check power, seating and cable "
+        "of board and chassis"
+    )
+
+
+def rows_of_the_page():
+    row = re.compile(r"^\| (-\d+) \| `(\w+)` \| (\w+) \| (.+?) \|$", re.MULTILINE)
+    return {
+        int(code): (name, cls, text)
+        for code, name, cls, text in row.findall(PAGE.read_text(encoding="utf-8"))
+    }
+
+
+def test_the_page_of_faults_lists_every_status_of_the_tables():
+    rows = rows_of_the_page()
+    expected = {
+        code: (DAQmxErrors(code).name, cls.__name__, text)
+        for cls, table in TABLES.items()
+        for code, text in table.items()
+    }
+    assert rows == expected
