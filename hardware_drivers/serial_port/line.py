@@ -111,9 +111,7 @@ class SerialLine:
             kind, message = self._trouble
             raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
-            if self._port is None:
-                self._port = open_port(self.parameters)
-            self._name = self._identify(deadline_s)
+            self._name = self._reach(deadline_s)
         except InstrumentError as error:
             self._attempts += 1
             if isinstance(error, ConfigurationError) or self._attempts % ATTEMPTS_PER_OPENING == 0:
@@ -131,6 +129,17 @@ class SerialLine:
         self._attempts, self._trouble, self._in_step = 0, None, True
         return True
 
+    def _reach(self, deadline_s: float) -> str:
+        if self._port is not None:
+            try:
+                return self._identify(deadline_s)
+            except ConnectionLostError:
+                if self._port is not None:
+                    raise  # silent, but there
+        # A port that has just gone may be back already, as another terminal behind the same name.
+        self._port = open_port(self.parameters)
+        return self._identify(deadline_s)
+
     def _identify(self, deadline_s: float) -> str:
         """Ask who is there; what comes before the expected name is a late reply and thrown away."""
         self._write(self._identity_query)
@@ -139,11 +148,11 @@ class SerialLine:
         pending = bytearray()
         while (raw := self._next_line(pending, deadline_s)) is not None:
             reply = _text(raw)
-            if reply is None:
-                garbage.append(raw)
-            elif self._identity.match(reply):
+            if reply is not None and self._identity.match(reply):
                 return reply
-            elif _is_name(reply):
+            if reply is None or not _is_name(reply):
+                garbage.append(raw)
+            else:
                 strangers.append(reply)
                 if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
                     break

@@ -97,8 +97,8 @@ def _explained(path: str, error: Exception) -> InstrumentError:
         return BusyError(f"{path} is in use by {_owners(path)}; stop it, or give another port")
     if code in _FORBIDDEN:
         return ConfigurationError(
-            f"no right to open {path} ({reason}); add this user to the group that owns it (often dialout) and "
-            "log in again"
+            f"no right to open {path} ({reason}); add this user to the group that owns it (often dialout), "
+            "then log in again"
         )
     if code in _NO_PORT or Path(path).is_file():
         return ConfigurationError(

@@ -68,7 +68,8 @@ class SerialLink:
     path
         Where the port is to be found: a symbolic link that the link makes and removes.
     answer
-        The instrument: gets a command without its terminator, returns the answer or None.
+        The instrument: gets a command without its terminator, returns the answer or None. It is an
+        attribute too, so that a test can come between.
     """
 
     def __init__(self, path: Path, answer: Callable[[str], str | None]) -> None:
@@ -76,7 +77,7 @@ class SerialLink:
         if missing:
             raise SimulatorError(missing)
         self.path = path
-        self._answer = answer
+        self.answer = answer
         self._faults = LineFaults()
         self._terminal: tuple[int, int] | None = None
         self._received = b""
@@ -138,6 +139,8 @@ class SerialLink:
         os.close(self._wake_write)
 
     def _order(self, work: Callable[[], T]) -> T:
+        if threading.current_thread() is self._thread:  # the instrument itself pulls the plug
+            return work()
         future: Future[T] = Future()
 
         def carry_out() -> None:
@@ -175,7 +178,7 @@ class SerialLink:
             for late in self._held:
                 self._transmit(late)
             self._held.clear()
-            answer = self._answer(command)
+            answer = self.answer(command)
             if answer is not None:
                 self._reply(answer.encode("ascii") + b"\n")
 

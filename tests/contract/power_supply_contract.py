@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import PowerSupply
 from hardware_drivers.measurement import SupplyReading
 
@@ -13,7 +14,12 @@ TIMEOUT_S = 1.0
 
 
 class PowerSupplyContract:
-    """Measure; switch off; never on by itself."""
+    """Measure; switch off; on only by `energise`, within the caps."""
+
+    VOLTAGE_CAP_V = 12.0
+    CURRENT_CAP_A = 2.0
+    ORDER = (8.0, 1.5)
+    """Voltage and limit within the caps, at which the load leaves the supply holding its voltage."""
 
     @pytest.fixture
     def supply(self) -> PowerSupply:
@@ -43,3 +49,42 @@ class PowerSupplyContract:
     def test_reading_never_switches_it_on_again(self, supply):
         supply.make_safe()
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
+
+    def test_energise_switches_on_what_was_asked_for(self, supply):
+        supply.make_safe()
+        voltage_v, current_limit_a = self.ORDER
+        supply.energise(voltage_v, current_limit_a)
+        reading = supply.read(TIMEOUT_S)
+        assert reading.output_on
+        # Bench supplies set and measure within 0.1 % + 10 mV; 1 % tells 8 V from any other order here.
+        assert reading.voltage_v == pytest.approx(voltage_v, rel=0.01)
+        assert 0.0 < reading.current_a <= current_limit_a
+
+    def test_an_order_replaces_the_one_before(self, supply):
+        voltage_v, current_limit_a = self.ORDER
+        supply.energise(voltage_v, current_limit_a)
+        supply.energise(voltage_v / 2, current_limit_a)
+        assert supply.read(TIMEOUT_S).voltage_v == pytest.approx(voltage_v / 2, rel=0.01)  # as above
+
+    def test_beyond_the_caps_it_stays_off(self, supply):
+        supply.make_safe()
+        voltage_v, current_limit_a = self.ORDER
+        for refused in (
+            (self.VOLTAGE_CAP_V * 1.001, current_limit_a),
+            (voltage_v, self.CURRENT_CAP_A * 1.001),
+            (-voltage_v, current_limit_a),
+            (voltage_v, 0.0),
+            (math.nan, current_limit_a),
+        ):
+            with pytest.raises(ConfigurationError) as refusal:
+                supply.energise(*refused)
+            value = next(value for value in refused if value not in self.ORDER)
+            assert f"{value:g}" in str(refusal.value), "the message names the refused value"
+            assert not supply.read(TIMEOUT_S).output_on
+
+    def test_it_says_who_it_is(self, supply):
+        identity = supply.identity()
+        assert identity["maker"]
+        assert identity["model"]
+        assert all(isinstance(text, str) for text in identity.values())
+        assert supply.identity() == identity

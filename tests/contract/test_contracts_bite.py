@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from climate_probe_contract import ClimateProbeContract
 from clock_contract import ClockContract
 from digitizer_contract import DigitizerContract
 from power_supply_contract import PowerSupplyContract
@@ -14,7 +15,14 @@ from striker_contract import StrikerContract
 from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, Echo
-from hardware_drivers.measurement import Calibration, ShotKey, Stamp, SupplyReading, Waveform
+from hardware_drivers.measurement import (
+    Calibration,
+    ClimateReading,
+    ShotKey,
+    Stamp,
+    SupplyReading,
+    Waveform,
+)
 
 KEYS = tuple(ShotKey(position="C", set_index=0, shot_index=i) for i in (0, 1))
 UNKNOWN = ShotKey(position="nowhere", set_index=0, shot_index=0)
@@ -364,16 +372,22 @@ def test_an_object_is_no_clock():
 class SoundSupply:
     def __init__(self):
         self.on = True
+        self.set_v = 5.0
 
     def energise(self, voltage_v, current_limit_a):
-        self.on = True
+        self.require_within_caps(voltage_v, current_limit_a)
+        self.on, self.set_v = True, voltage_v
+
+    def require_within_caps(self, voltage_v, current_limit_a):
+        if not (0.0 < voltage_v <= 12.0 and 0.0 < current_limit_a <= 2.0):
+            raise ConfigurationError(f"{voltage_v:g} V or {current_limit_a:g} A is beyond the caps")
 
     def identity(self):
-        return {"model": "test"}
+        return {"maker": "test", "model": "test"}
 
     def read(self, timeout_s):
         stamp = Stamp(utc_ns=1, mono_ns=1, boot_id="test")
-        volts = 10.0 if self.on else 0.0
+        volts = self.set_v if self.on else 0.0
         return SupplyReading(stamp=stamp, voltage_v=volts, current_a=0.1 * volts, output_on=self.on)
 
     def make_safe(self):
@@ -404,6 +418,52 @@ class ReadsNothing(SoundSupply):
         return replace(super().read(timeout_s), current_a=math.nan)
 
 
+class KeepsTheFirstOrder(SoundSupply):
+    def energise(self, voltage_v, current_limit_a):
+        if self.set_v == 5.0:
+            super().energise(voltage_v, current_limit_a)
+
+
+class StaysOff(SoundSupply):
+    def energise(self, voltage_v, current_limit_a):
+        self.set_v = voltage_v
+
+
+class ObeysAnything(SoundSupply):
+    def require_within_caps(self, voltage_v, current_limit_a):
+        pass
+
+
+class CapsTheVoltageOnly(SoundSupply):
+    def require_within_caps(self, voltage_v, current_limit_a):
+        super().require_within_caps(voltage_v, 1.0)
+
+
+class RefusesTooLate(SoundSupply):
+    def energise(self, voltage_v, current_limit_a):
+        self.on = True
+        super().energise(voltage_v, current_limit_a)
+
+
+class RefusesWithoutTheValue(SoundSupply):
+    def require_within_caps(self, voltage_v, current_limit_a):
+        try:
+            super().require_within_caps(voltage_v, current_limit_a)
+        except ConfigurationError:
+            raise ConfigurationError("beyond the caps") from None
+
+
+class IsAnybody(SoundSupply):
+    def identity(self):
+        return {"maker": "", "model": ""}
+
+
+class ChangesItsName(SoundSupply):
+    def identity(self):
+        self.set_v += 1.0
+        return {"maker": "test", "model": f"{self.set_v}"}
+
+
 @pytest.mark.parametrize("test", each_test(PowerSupplyContract))
 def test_a_sound_supply_passes(test):
     run(PowerSupplyContract, test, supply=SoundSupply())
@@ -416,9 +476,77 @@ def test_a_sound_supply_passes(test):
         (Toggles, "test_making_safe_is_harmless_when_off"),
         (Recovers, "test_reading_never_switches_it_on_again"),
         (ReadsNothing, "test_a_reading_is_measured_and_dated"),
+        (StaysOff, "test_energise_switches_on_what_was_asked_for"),
+        (KeepsTheFirstOrder, "test_an_order_replaces_the_one_before"),
+        (ObeysAnything, "test_beyond_the_caps_it_stays_off"),
+        (CapsTheVoltageOnly, "test_beyond_the_caps_it_stays_off"),
+        (RefusesTooLate, "test_beyond_the_caps_it_stays_off"),
+        (RefusesWithoutTheValue, "test_beyond_the_caps_it_stays_off"),
+        (IsAnybody, "test_it_says_who_it_is"),
+        (ChangesItsName, "test_it_says_who_it_is"),
         (object, "test_is_a_power_supply"),
     ],
 )
 def test_a_broken_supply_fails(broken, test):
-    with pytest.raises(AssertionError):
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
         run(PowerSupplyContract, test, supply=broken())
+
+
+class SoundClimateProbe:
+    def __init__(self):
+        self.readings = 0
+
+    def read(self, timeout_s):
+        if not timeout_s > 0.0:
+            raise ConfigurationError(f"timeout_s is {timeout_s}")
+        self.readings += 1
+        stamp = Stamp(utc_ns=10 + self.readings, mono_ns=self.readings, boot_id="test")
+        return ClimateReading(stamp=stamp, temperature_c=22.3, relative_humidity=0.46)
+
+
+class TellsFahrenheit(SoundClimateProbe):
+    def read(self, timeout_s):
+        return replace(super().read(timeout_s), temperature_c=71.6)
+
+
+class TellsPercent(SoundClimateProbe):
+    def read(self, timeout_s):
+        return replace(super().read(timeout_s), relative_humidity=45.0)
+
+
+class RunsBackwards(SoundClimateProbe):
+    def read(self, timeout_s):
+        self.readings -= 2
+        return super().read(timeout_s)
+
+
+class BootsEveryTime(SoundClimateProbe):
+    def read(self, timeout_s):
+        reading = super().read(timeout_s)
+        return replace(reading, stamp=replace(reading.stamp, boot_id=str(self.readings)))
+
+
+class NeverEnds(SoundClimateProbe):
+    def read(self, timeout_s):
+        return super().read(1.0)
+
+
+@pytest.mark.parametrize("test", each_test(ClimateProbeContract))
+def test_a_sound_climate_probe_passes(test):
+    run(ClimateProbeContract, test, climate=SoundClimateProbe())
+
+
+@pytest.mark.parametrize(
+    ("broken", "test"),
+    [
+        (TellsFahrenheit, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (TellsPercent, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (RunsBackwards, "test_readings_are_dated_in_order"),
+        (BootsEveryTime, "test_readings_are_dated_in_order"),
+        (NeverEnds, "test_no_time_is_no_order"),
+        (object, "test_is_a_climate_probe"),
+    ],
+)
+def test_a_broken_climate_probe_fails(broken, test):
+    with pytest.raises((AssertionError, pytest.fail.Exception)):
+        run(ClimateProbeContract, test, climate=broken())

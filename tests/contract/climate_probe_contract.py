@@ -1,0 +1,45 @@
+"""What every climate probe must do: inherit `ClimateProbeContract` and give its fixtures."""
+
+from __future__ import annotations
+
+import pytest
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.instruments import ClimateProbe
+from hardware_drivers.measurement import ClimateReading
+
+TIMEOUT_S = 1.0
+
+
+class ClimateProbeContract:
+    """Tell air temperature and humidity, dated."""
+
+    AIR = (22.0, 0.45)
+    """Temperature in degrees Celsius and relative humidity at the probe."""
+    TOLERANCE = (1.0, 0.05)
+    """How far the probe may be off: of the order of a good sensor's error."""
+
+    @pytest.fixture
+    def climate(self) -> ClimateProbe:
+        """Return the instrument under test in air of temperature and humidity `AIR`."""
+        raise NotImplementedError
+
+    def test_is_a_climate_probe(self, climate):
+        assert isinstance(climate, ClimateProbe)
+
+    def test_a_reading_is_in_degrees_celsius_and_a_fraction(self, climate):
+        reading = climate.read(TIMEOUT_S)
+        assert isinstance(reading, ClimateReading)
+        assert abs(reading.temperature_c - self.AIR[0]) <= self.TOLERANCE[0]
+        assert abs(reading.relative_humidity - self.AIR[1]) <= self.TOLERANCE[1]
+
+    def test_readings_are_dated_in_order(self, climate):
+        stamps = [climate.read(TIMEOUT_S).stamp for _ in range(3)]
+        assert all(stamp.utc_ns > 0 for stamp in stamps)
+        assert len({stamp.boot_id for stamp in stamps}) == 1
+        times = [stamp.mono_ns for stamp in stamps]
+        assert times == sorted(times)
+
+    def test_no_time_is_no_order(self, climate):
+        with pytest.raises(ConfigurationError, match="timeout_s"):
+            climate.read(0.0)
