@@ -8,6 +8,7 @@ alarms; one transaction stores all of it, and its events are the news. No stage 
 from __future__ import annotations
 
 import logging
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
@@ -32,7 +33,7 @@ from daq_service.provenance import provenance
 from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
 from daq_service.settings import Settings
-from daq_service.taken_set import TakenSet, features_of, n_missed, n_restrikes
+from daq_service.taken_set import TakenSet, features_of, n_missed, n_restrikes, n_tried
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Shot
@@ -41,6 +42,10 @@ log = logging.getLogger(__name__)
 
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
+
+SELF_CALIBRATION_TAKES_NS = 180 * 1_000_000_000
+"""A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
+one comes at once, since nobody knows how long the boards have been warm."""
 
 Teller = Callable[..., None]
 
@@ -68,6 +73,7 @@ class Recorder:
         self._stop = stop
         self._tell = tell
         self._doing = "starting"
+        self._calibrated_ns: int | None = None
         self._archive = Archive(folder)
         self._live = LivePicture(folder, rig.kind)
         # Simulated time has one frame whatever machine it runs on.
@@ -93,7 +99,12 @@ class Recorder:
     def run(self, *, not_running_because: str) -> bool:
         """Take every set that is still due; False when told to stop."""
         done = self._catalogue.committed_sets()
-        started = {"rig": self._rig.kind, "sets_done": len(done), "before": not_running_because}
+        started = {
+            "rig": self._rig.kind,
+            "dry_run": self._rig.dry_run,
+            "sets_done": len(done),
+            "before": not_running_because,
+        }
         self._say("recorder_started", started)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
@@ -117,6 +128,7 @@ class Recorder:
     # One set -----------------------------------------------------------------------------------
 
     def _take_when_due(self, due: DueSet) -> None:
+        self._calibrate_before(due)
         self._doing = f"waiting for set {due.set_index}"
         if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
             return
@@ -142,13 +154,16 @@ class Recorder:
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
         taken = TakenSet(
             rule=RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes),
+            # As it stands now: an order during the set changes what is struck, not what was planned.
+            retired=self._retired(),
             started_ns=self._rig.clock.utc_ns(),
         )
-        retired = self._retired()
         set_plan = SetPlan(
             due=due,
             positions={
-                name: place.method for name, place in self._settings.positions.items() if name not in retired
+                name: place.method
+                for name, place in self._settings.positions.items()
+                if name not in taken.retired
             },
             shots_per_set=self._settings.schedule.shots_per_set,
             shot_interval_s=self._settings.schedule.shot_interval_s,
@@ -161,6 +176,7 @@ class Recorder:
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
             wants_restrike=taken.wants_restrike,
+            may_strike=lambda position: position not in self._retired(),
         )
         try:
             while True:
@@ -200,6 +216,7 @@ class Recorder:
             echoes=taken.echoes,
             missed=taken.missed_records(),
             outcomes=taken.superseded(),
+            trouble=taken.told_trouble(),
             provenance=self._provenance,
         )
         stored = self._archive.store_set(record)
@@ -207,10 +224,31 @@ class Recorder:
         for stage, seconds in asdict(stored.timings).items():
             self._cost.seconds[stage] += seconds
         self._next_sequence += len(taken.shots) + len(taken.echoes)
-        self._judge(due, record, stored.file, taken.features, taken.trouble)
+        self._judge(due, record, stored.file, taken.features)
+
+    def _calibrate_before(self, due: DueSet) -> None:
+        """Let the boards calibrate themselves between sets, as often as configured."""
+        boards, self_calibrating = self._settings.rig.daqmx, self._rig.self_calibrating
+        if boards is None or self_calibrating is None or not boards.self_calibration_interval_h:
+            return
+        now_ns = self._rig.clock.utc_ns()
+        age_h = math.inf if self._calibrated_ns is None else (now_ns - self._calibrated_ns) / NS_PER_H
+        has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
+        if age_h < boards.self_calibration_interval_h or not has_time:
+            return
+        self._doing = f"self-calibration before set {due.set_index}"
+        self._heartbeat.beat(self._doing)
+        try:
+            told = self_calibrating.self_calibrate()
+        except InstrumentError as error:
+            if not _may_pass(error):
+                raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
+            log.warning("self-calibration before set %d failed: %s", due.set_index, error)
+            told = {"failed": str(error)}
+        self._calibrated_ns = now_ns
+        self._say("self_calibrated", dict(told))
 
     def _position_records(self, taken: TakenSet) -> list[PositionRecord]:
-        retired = self._retired()
         return [
             PositionRecord(
                 position=name,
@@ -221,7 +259,7 @@ class Recorder:
                 serial_number=place.serial_number,
             )
             for name, place in self._settings.positions.items()
-            if name not in retired
+            if name not in taken.retired
         ]
 
     def _n_planned(self, position: str) -> int:
@@ -229,7 +267,7 @@ class Recorder:
         return 1 if place.method == "pulse_echo" else self._settings.schedule.shots_per_set
 
     def _shortfall(self, position: str, taken: TakenSet) -> str:
-        told_to = self._operator.held or "the recorder was told to stop"
+        told_to = self._retired().get(position) or self._operator.held or "the recorder was told to stop"
         return taken.shortfall(position, self._n_planned(position), told_to)
 
     def _retired(self) -> dict[str, str]:
@@ -243,14 +281,7 @@ class Recorder:
 
     # After the set is durable --------------------------------------------------------------------
 
-    def _judge(
-        self,
-        due: DueSet,
-        record: SetRecord,
-        file: str,
-        features: Mapping[int, ShotFeatures],
-        trouble: InstrumentError | None,
-    ) -> None:
+    def _judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
         """Assess every position; store rows, alarms and events in one transaction."""
         self._doing = f"judging set {due.set_index}"
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
@@ -285,7 +316,7 @@ class Recorder:
             transaction.add_position(row, measurements, assessment, moment, record.outcomes)
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(_rig_condition(trouble, due), moment, transaction)
+        self._carry_alarm(_rig_condition(record.trouble, due), moment, transaction)
         self._commit(transaction)
 
     def _assess(
@@ -299,7 +330,7 @@ class Recorder:
                 shots,
                 [features[shot.sequence] for shot in shots],
                 outcomes=[record.outcomes.get(shot.sequence, ACCEPTED) for shot in shots],
-                n_missed=n_missed(record, position),
+                n_tried=n_tried(record, position),
             )
             # A rehearsal records noise: what it says of wall and transducer is no alarm.
             return replace(found, conditions=()) if self._rig.dry_run else found
@@ -328,7 +359,7 @@ class Recorder:
             return False
         record = read_set(path)
         features = {shot.sequence: features_of(shot) for shot in record.shots}
-        self._judge(due, record, f"{path.parent.name}/{path.name}", features, None)
+        self._judge(due, record, f"{path.parent.name}/{path.name}", features)
         self._next_sequence = self._catalogue.next_sequence()
         log.warning("set %d: rows made again from %s", due.set_index, path)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -347,22 +378,22 @@ class Recorder:
         """Not one record: rows with the causes and the device's alarms, but no file."""
         moment = Moment(utc_ns=taken.ended_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
-        retired = self._retired()
+        retired = taken.retired
         for position in self._settings.positions:
-            tried = sum(item.key.position == position for item in taken.missed)
+            missed = [item.key for item in taken.missed if item.key.position == position]
+            restrikes = sum(key.attempt > 0 for key in missed)
             assessor = self._assessors[position]
             assessment = Assessment()
             if isinstance(assessor, SolitaryWaveAssessor) and position not in retired:
-                assessment = assessor.assess(due, [], [], n_missed=tried)
+                assessment = assessor.assess(due, [], [], n_tried=len(missed) - restrikes)
             cause = retired.get(position) or self._shortfall(position, taken)
             row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            restrikes = taken.restrikes[position]
             transaction.add_position(
-                {**row, "n_missed": tried, "n_restrikes": restrikes}, [], assessment, moment
+                {**row, "n_missed": len(missed), "n_restrikes": restrikes}, [], assessment, moment
             )
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(_rig_condition(taken.trouble, due), moment, transaction)
+        self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
         self._commit(transaction)
 
     def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
@@ -412,14 +443,15 @@ def _may_pass(trouble: InstrumentError) -> bool:
     return isinstance(trouble, BusyError | ConnectionLostError)
 
 
-def _rig_condition(trouble: InstrumentError | None, due: DueSet) -> Condition:
+def _rig_condition(trouble: str, due: DueSet) -> Condition:
     """Alarm while sets end early because the instruments do not answer or belong to somebody else."""
+    error, _, message = trouble.partition(": ")
     return Condition(
         position=None,
         kind="rig_unavailable",
         family="device",
         severity="high",
-        present=trouble is not None,
-        message=f"set {due.set_index} ended early: {trouble}; the next set tries again",
-        proof={"set_index": due.set_index, "error": type(trouble).__name__ if trouble else None},
+        present=bool(trouble),
+        message=f"set {due.set_index} ended early: {message}; the next set tries again",
+        proof={"set_index": due.set_index, "error": error},
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -11,13 +13,18 @@ from pathlib import Path
 
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.clock import SimulatedClock, WallClock, parse_utc
+from daq_service.errors import BusyError, RigError
 from daq_service.heartbeat import Heartbeat, read_heartbeat
 from daq_service.recorder import Recorder, Teller
 from daq_service.settings import Settings
+from hardware_drivers.errors import BusyError as InstrumentBusyError
+from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
 
-DEADLINE_MARGIN_S = 60.0
-"""Added to the longest bounded call: storing a set on a slow disk, reductions, compiling kernels."""
+log = logging.getLogger(__name__)
+
+WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+BEAT_EVERY_S = 0.2
 
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
@@ -58,9 +65,15 @@ def record(
         )
         epoch_ns = _experiment_epoch(catalogue, settings)
         clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
-        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + DEADLINE_MARGIN_S)
-        heartbeat.beat("opening the rig")
-        rig = stack.enter_context(open_rig(settings, clock, epoch_ns))
+        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + settings.rig.stall_timeout_s)
+        rig = _open_patiently(
+            lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
+            resuming=bool(catalogue.committed_sets()),
+            heartbeat=heartbeat,
+            stop=stop,
+        )
+        if rig is None:
+            return False
         recorder = Recorder(
             settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
         )
@@ -70,6 +83,42 @@ def record(
             if linger:
                 recorder.linger()
         return finished
+
+
+def _open_patiently(
+    open_once: Callable[[], Rig], *, resuming: bool, heartbeat: Heartbeat, stop: threading.Event
+) -> Rig | None:
+    """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
+
+    A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
+    weeks: the sets that fall due meanwhile get rows with that cause.
+
+    Returns
+    -------
+    Rig or None
+        None if ``stop`` came first.
+
+    Raises
+    ------
+    RigError, BusyError
+        What waiting cannot mend, or the rig of a test that has not begun.
+    """
+    for wait_s in itertools.chain(WAITS_FOR_RIG_S, itertools.repeat(WAITS_FOR_RIG_S[-1])):
+        heartbeat.beat("opening the rig")
+        try:
+            return open_once()
+        except InstrumentError as error:
+            may_pass = isinstance(error, InstrumentBusyError | ConnectionLostError)
+            if not (resuming and may_pass):
+                kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
+                raise kind(f"the rig cannot be opened: {error}") from error
+            log.warning("the rig cannot be opened, next try in %g s: %s", wait_s, error)
+            again_s = time.monotonic() + wait_s
+            while time.monotonic() < again_s:
+                heartbeat.beat(f"waiting for the rig: {error}")
+                if stop.wait(BEAT_EVERY_S):
+                    return None
+    raise AssertionError("the waits never end")
 
 
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:

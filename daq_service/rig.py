@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from importlib.metadata import version
+from pathlib import Path
 
+from daq_service.clock import boot_id
 from daq_service.errors import UsageError
 from daq_service.settings import Settings
-from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.instruments import Acquired, Clock, Digitizer, Echo, PulseEchoUnit, Rig, SelfCalibrating
+from hardware_drivers.measurement import ShotKey, Stamp
+
+CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
+"""Where the doubles of a demonstration are told which shot comes and what hour it is."""
+
+Announce = Callable[[ShotKey], None]
 
 
 @contextmanager
@@ -19,8 +29,26 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
     Raises
     ------
     UsageError
-        The specimen cannot be simulated as configured.
+        They cannot be had as configured: the specimen, the recording, a missing package.
+    InstrumentError
+        A real instrument is wrong, busy or not there.
     """
+    with ExitStack() as stack:
+        match settings.rig.kind:
+            case "simulated":
+                rig = stack.enter_context(_simulated(settings, clock, epoch_utc_ns))
+            case "daqmx":
+                rig = stack.enter_context(_daqmx(settings, clock))
+                if settings.rig.on_doubles:
+                    rig = stack.enter_context(_announced(rig, settings, epoch_utc_ns))
+            case "playback":
+                rig = stack.enter_context(_playback(settings, clock))
+        # Entered last, left first: coils and drive are off before any connection is closed.
+        yield stack.enter_context(_with_serial_instruments(rig, settings, stack))
+
+
+@contextmanager
+def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
     from simulator.coupled_model import ShotModel
     from simulator.errors import SimulatorError
     from simulator.instruments import build_bench
@@ -50,7 +78,7 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
             shots_per_set=settings.schedule.shots_per_set,
             executor=executor,
         )
-        rig = Rig(
+        yield Rig(
             kind="simulated",
             clock=clock,
             striker=bench.striker,
@@ -58,5 +86,140 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
             pulse_echo=bench.pulse_echo,
             identity={"twin": version("solimon"), "seed": str(settings.twin.seed)},
         )
-        with rig:
-            yield rig
+
+
+@contextmanager
+def _daqmx(settings: Settings, clock: Clock) -> Iterator[Rig]:
+    from hardware_drivers.daqmx import open_daqmx
+
+    assert settings.rig.daqmx is not None, "the settings ask for it"
+    with ExitStack() as stack:
+        boards = stack.enter_context(open_daqmx(settings.rig.daqmx))
+        identity = dict(boards.identity)
+        calibrating: list[SelfCalibrating] = [boards.self_calibrating]
+        pulse_echo = None
+        if settings.rig.niscope is not None:
+            from hardware_drivers.niscope.pulse_echo import open_niscope
+
+            pulse_echo = stack.enter_context(open_niscope(settings.rig.niscope))
+            identity |= pulse_echo.identity()
+            calibrating.append(pulse_echo)
+        yield Rig(
+            kind="daqmx",
+            clock=clock,
+            striker=boards.striker,
+            digitizer=boards.digitizer,
+            pulse_echo=pulse_echo,
+            self_calibrating=_Together(calibrating),
+            dry_run=settings.rig.daqmx.dry_run,
+            identity=identity,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Together:
+    """Several instruments calibrated one after the other."""
+
+    parts: list[SelfCalibrating]
+
+    def self_calibrate(self) -> Mapping[str, str]:
+        told: dict[str, str] = {}
+        for part in self.parts:
+            told |= part.self_calibrate()
+        return told
+
+
+@contextmanager
+def _playback(settings: Settings, clock: Clock) -> Iterator[Rig]:
+    from daq_service.playback_source import open_recording, playback_rig
+
+    assert settings.rig.playback is not None, "the settings ask for it"
+    with open_recording(settings.rig.playback, Path.cwd()) as source:
+        yield playback_rig(
+            source,
+            clock,
+            wanted={name: place.method for name, place in settings.positions.items()},
+            identity={"recording": str(settings.rig.playback.source)},
+            recorded_times=settings.clock.kind == "simulated",
+            shot_interval_s=settings.schedule.shot_interval_s,
+        )
+
+
+@contextmanager
+def _with_serial_instruments(rig: Rig, settings: Settings, stack: ExitStack) -> Iterator[Rig]:
+    """Add the electrochemical drive and the climate probe; leave everything safe."""
+    boot = boot_id()
+
+    def stamp() -> Stamp:
+        return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot)
+
+    if settings.rig.supply is not None:
+        from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+        supply = ScpiPowerSupply(settings.rig.supply, stamp=stamp)
+        stack.callback(supply.close)
+        rig = replace(rig, supply=supply)
+    if settings.rig.climate is not None:
+        from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+
+        probe = ScpiClimateProbe(settings.rig.climate, stamp=stamp)
+        stack.callback(probe.close)
+        rig = replace(rig, climate=probe)
+    with rig:
+        yield rig
+
+
+# Doubles: the vendor's libraries with the twin below them ------------------------------------------
+
+
+@contextmanager
+def _announced(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
+    """Tell the doubles before each shot which one comes and at what hour: they know no experiment."""
+    from simulator.doubles.control import DoublesControl
+
+    from simulator.corrosion import held_hour_h
+
+    address = os.environ.get(CONTROL_VARIABLE)
+    if not address:
+        raise UsageError(
+            f"rig.on_doubles is true, but {CONTROL_VARIABLE} does not say where the doubles are; start this "
+            "test by `solimon demo --rig ...`"
+        )
+    with DoublesControl(address) as control:
+
+        def announce(key: ShotKey) -> None:
+            elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
+            control.announce(key, held_hour_h(elapsed_ns, settings.twin.update_interval_s))
+
+        yield replace(
+            rig,
+            digitizer=_AnnouncedDigitizer(rig.digitizer, announce),
+            pulse_echo=None if rig.pulse_echo is None else _AnnouncedPulseEcho(rig.pulse_echo, announce),
+            identity={**rig.identity, "doubles": version("solimon"), "seed": str(settings.twin.seed)},
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _AnnouncedDigitizer:
+    digitizer: Digitizer
+    announce: Announce
+
+    def arm(self, key: ShotKey) -> None:
+        self.announce(key)
+        self.digitizer.arm(key)
+
+    def read(self, timeout_s: float) -> Acquired:
+        return self.digitizer.read(timeout_s)
+
+    def disarm(self) -> None:
+        self.digitizer.disarm()
+
+
+@dataclass(frozen=True, slots=True)
+class _AnnouncedPulseEcho:
+    pulse_echo: PulseEchoUnit
+    announce: Announce
+
+    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        self.announce(key)
+        return self.pulse_echo.acquire(key, timeout_s)

@@ -21,6 +21,10 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 
 from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.niscope.parameters import NiscopeParameters
+from hardware_drivers.playback.parameters import PlaybackParameters
+from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.scenario import TwinParameters
 
@@ -29,8 +33,21 @@ HASHED_OUT: Mapping[str, Any] = {
     "clock": {"pace_h_per_s"},
     "schedule": {"end_h"},
     "storage": True,
+    # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
+    "rig": {
+        "read_timeout_s": True,
+        "stall_timeout_s": True,
+        "daqmx": {"grpc_address", "grpc_client_name", "call_timeout_s"},
+        "niscope": {"call_timeout_s"},
+        "supply": {"line", "log_interval_s"},
+        "climate": {"line", "log_interval_s"},
+    },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
+
+
+NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
+"""Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
 
 
 class Section(BaseModel):
@@ -227,10 +244,42 @@ class WebSettings(Section):
 class RigSettings(Section):
     """Which instruments."""
 
-    kind: Literal["simulated"] = "simulated"
-    """`simulated`: the physics twin."""
+    kind: Literal["simulated", "daqmx", "playback"] = "simulated"
+    """`simulated`: the physics twin; `daqmx`: NI boards as in `[rig.daqmx]` (ultrasound: `[rig.niscope]`);
+    `playback`: a recording as in `[rig.playback]`."""
     read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
     """Longest wait for a record."""
+    stall_timeout_s: float = Field(default=120.0, ge=2.0, le=3600.0)
+    """Beyond `read_timeout_s` nothing may stand still for longer: a driver's call that hangs, a board's
+    self-calibration, storing a set on a slow disk. Then the supervisor restarts the recorder."""
+    on_doubles: bool = False
+    """The boards are doubles with the twin behind them (`solimon demo --rig`), not a real rig; only then may
+    a `daqmx` rig run on the simulated clock."""
+    daqmx: DaqmxParameters | None = None
+    """Digitizer boards and coils."""
+    niscope: NiscopeParameters | None = None
+    """Ultrasonic probes on NI-SCOPE boards (needs the extra `solimon[niscope]`)."""
+    supply: SupplyParameters | None = None
+    """Electrochemical drive; absent: none is logged or switched."""
+    climate: ClimateParameters | None = None
+    """Thermometer and hygrometer; absent: none."""
+    playback: PlaybackParameters | None = None
+    """Recording to play back."""
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_needs(self) -> Self:
+        if self.kind == "daqmx" and self.daqmx is None:
+            raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; see config/laboratory.toml")
+        if self.kind == "playback" and self.playback is None:
+            raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
+        if self.on_doubles and self.kind != "daqmx":
+            raise ValueError(f"on_doubles is true; it belongs to kind = 'daqmx', not to {self.kind!r}")
+        return self
+
+    @property
+    def simulates_time(self) -> bool:
+        """True where a simulated clock makes sense: no real rig is waited for."""
+        return self.kind in ("simulated", "playback") or self.on_doubles
 
 
 class Settings(BaseSettings):
@@ -307,9 +356,33 @@ class Settings(BaseSettings):
                 f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
                 f"schedule.shots_per_set = {self.schedule.shots_per_set}"
             )
-        if self.clock.kind == "simulated" and self.rig.kind != "simulated":
-            raise ValueError("clock.kind is 'simulated'; a real rig needs the wall clock")
+        if self.clock.kind == "simulated" and not self.rig.simulates_time:
+            raise ValueError(
+                "clock.kind is 'simulated'; a real rig needs the wall clock: clock.kind = 'wall'"
+            )
+        if self.rig.kind == "daqmx":
+            self._is_wired()
         return self
+
+    def _is_wired(self) -> None:
+        """Every position has its board, and no board a position that nobody monitors."""
+        assert self.rig.daqmx is not None, "RigSettings asks for it"
+        probes = {} if self.rig.niscope is None else self.rig.niscope.probes
+        for table, method, wired in (
+            ("rig.daqmx.transducers", "solitary_wave", set(self.rig.daqmx.transducers)),
+            ("rig.niscope.probes", "pulse_echo", set(probes)),
+        ):
+            wanted = {name for name, place in self.positions.items() if place.method == method}
+            if missing := sorted(wanted - wired):
+                raise ValueError(
+                    f"position {missing[0]} ({method}) is not wired; add [{table}.{missing[0]}], or take the "
+                    "position out of [positions]"
+                )
+            if unknown := sorted(wired - wanted):
+                raise ValueError(
+                    f"[{table}.{unknown[0]}] is wired, but [positions] has no {method} position "
+                    f"{unknown[0]!r}"
+                )
 
     def configuration_hash(self) -> str:
         """SHA-256 of what the data depend on: the identity of a data folder."""
@@ -371,17 +444,27 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
         raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
     values.pop("$schema", None)
     _refuse_unknown_variables()
+    _resolve_recording(values, path)
     try:
         return Settings(**_laid_over(values, overrides or {}))
     except ValidationError as error:
         raise UsageError(_explain(error, path)) from error
 
 
+def _resolve_recording(values: dict[str, Any], path: Path) -> None:
+    """Make the source of a playback absolute: relative ones count from the configuration file."""
+    rig = values.get("rig")
+    playback = rig.get("playback") if isinstance(rig, dict) else None
+    if isinstance(playback, dict) and isinstance(playback.get("source"), str):
+        source = str(path.absolute().parent / playback["source"])
+        values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
+
+
 def _refuse_unknown_variables() -> None:
     """Refuse a misspelt table in a variable's name; its keys are checked with those of the file."""
     tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
     for name in sorted(os.environ):
-        if name.startswith("SOLIMON_") and not name.startswith("SOLIMON_TEST_"):
+        if name.startswith("SOLIMON_") and not name.startswith(NOT_SETTINGS):
             table = name.upper().partition("__")[0]
             if table not in tables:
                 near = difflib.get_close_matches(table, tables, n=1, cutoff=0.6)
