@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -12,8 +13,14 @@ from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
+log = logging.getLogger(__name__)
+
 RELATIVE_AGREEMENT = 1e-6
 """Two rates or ranges closer than this are the same: far below a board's own accuracy (50 ppm)."""
+
+
+ABSENT = frozenset({-201003, -200324, -200220, -200045, -89130})
+"""What the driver says of a board that is listed but not there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,8 +60,20 @@ def same_serial(text: str) -> str:
 
 def installed(connection: Connection) -> dict[str, Any]:
     """All boards the driver knows, by serial number (0 for NI's simulated devices: use one at a time)."""
+    system = connection.system()
     with vendor_call("listing the boards"):
-        return {serial_text(device.serial_num): device for device in connection.system().devices}
+        devices = list(system.devices)
+    found = {}
+    for device in devices:
+        try:
+            with vendor_call(f"reading the serial number of {device.name}"):
+                found[serial_text(device.serial_num)] = device
+        except ConnectionLostError as error:
+            if getattr(error.__cause__, "error_code", 0) not in ABSENT:
+                raise
+            # NI MAX remembers boards that are gone; somebody else's must not stop us.
+            log.info("%s is listed but not there", device.name)
+    return found
 
 
 def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Board]:

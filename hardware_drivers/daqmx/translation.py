@@ -160,8 +160,9 @@ def class_of(status: int) -> type[InstrumentError]:
 
 def owner_in(text: str) -> str:
     """Owner of a resource as far as the driver's text names one, else empty."""
-    match = _OWNING_TASK.search(text) or _OWNER.search(text)
-    return match.group(1).strip(" .'\"") if match else ""
+    named = _OWNING_TASK.findall(text) or _OWNER.findall(text)
+    # The driver's own sentence ("reserved by another process") is the shorter one.
+    return max((owner.strip(" .'\"") for owner in named), key=len, default="")
 
 
 def translated(error: Exception, doing: str) -> InstrumentError:

@@ -146,6 +146,7 @@ def test_a_stop_is_no_vendor_error():
     [
         ("Required Resources in Use by\nTask Name: _unnamedTask<3>\n", "_unnamedTask<3>"),
         ("The resource is reserved.\nReserved by: LabVIEW on BENCH-7.", "LabVIEW on BENCH-7"),
+        ("Reserved by another process.\nai is reserved by task T of host BENCH-7.", "task T of host BENCH-7"),
         ("The specified resource is reserved.", ""),
     ],
 )
