@@ -137,7 +137,7 @@ def hole_states(
     return states
 
 
-def next_poor_sets(running: int, *, n_valid: int, n_tried: int, minimum_valid: int) -> int:
+def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
     """Count the sets running that gave too few valid shots, after one more set.
 
     Parameters
@@ -147,10 +147,13 @@ def next_poor_sets(running: int, *, n_valid: int, n_tried: int, minimum_valid: i
     n_valid
         Valid shots of the set.
     n_tried
-        Strikes tried; a set in which nothing was tried (a gap, a hold) neither counts nor interrupts.
+        Shots tried, repetitions not counted.
+    n_planned
+        Shots planned. A set that was cut short (a hold, a rig that is gone) says nothing of the
+        transducer unless it has valid shots enough: it neither counts nor interrupts.
     minimum_valid
         Fewer make a poor set.
     """
-    if n_tried == 0:
-        return running
-    return running + 1 if n_valid < minimum_valid else 0
+    if n_valid >= minimum_valid:
+        return 0
+    return running + 1 if n_tried >= n_planned else running

@@ -71,6 +71,7 @@ def take_set(
     boot_id: str,
     idle: Callable[[], bool],
     wants_restrike: Callable[[Shot | MissedShot], bool] = lambda _: False,
+    may_strike: Callable[[str], bool] = lambda _: True,
 ) -> Iterator[Measurement]:
     """Yield the measurements of a set; ends early once ``idle()`` is False.
 
@@ -78,6 +79,8 @@ def take_set(
     ----------
     wants_restrike
         Asked after each strike, when the caller has looked at it: strike once more?
+    may_strike
+        Asked before each strike: a position that an operator retires is not struck once more.
 
     Raises
     ------
@@ -97,8 +100,12 @@ def take_set(
     slot = itertools.count()
     for position, shot_index in strikes:
         for attempt in itertools.count():
+            if not may_strike(position):
+                break
             if not rig.clock.wait_until(start_ns + round(next(slot) * plan.shot_interval_s * NS_PER_S), idle):
                 return
+            if not may_strike(position):  # orders are heard while waiting
+                break
             key = ShotKey(
                 position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
             )

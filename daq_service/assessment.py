@@ -42,6 +42,9 @@ from daq_service.schedule import DueSet
 from daq_service.settings import Settings
 from hardware_drivers.measurement import Shot
 
+RETIRING = ("hole", "retired")
+"""Kinds of alarm at which a transducer strikes no more, until it is reinstated."""
+
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
 
 
@@ -135,9 +138,10 @@ class SolitaryWaveAssessor:
         Parameters
         ----------
         flags_by_set
-            Flags of the accepted shots of the position's last sets (as many as the hole rule looks at).
+            Flags of the accepted shots of the position's last sets (as many as the hole rule looks at,
+            none from before it was last reinstated).
         sets
-            Rows of the position's sets.
+            Rows of the position's sets since it was last reinstated.
         """
         memory = _Memory()
         for row in set_features:
@@ -151,8 +155,8 @@ class SolitaryWaveAssessor:
         for flags in flags_by_set:
             memory.hole = next_hole_state(memory.hole, flags, self._hole_rule)
         for row in sets:
-            # A retirement ends the count: who was put back begins anew.
-            memory.poor_sets = 0 if row["state"] == "retired" else self._poor_sets(memory, row)
+            n_tried = row["n_taken"] + row["n_missed"] - row["n_restrikes"]
+            memory.poor_sets = self._poor_sets(memory, row["n_valid"], n_tried)
         self._memory = memory
 
     def reinstate(self) -> None:
@@ -167,7 +171,7 @@ class SolitaryWaveAssessor:
         features: Sequence[ShotFeatures],
         *,
         outcomes: Sequence[str] | None = None,
-        n_missed: int = 0,
+        n_tried: int | None = None,
     ) -> Assessment:
         """Judge one set.
 
@@ -178,8 +182,8 @@ class SolitaryWaveAssessor:
         outcomes
             ``accepted`` or ``superseded`` for each of them (`analysis.quality_gate.outcomes`); None: all
             accepted. Only accepted shots are averaged and judged; all have rows.
-        n_missed
-            Strikes that left no record.
+        n_tried
+            Shots that were struck, with or without a record; None: those that have one.
         """
         rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
         outcomes = [ACCEPTED] * len(shots) if outcomes is None else outcomes
@@ -187,9 +191,8 @@ class SolitaryWaveAssessor:
         counting = [features[number] for number in accepted]
         mean = self._set_features([shots[number] for number in accepted], counting)
         memory = self._memory
-        memory.poor_sets = self._poor_sets(
-            memory, {"n_valid": mean.n_valid, "n_taken": len(shots), "n_missed": n_missed}
-        )
+        tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
+        memory.poor_sets = self._poor_sets(memory, mean.n_valid, tried)
         if not shots:
             return Assessment(conditions=self._device_conditions(due, mean), note=mean.reason)
         rows.append(_set_feature_row(self.position, due, mean))
@@ -365,12 +368,13 @@ class SolitaryWaveAssessor:
             "contributions": contributions,
         }
 
-    def _poor_sets(self, memory: _Memory, row: Mapping[str, Any]) -> int:
+    def _poor_sets(self, memory: _Memory, n_valid: int, n_tried: int) -> int:
         """Count the sets running with too few valid shots, after one with these numbers."""
         return next_poor_sets(
             memory.poor_sets,
-            n_valid=row["n_valid"],
-            n_tried=row["n_taken"] + row["n_missed"],
+            n_valid=n_valid,
+            n_tried=n_tried,
+            n_planned=self._settings.schedule.shots_per_set,
             minimum_valid=self._settings.baseline.minimum_valid_shots,
         )
 

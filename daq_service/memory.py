@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from analysis.quality_gate import ACCEPTED
 from daq_service.archive import read_waveform
-from daq_service.assessment import SolitaryWaveAssessor
+from daq_service.assessment import RETIRING, SolitaryWaveAssessor
 from daq_service.catalogue import Catalogue
 from daq_service.schedule import due_hours
 from daq_service.settings import Settings
 from daq_service.wall_thickness import PulseEchoAssessor
 
+Row = dict[str, Any]
 Assessor = SolitaryWaveAssessor | PulseEchoAssessor
 
 
@@ -30,21 +32,44 @@ def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -
             assessor = SolitaryWaveAssessor(
                 position, settings, last_baseline_set=last_baseline_set, baseline_id=number
             )
+            sets = _sets_since_reinstated(position, catalogue)
             assessor.restore(
                 set_features=catalogue.list_features(position, scope="set"),
                 verdicts=catalogue.list_verdicts(position),
                 baseline=catalogue.baseline(position),
-                flags_by_set=_last_flags(position, settings, catalogue),
-                sets=sorted(catalogue.list_sets(position, limit=None), key=lambda row: int(row["set_index"])),
+                flags_by_set=_last_flags(position, settings, catalogue, sets),
+                sets=sets,
             )
             assessors[position] = assessor
     return assessors
 
 
-def _last_flags(position: str, settings: Settings, catalogue: Catalogue) -> list[list[list[str]]]:
+def _sets_since_reinstated(position: str, catalogue: Catalogue) -> list[Row]:
+    """List a position's sets, in order; those that retired it are behind it once it is reinstated."""
+    rows = sorted(catalogue.list_sets(position, limit=None), key=lambda row: int(row["set_index"]))
+    resets = [
+        event["id"]
+        for event in catalogue.events_after(0, {"alarms"}, limit=None)
+        if event["kind"] == "alarm_reset"
+        and event["position"] == position
+        and event["payload"]["kind"] in RETIRING
+    ]
+    if not resets:
+        return rows
+    # By the order of commits: a set may be taken long after it was due.
+    since = {
+        event["set_index"]
+        for event in catalogue.events_after(resets[-1], {"sets"}, limit=None)
+        if event["position"] == position
+    }
+    return [row for row in rows if row["set_index"] in since]
+
+
+def _last_flags(
+    position: str, settings: Settings, catalogue: Catalogue, sets: Sequence[Row]
+) -> list[list[list[str]]]:
     """List the flags of each accepted shot of the sets that the hole rule still looks at."""
-    rows = [row for row in catalogue.list_sets(position, limit=None) if row["n_taken"]]
-    recent = sorted(row["set_index"] for row in rows)[-settings.alarms.hole_sets :]
+    recent = [row["set_index"] for row in sets if row["n_taken"]][-settings.alarms.hole_sets :]
     return [
         [shot["flags"] for shot in catalogue.list_shots(position, index) if shot["outcome"] == ACCEPTED]
         for index in recent

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from daq_service.alarms import Condition, Moment, acknowledge, reset, update
+from daq_service.assessment import RETIRING
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import SimulatedClock
 from daq_service.rows import Transaction
@@ -23,9 +24,6 @@ ORDERS = ("finish_now", "stop", "acknowledge_alarm", "hold", "release", "retire"
 
 AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, Mapping[str, Any]]
-
-RETIRING = ("hole", "retired")
-"""Kinds of alarm at which a transducer strikes no more, until it is reinstated."""
 
 
 def retired_positions(alarms: Alarms) -> dict[str, str]:
@@ -71,7 +69,8 @@ class Operator:
         self._reinstated = reinstated
         self._positions = positions
         self._listened_ns: int | None = None
-        self._held = _hold_before(catalogue)
+        # Whatever ended the last recorder: a restart never ends a hold.
+        self._held = catalogue.held() or ""
 
     @property
     def held(self) -> str:
@@ -199,13 +198,3 @@ class Operator:
 
 def _note(command: Mapping[str, Any]) -> str:
     return str(command["arguments"].get("note", ""))
-
-
-def _hold_before(catalogue: RecorderCatalogue) -> str:
-    """Whether the test was on hold when the last recorder ended: a restart never ends a hold."""
-    told = [
-        row
-        for row in catalogue.events_after(0, {"service"}, limit=None)
-        if row["kind"] in ("hold", "release")
-    ]
-    return str(told[-1]["payload"]["held"]) if told else ""

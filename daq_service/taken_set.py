@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from analysis.features import ShotFeatures, extract_features
@@ -25,6 +26,8 @@ class TakenSet:
 
     Attributes
     ----------
+    retired
+        Positions that were left out from the beginning, and why.
     features
         Features of each shot by its sequence.
     trouble
@@ -32,6 +35,7 @@ class TakenSet:
     """
 
     rule: RestrikeRule
+    retired: Mapping[str, str] = field(default_factory=dict)
     shots: list[Shot] = field(default_factory=list)
     echoes: list[PulseEchoRecord] = field(default_factory=list)
     missed: list[MissedShot] = field(default_factory=list)
@@ -77,18 +81,26 @@ class TakenSet:
         Parameters
         ----------
         told_to
-            Why the set was ended, if nothing else explains it.
+            Why the set was ended where the instruments had no trouble.
         """
         if self.n_records(position) >= n_planned:
             return ""
-        missed = [item.cause for item in self.missed if _at(item, position)]
-        if self.trouble is not None:
-            return str(self.trouble)
-        return f"{len(missed)} missed: {missed[0]}" if missed else told_to
+        ended_by = told_to if self.trouble is None else str(self.trouble)
+        missed = [item for item in self.missed if _at(item, position)]
+        attempts: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *missed]
+        tried = {item.key.shot_index for item in attempts if _at(item, position)}
+        causes = [ended_by] if len(tried) < n_planned else []
+        if missed and missed[0].cause not in causes:
+            causes.append(f"{len(missed)} missed: {missed[0].cause}")
+        return "; ".join(causes)
 
     def missed_records(self) -> list[MissedRecord]:
         """List what was tried and left no record, in the archive's form."""
         return [MissedRecord(key=item.key, cause=item.cause, reason=item.reason) for item in self.missed]
+
+    def told_trouble(self) -> str:
+        """Name the instrument's error in the archive's form, ``class: message``; empty: there was none."""
+        return "" if self.trouble is None else f"{type(self.trouble).__name__}: {self.trouble}"
 
     def superseded(self) -> dict[int, str]:
         """Sequence to outcome of the shots that do not count."""
@@ -130,6 +142,12 @@ def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int
 def n_missed(record: SetRecord, position: str) -> int:
     """Strikes or echoes of a position that left no record."""
     return sum(_at(item, position) for item in record.missed)
+
+
+def n_tried(record: SetRecord, position: str) -> int:
+    """Shots of a position that were struck, with or without a record; repetitions are not counted."""
+    tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
+    return sum(_at(item, position) and item.key.attempt == 0 for item in tried)
 
 
 def n_restrikes(record: SetRecord, position: str) -> int:

@@ -162,6 +162,8 @@ def _add_facts(entry: Any, record: SetRecord) -> None:
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=hash_)
     add_field(entry, "set_index", np.int64(record.set_index))
     add_field(entry, "due_h", np.float64(record.due_h), units="h")
+    if record.trouble:
+        add_field(entry, "trouble", record.trouble, long_name="instrument error that ended the set early")
     for name in ("due_utc_ns", "started_utc_ns", "ended_utc_ns"):
         add_field(entry, name, np.int64(getattr(record, name)), units="ns", start="1970-01-01T00:00:00Z")
 

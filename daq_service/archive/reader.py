@@ -83,6 +83,7 @@ def read_set(path: Path, *, skip_damaged: bool = False) -> SetRecord:
             echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
             missed=_read_missed(entry),
             outcomes=_superseded(_read_table(entry), records),
+            trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
             environment=_read_environment(entry),
             provenance=json.loads(_text(entry["provenance/data"][0])),
         )

@@ -67,6 +67,8 @@ class SetRecord:
     outcomes
         Sequence of a record to ``accepted`` or ``superseded`` (a repetition of the same shot counts
         instead); a record that is not named is accepted.
+    trouble
+        The instrument's error that ended the set early, ``class: message``; empty: there was none.
     environment
         JSON-ready: what supply and climate probe said around the set; empty where there are none.
     provenance
@@ -90,6 +92,7 @@ class SetRecord:
     echoes: Sequence[PulseEchoRecord] = ()
     missed: Sequence[MissedRecord] = ()
     outcomes: Mapping[int, str] = field(default_factory=dict)
+    trouble: str = ""
     environment: Mapping[str, float | str | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
 

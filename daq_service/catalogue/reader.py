@@ -385,6 +385,16 @@ class Catalogue:
             statement = statement.where(events.c.topic.in_(sorted(topics)))
         return self._rows(statement)
 
+    def last_told(self, *kinds: str) -> Row | None:
+        """Newest event of the service itself of one of these kinds, None where there is none."""
+        statement = select(events).where(events.c.topic == "service", events.c.kind.in_(kinds))
+        return self._row(statement.order_by(events.c.id.desc()))
+
+    def held(self) -> str | None:
+        """Who holds the test and why, None while nobody does."""
+        told = self.last_told("hold", "release")
+        return None if told is None else told["payload"]["held"] or None
+
     def last_event_id(self) -> int:
         """Id of the newest event, 0 before the first."""
         with self._reading() as connection:
