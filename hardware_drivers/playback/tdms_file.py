@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,10 @@ from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.playback.tdms_channel import Channel
 
 _BRING_BACK = "bring the file back from a copy, or take it away: its shots are missed strikes then"
+
+_LEAD_IN_BYTES = 28
+_BIG_ENDIAN = 1 << 6
+_UNFINISHED = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def require_nptdms() -> None:
@@ -34,7 +39,6 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
     ConfigurationError
         The file is damaged, or a wanted channel is cut short.
     """
-    n_bytes = _size(path)
     with _translated(path), _opened(path) as file:
         statuses = file.file_status.channel_statuses or {}
         found = []
@@ -44,6 +48,8 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
                     _refuse_cut_short(path, channel, statuses)
                     if len(channel):
                         found.append(_described(path, file, group, channel))
+        n_bytes = path.stat().st_size
+        _refuse_loose_end(path, n_bytes)
     for described in found:
         # A damaged length could ask for more memory than there is.
         if described.n_samples * described.dtype.itemsize > n_bytes:
@@ -56,6 +62,7 @@ class ValuesReader:
 
     def __init__(self) -> None:
         self._open: tuple[Path, Any] | None = None
+        self._closing = ExitStack()
 
     def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[Any]:
         """Values of a channel as they lie in the file; fewer than wanted if it was changed meanwhile.
@@ -68,26 +75,23 @@ class ValuesReader:
         with _translated(path):
             if self._open is None or self._open[0] != path:
                 self.close()
-                self._open = (path, _opened(path))
+                self._open = (path, self._closing.enter_context(_opened(path)))
             return _raw_values(self._open[1][group][name], first, n_samples)
 
     def close(self) -> None:
         """Close the file; a later `read` opens it again."""
-        if self._open is not None:
-            self._open[1].close()
-            self._open = None
+        self._open = None
+        self._closing.close()
 
 
-def _opened(path: Path) -> Any:
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Open a file by ourselves: npTDMS would leave a damaged one open, and trust an index file beside it."""
     import nptdms
 
-    # Raw time stamps have 2^-64 s, npTDMS's own conversion a microsecond.
-    return nptdms.TdmsFile.open(path, raw_timestamps=True)
-
-
-def _size(path: Path) -> int:
-    with _translated(path):
-        return path.stat().st_size
+    with path.open("rb") as file:
+        # Raw time stamps have 2^-64 s, npTDMS's own conversion a microsecond.
+        yield nptdms.TdmsFile.open(file, raw_timestamps=True)
 
 
 def _described(path: Path, file: Any, group: Any, channel: Any) -> Channel:
@@ -126,6 +130,28 @@ def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> 
         )
 
 
+def _refuse_loose_end(path: Path, n_bytes: int) -> None:
+    """NpTDMS takes a last segment whose metadata are cut for the end of the file: shots would vanish.
+
+    A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and
+    length of its metadata (NI: "TDMS file format internal structure").
+    """
+    position = 0
+    with path.open("rb") as file:
+        while position < n_bytes:
+            file.seek(position)
+            lead_in = file.read(_LEAD_IN_BYTES)
+            if len(lead_in) < _LEAD_IN_BYTES or not lead_in.startswith(b"TDSm"):
+                break
+            (flags,) = struct.unpack_from("<L", lead_in, 4)
+            (rest,) = struct.unpack_from(">Q" if flags & _BIG_ENDIAN else "<Q", lead_in, 12)
+            if rest == _UNFINISHED:
+                return  # a writer that crashed: the status of its channels told already
+            position += _LEAD_IN_BYTES + rest
+    if position != n_bytes:
+        raise ConfigurationError(f"{path} is cut short, or has other bytes at its end; {_BRING_BACK}")
+
+
 @contextmanager
 def _translated(path: Path) -> Iterator[None]:
     """Turn whatever npTDMS raises on a damaged file into our error."""
@@ -140,6 +166,5 @@ def _translated(path: Path) -> Iterator[None]:
     except Exception as error:
         # npTDMS raises what its parser meets: struct.error, KeyError, ValueError, EOFError and others.
         raise ConfigurationError(
-            f"{path} is no whole TDMS file ({type(error).__name__}: {error}); bring it back from a copy, and "
-            f"delete {path.name}_index if it is older than the file"
+            f"{path} is no whole TDMS file ({type(error).__name__}: {error}); {_BRING_BACK}"
         ) from error
