@@ -126,6 +126,15 @@ def test_an_order_does_not_wait_for_the_next_attempt(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
+def test_an_order_to_switch_on_does_not_wait_either(rig):
+    rig.instruments.supply_link.unplug()
+    with pytest.raises(ConnectionLostError):
+        rig.supply.read(TIMEOUT_S)
+    rig.instruments.supply_link.plug()
+    rig.supply.energise(10.0, 1.0)
+    assert rig.switched() == ORDERED
+
+
 def test_a_supply_that_cannot_be_reached_cannot_be_made_safe(energised):
     rig = energised
     rig.instruments.supply_link.unplug()
@@ -255,6 +264,10 @@ def test_another_instrument_is_refused_and_sent_nothing_but_the_question(rig):
     with pytest.raises(ConnectionLostError, match="could not be switched off"):
         rig.supply.make_safe()
     assert set(rig.heard()) == {"*IDN?"}
+    # Nor is its port kept from the program it belongs to.
+    its_own = supply_on(str(rig.instruments.supply_link.path), rig, identity="OTHER,THING")
+    assert its_own.identity()["maker"] == "OTHER"
+    its_own.close()
 
 
 def test_an_instrument_that_was_exchanged_while_unplugged_is_refused(energised):
@@ -297,6 +310,12 @@ def test_beyond_the_caps_nothing_is_sent(rig):
     with pytest.raises(ConfigurationError, match="current_cap_a = 2"):
         rig.supply.energise(10.0, 2.1)
     assert rig.heard() == []
+
+
+def test_while_an_order_is_set_the_output_is_off(rig):
+    rig.supply.energise(10.0, 1.0)
+    rig.supply.energise(5.0, 0.5)
+    assert rig.switched() == [(True, "command"), (False, "command"), (True, "command")]
 
 
 def test_a_supply_that_does_not_keep_what_was_set_stays_off(rig):
@@ -471,8 +490,8 @@ def test_an_unplugged_probe_is_lost_and_found(rig):
 # Ports ---------------------------------------------------------------------------------------------
 
 
-def supply_on(port, rig, **line):
-    parameters = SupplyParameters(line=SerialLineParameters(port=port, **line), identity="SOLIMON")
+def supply_on(port, rig, identity="SOLIMON", **line):
+    parameters = SupplyParameters(line=SerialLineParameters(port=port, **line), identity=identity)
     return ScpiPowerSupply(parameters, stamp=rig.clock.stamp)
 
 
