@@ -53,6 +53,13 @@ def cli() -> None:
 )
 @click.option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
+@click.option(
+    "--rig",
+    type=click.Choice(["simulated", "daqmx-library", "daqmx-grpc"]),
+    default="simulated",
+    show_default=True,
+    help="The twin itself, or NI's own nidaqmx package on doubles of the boards, in real time a strike.",
+)
 @DATA_DIR
 @JSON
 def demo(**options: Any) -> None:

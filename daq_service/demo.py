@@ -14,11 +14,12 @@ from typing import Any
 
 import click
 
+from daq_service.demo_rig import DemoRig, running_rig
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.folder import prepare_data_folder
 from daq_service.run import STOPPED, check_owner, child_plans, log_to, stop_on_signals
 from daq_service.schedule import due_hours
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
 from daq_service.summary import print_summary, summarise_run
 from daq_service.supervisor import Message, Supervisor
 
@@ -40,20 +41,36 @@ def run_demo(
     exit_when_done: bool,
     no_web: bool,
     data_dir: Path | None,
+    rig: str,
     as_json: bool,
 ) -> int:
     """Carry out the command; the exit code."""
     started_s = _process_start_s()
     pace = pace if pace is not None or exit_when_done or no_web else WATCHABLE_PACE_H_PER_S
-    settings = load_settings(None, overrides=_overrides(hours, seed, pace))
-    folder = (data_dir or _new_folder()).absolute()
+    with running_rig(rig, _overrides(hours, seed, pace)) as running:
+        return _run_on(
+            running,
+            (data_dir or _new_folder()).absolute(),
+            port=port,
+            web=not no_web,
+            stay=not exit_when_done and not no_web,
+            as_json=as_json,
+            started_s=started_s,
+        )
+
+
+def _run_on(
+    running: DemoRig, folder: Path, *, port: int, web: bool, stay: bool, as_json: bool, started_s: float
+) -> int:
+    settings = running.settings
     prepare_data_folder(folder)
     check_owner(settings, folder)
     config = _write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
-    stay = not exit_when_done and not no_web
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
+    for note in running.notes:
+        say.line(note)
     invitation = _Invitation(say.line)
 
     def on_message(child: str, message: Message) -> None:
@@ -71,7 +88,7 @@ def run_demo(
 
     with stop_on_signals() as stop:
         supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=not no_web, linger=stay),
+            child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
             folder,
             on_message=on_message,
             give_up=True,

@@ -8,10 +8,10 @@ import logging.handlers
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
+from types import FrameType, MappingProxyType
 from typing import Any
 
 import click
@@ -118,9 +118,21 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
 
 def child_plans(
-    config: Path | None, folder: Path, *, port: int | None, web: bool, linger: bool
+    config: Path | None,
+    folder: Path,
+    *,
+    port: int | None,
+    web: bool,
+    linger: bool,
+    environment: Mapping[str, str] = MappingProxyType({}),
 ) -> list[ChildPlan]:
-    """Command lines of the children; a lingering recorder takes orders after its last set."""
+    """Command lines of the children; a lingering recorder takes orders after its last set.
+
+    Parameters
+    ----------
+    environment
+        Added to the recorder's: where the vendor's libraries are found.
+    """
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
     plans = [
         ChildPlan(
@@ -133,6 +145,7 @@ def child_plans(
                 *(["--linger"] if linger else []),
             ],
             watched=True,
+            environment=environment,
         )
     ]
     if web:

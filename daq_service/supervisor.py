@@ -50,11 +50,14 @@ class ChildPlan:
         Command line after ``solimon``; ``{cause}`` in it becomes why the child is started again.
     watched
         True: its heartbeat is watched.
+    environment
+        Variables added to this process's own.
     """
 
     name: str
     arguments: Sequence[str]
     watched: bool = False
+    environment: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -166,6 +169,7 @@ class Supervisor:
             [*self._program, *arguments, *child.extra],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
+            env={**os.environ, **child.plan.environment},
         )
         child.started_s = time.monotonic()
         child.cause = ""
