@@ -56,7 +56,7 @@ CLASS_OF_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
 )
 """Class of each code of NI-SCOPE; every other negative code is a `ConfigurationError`."""
 
-CLASS_OF_WRAPPED_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
+CLASS_OF_KERNEL_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
     {
         **dict.fromkeys((-200284, -200560), AcquisitionTimeoutError),
         **dict.fromkeys((-50103, -200022, -89137), BusyError),
@@ -66,7 +66,7 @@ CLASS_OF_WRAPPED_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
         **dict.fromkeys((-200088, -200279, -200361, -200010, -200019), ConnectionLostError),
     }
 )
-"""Class of a code of the kernel below NI-SCOPE that the text names."""
+"""Class of a code of the kernel below NI-SCOPE, wrapped in the text or handed through."""
 
 _WRAPPED = re.compile(r"Status Code:\s*(-?\d+)")
 
@@ -92,11 +92,9 @@ class DriverWarnings:
 
 def class_of(code: int, description: str) -> type[InstrumentError]:
     """Class of a driver's error."""
-    known = CLASS_OF_CODE.get(code)
-    if known is not None:
-        return known
-    wrapped = (CLASS_OF_WRAPPED_CODE.get(int(text)) for text in _WRAPPED.findall(description))
-    return next((found for found in wrapped if found is not None), ConfigurationError)
+    codes = (code, *map(int, _WRAPPED.findall(description)))
+    known = (CLASS_OF_CODE.get(number) or CLASS_OF_KERNEL_CODE.get(number) for number in codes)
+    return next((kind for kind in known if kind is not None), ConfigurationError)
 
 
 def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentError:

@@ -15,7 +15,7 @@ from hardware_drivers.errors import (
 from hardware_drivers.niscope.session import vendor_package
 from hardware_drivers.niscope.vendor_errors import (
     CLASS_OF_CODE,
-    CLASS_OF_WRAPPED_CODE,
+    CLASS_OF_KERNEL_CODE,
     BoardAbsentError,
     class_of,
     vendor_calls,
@@ -42,9 +42,10 @@ def test_class_of_a_code(code, kind):
     assert class_of(code, "") is kind
 
 
-@pytest.mark.parametrize(("code", "kind"), CLASS_OF_WRAPPED_CODE.items())
+@pytest.mark.parametrize(("code", "kind"), CLASS_OF_KERNEL_CODE.items())
 def test_class_of_a_code_of_the_kernel_below(code, kind):
     assert class_of(-1074100000, f"Something happened.\n\nStatus Code: {code}") is kind
+    assert class_of(code, "") is kind
 
 
 def test_a_wrapped_code_that_nobody_knows_is_a_matter_of_configuration():
