@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import itertools
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
+from analysis.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, read_waveform
 from daq_service.web.answers import JsonAnswer, rfc3339, with_utc
 from daq_service.web.context import Context, ContextOf, SocketContextOf
@@ -81,12 +83,10 @@ def get_waveform(
         ),
     ] = None,
 ) -> Response:
-    """Read one stored record; pulse-echo records have shot index 0."""
+    """Read one stored record, of a repeated shot the accepted one; pulse-echo records have shot index 0."""
     context.known(position)
     catalogue = context.catalogue()
-    # Of several attempts the last, as the archive has it.
-    rows = [row for row in catalogue.list_shots(position, set_index) if row["shot_index"] == shot_index]
-    row = max(rows, key=lambda row: int(row["attempt"]), default=None)
+    row = _accepted(catalogue.list_shots(position, set_index), shot_index)
     its_set = _set_with_file(context, position, set_index)
     if row is None or its_set is None:
         raise not_found(
@@ -122,7 +122,7 @@ def get_waveform(
             buffer.getvalue(), media_type=NPY, headers={"Content-Disposition": disposition + '.npy"'}
         )
     fresh = context.freshness()
-    quality = _quality(context, position, set_index, shot_index)
+    quality = _quality(context, position, set_index, row["sequence"])
     shot = with_utc(row, fresh.epoch_utc_ns)
     place = with_utc({"due_h": its_set["due_h"]}, fresh.epoch_utc_ns)
     return JsonAnswer(
@@ -175,13 +175,19 @@ def _set_with_file(context: Context, position: str, set_index: int) -> dict[str,
     return next((row for row in rows if row["set_index"] == set_index and row["file"]), None)
 
 
-def _quality(context: Context, position: str, set_index: int, shot_index: int) -> str | None:
+def _accepted(shots: Sequence[dict[str, Any]], shot_index: int) -> dict[str, Any] | None:
+    """Row of the attempt that counts."""
+    found = (row for row in shots if row["shot_index"] == shot_index and row["outcome"] == ACCEPTED)
+    return next(found, None)
+
+
+def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
     catalogue = context.catalogue()
     if context.settings.positions[position].method == "pulse_echo":
         rows = catalogue.list_thickness(position=position, set_index=set_index)
     else:
         found = catalogue.list_features(position=position, scope="shot", set_index=set_index)
-        rows = [row for row in found if row["shot_index"] == shot_index]
+        rows = [row for row in found if row["sequence"] == sequence]
     return rows[0]["quality"] if rows else None
 
 
