@@ -1,0 +1,53 @@
+"""``python -m simulator.doubles``: one double as a process of its own.
+
+It prints one JSON line when it is ready and ends when its standard input closes, so it never outlives
+whoever started it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import os
+import sys
+import threading
+from collections.abc import Sequence
+from pathlib import Path
+
+from simulator.doubles.brain import Brain
+from simulator.doubles.control import ControlServer
+from simulator.doubles.description import default_description, read_description
+from simulator.doubles.server import WireServer
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run until standard input closes."""
+    parser = argparse.ArgumentParser(prog="python -m simulator.doubles", description=__doc__)
+    parser.add_argument("--description", type=Path, help="JSON file; absent: the four default boards")
+    parser.add_argument("--ready-file", type=Path, help="write the ready line here too")
+    parser.add_argument("--no-warm-up", action="store_true", help="be ready before the physics is")
+    chosen = parser.parse_args(arguments)
+    logging.basicConfig(level=logging.WARNING, stream=sys.stderr)
+
+    description = read_description(chosen.description) if chosen.description else default_description()
+    brain = Brain(description)
+    if not chosen.no_warm_up:
+        brain.bench.strikes.warm_up()
+    with WireServer(brain) as wire, ControlServer(brain) as control:
+        for server in (wire, control):
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+        ready = json.dumps({"event": "ready", "wire": wire.address, "control": control.address})
+        if chosen.ready_file is not None:
+            written = chosen.ready_file.with_suffix(".writing")
+            written.write_text(ready + "\n", encoding="utf-8")
+            written.replace(chosen.ready_file)
+        print(ready, flush=True)
+        sys.stdin.buffer.read()
+        # Calls may hang on order; their threads must not keep the process.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,385 @@
+"""The brain behind every front: takes calls, keeps the record, obeys faults.
+
+A front (the C library's wire, a gRPC server) opens a client, hands in calls by C name with arguments
+by name, and gets values by name or a `Status`.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles import (
+    analog_input,
+    attribute_access,
+    counter_output,
+    device_calls,
+    routing,
+    tasks,
+    watchdog,
+)
+from simulator.doubles.attributes import ATTRIBUTES
+from simulator.doubles.description import Description
+from simulator.doubles.devices import Devices
+from simulator.doubles.entry_points import ENTRY_POINTS, EntryPoint
+from simulator.doubles.faults import Faults, lie
+from simulator.doubles.lines import LineRecord
+from simulator.doubles.reservations import Reservations
+from simulator.doubles.statuses import TEXTS, Status
+from simulator.doubles.strikes import Strikes
+from simulator.doubles.tasks import Answer, Arguments, Bench, Clock, WallClock
+
+ClientKind = Literal["library", "grpc"]
+Handler = Callable[[Bench, str, Arguments], Answer]
+
+CALLS_KEPT = 200_000
+"""The record of calls is a ring."""
+
+EXIT_ON_DEATH = 70
+"""Exit code of a process that was told to die."""
+
+
+def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    return {}
+
+
+def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    code = arguments["error_code"]
+    return {"error_string": TEXTS.get(code, f"Status {code} is not one of the double's own.")}
+
+
+def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
+
+
+def _load_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    raise Status(-200077, f"No task {arguments['session_name']!r} is saved in NI MAX.")
+
+
+def _clear_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    task = bench.tasks.get(arguments["task"])
+    if task is not None and task.client == client and task.lost:
+        # Clearing is how a lost task is got rid of: it never fails for the loss.
+        del bench.tasks[task.handle]
+        return {}
+    tasks.clear(bench, tasks.find(bench, client, arguments["task"]))
+    return {}
+
+
+def _control_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    tasks.control(bench, tasks.find(bench, client, arguments["task"]), arguments["action"])
+    return {}
+
+
+def _start_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    tasks.start(bench, tasks.find(bench, client, arguments["task"]))
+    return {}
+
+
+def _stop_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    tasks.stop(bench, tasks.find(bench, client, arguments["task"]))
+    return {}
+
+
+def _is_task_done(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    task = tasks.find(bench, client, arguments["task"])
+    return {"is_task_done": int(tasks.is_done(bench, task))}
+
+
+def _wait_until_done(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    task = tasks.find(bench, client, arguments["task"])
+    timeout_s = arguments["time_to_wait"]
+    late = Status(-200560, f"Time to wait: {timeout_s} s", task=task.name)
+    tasks.wait(bench, task, timeout_s, late)
+    return {}
+
+
+def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    return {"value": bench.last_channel.get(client, "")}
+
+
+HANDLERS: Mapping[str, Handler] = MappingProxyType(
+    {
+        "DAQmxSetRuntimeEnvironment": _set_runtime_environment,
+        "DAQmxGetErrorString": _error_string,
+        "DAQmxCreateTask": _create_task,
+        "DAQmxLoadTask": _load_task,
+        "DAQmxClearTask": _clear_task,
+        "DAQmxTaskControl": _control_task,
+        "DAQmxStartTask": _start_task,
+        "DAQmxStopTask": _stop_task,
+        "DAQmxIsTaskDone": _is_task_done,
+        "DAQmxWaitUntilTaskDone": _wait_until_done,
+        "DAQmxInternalGetLastCreatedChan": _last_created_channel,
+        **analog_input.HANDLERS,
+        **counter_output.HANDLERS,
+        **routing.HANDLERS,
+        **device_calls.HANDLERS,
+        **watchdog.HANDLERS,
+        **attribute_access.HANDLERS,
+    }
+)
+"""By C name; a further library adds its own here."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Call:
+    """One call as it is remembered.
+
+    Attributes
+    ----------
+    attribute
+        Name of the attribute a variadic call was about.
+    status
+        0, a warning or an error.
+    begin_ns, end_ns
+        Monotonic time.
+    """
+
+    client: str
+    function: str
+    attribute: str
+    status: int
+    begin_ns: int
+    end_ns: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LeakedTask:
+    """A task that its client left behind when it died."""
+
+    client: str
+    task: str
+    state: str
+    reservations: tuple[str, ...]
+    ns: int
+
+
+class Brain:
+    """One double.
+
+    Parameters
+    ----------
+    clock
+        Wall time, or a test's own.
+    die
+        Ends the process for a fault of kind ``death``.
+    """
+
+    def __init__(
+        self,
+        description: Description,
+        *,
+        clock: Clock | None = None,
+        die: Callable[[], None] = lambda: os._exit(EXIT_ON_DEATH),
+    ) -> None:
+        self.faults = Faults()
+        self.bench = Bench(
+            description=description,
+            clock=clock or WallClock(),
+            devices=Devices(description.boards),
+            strikes=Strikes(description),
+            lines=LineRecord(),
+            reservations=Reservations(),
+            changed=threading.Condition(),
+            kinds={
+                "ai": analog_input.AnalogInput(),
+                "co": counter_output.CounterOutput(),
+                "watchdog": watchdog.Watchdog(),
+            },
+        )
+        self._die = die
+        self._calls: deque[Call] = deque(maxlen=CALLS_KEPT)
+        self._leaked: list[LeakedTask] = []
+        self._clients: dict[str, ClientKind] = {}
+        self._client_count = 0
+
+    # Clients
+
+    def open_client(self, kind: ClientKind, label: str) -> str:
+        """Name a new client; tasks belong to it."""
+        with self.bench.changed:
+            self._client_count += 1
+            client = f"{kind}:{label}:{self._client_count}"
+            self._clients[client] = kind
+            return client
+
+    def close_client(self, client: str) -> None:
+        """Take leave of a client: a library's tasks end with its process, a gRPC server's stay."""
+        with self.bench.changed:
+            kind = self._clients.pop(client, None)
+            if kind is None:
+                return
+            held = self.bench.reservations.held
+            for task in [task for task in self.bench.tasks.values() if task.client == client]:
+                mine = tuple(name for name, holder in held.items() if holder == task.holder)
+                self._leaked.append(
+                    LeakedTask(
+                        client=client,
+                        task=task.name,
+                        state=task.state.name.lower(),
+                        reservations=mine,
+                        ns=time.monotonic_ns(),
+                    )
+                )
+                if kind == "library":
+                    tasks.clear(self.bench, task)
+            self.bench.changed.notify_all()
+
+    def is_open(self, client: str) -> bool:
+        """Tell whether a client is still there."""
+        with self.bench.changed:
+            return client in self._clients
+
+    # Calls
+
+    def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Carry out one call and remember it.
+
+        Raises
+        ------
+        Status
+            An error, or a warning that brings its values along.
+        """
+        entry = ENTRY_POINTS[function]
+        attribute = ATTRIBUTES.get(arguments.get("attribute", 0))
+        name = attribute.name if attribute is not None else ""
+        begin_ns = time.monotonic_ns()
+        code = 0
+        try:
+            return self._obeying_faults(client, entry, name, arguments)
+        except Status as status:
+            code = status.code
+            raise
+        finally:
+            end_ns = time.monotonic_ns()
+            self._calls.append(
+                Call(
+                    client=client,
+                    function=function,
+                    attribute=name,
+                    status=code,
+                    begin_ns=begin_ns,
+                    end_ns=end_ns,
+                )
+            )
+
+    def _obeying_faults(
+        self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
+    ) -> dict[str, Any]:
+        fault = self.faults.due(entry.name, attribute)
+        if fault is not None and fault.kind == "death":
+            self._die()
+        if fault is not None and fault.kind == "hang":
+            self.faults.hang(fault.seconds)
+            if not self.is_open(client):
+                raise Status(-50405, "The caller went away while its call hung.")
+        if fault is not None and fault.kind == "error":
+            raise Status(fault.code, "Ordered by a test.")
+        if fault is not None and fault.kind == "lie":
+            return lie(entry, arguments, lambda: self._answer(client, entry, arguments))
+        return self._answer(client, entry, arguments)
+
+    def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
+        with self.bench.changed:
+            return HANDLERS[entry.name](self.bench, client, arguments)
+
+    # Control
+
+    def announce(self, key: ShotKey, hour_h: float) -> None:
+        """Say which shot the next strike at the key's position is."""
+        with self.bench.changed:
+            self.bench.strikes.announce(key, hour_h)
+
+    def unplug(self, serial_number: int) -> None:
+        """Take a board out."""
+        with self.bench.changed:
+            device_calls.unplug(self.bench, serial_number)
+
+    def plug(self, serial_number: int, name: str = "") -> None:
+        """Put a board back, under another name if one is given."""
+        with self.bench.changed:
+            self.bench.devices.plug(serial_number, name)
+
+    def occupy(self, resource: str, owner: str) -> None:
+        """Let someone else hold ``<board name or serial number>/<part>``."""
+        board, _, part = resource.partition("/")
+        with self.bench.changed:
+            serial_number = int(board) if board.isdecimal() else self.bench.devices.find(board).serial_number
+            self.bench.reservations.occupy(f"{serial_number}/{part}", owner)
+
+    def vacate(self, owner: str) -> None:
+        """Someone else gives back everything."""
+        with self.bench.changed:
+            for holder in set(self.bench.reservations.held.values()):
+                if holder.client == "another process" and holder.task == owner:
+                    self.bench.reservations.release(holder)
+
+    def record(self) -> dict[str, Any]:
+        """Everything the double noticed, as JSON takes it."""
+        with self.bench.changed:
+            now_ns = self.bench.settle()
+            wired = {
+                self._line(wiring.counter_serial, wiring.counter): position
+                for position, wiring in self.bench.description.transducers.items()
+            }
+            return {
+                "now_ns": now_ns,
+                "calls": [asdict(call) for call in self._calls],
+                "lines": [
+                    asdict(event) | {"position": wired.get(event.line)} for event in self.bench.lines.events
+                ],
+                "levels": {line: self.bench.lines.level(line) for line in wired},
+                "tasks": [
+                    {
+                        "client": task.client,
+                        "task": task.name,
+                        "kind": task.kind,
+                        "state": task.state.name.lower(),
+                        "lost": task.lost,
+                    }
+                    for task in self.bench.tasks.values()
+                ],
+                "reservations": {
+                    name: asdict(holder) for name, holder in self.bench.reservations.held.items()
+                },
+                "leaked": [asdict(leak) for leak in self._leaked],
+                "strikes": [
+                    asdict(strike.key)
+                    | {
+                        "hour_h": strike.hour_h,
+                        "lifted_ns": strike.lifted_ns,
+                        "released_ns": strike.released_ns,
+                        "contact_ns": strike.contact_ns,
+                    }
+                    for strike in self.bench.strikes.planned
+                ],
+                "boards": [
+                    {
+                        "serial_number": device.serial_number,
+                        "name": device.name,
+                        "plugged": device.plugged,
+                        "power_up_states": device.power_up_states,
+                    }
+                    for device in self.bench.devices
+                ],
+            }
+
+    def _line(self, serial_number: int, counter: int) -> str:
+        kind = self.bench.devices.by_serial(serial_number).kind
+        return f"{serial_number}/{kind.counter_terminals[counter]}"
+
+    def clear_record(self) -> None:
+        """Forget calls, line events and leaks; levels and tasks stay what they are."""
+        with self.bench.changed:
+            self.bench.settle()
+            self._calls.clear()
+            self._leaked.clear()
+            self.bench.lines.clear_events()

@@ -1,0 +1,178 @@
+"""Faults on order: any call can fail, hang, lie, or end the process."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from simulator.doubles.attributes import ATTRIBUTES
+from simulator.doubles.entry_points import ENTRY_POINTS, FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
+from simulator.doubles.wire import outputs
+
+FaultKind = Literal["error", "hang", "lie", "death"]
+KINDS: tuple[FaultKind, ...] = ("error", "hang", "lie", "death")
+
+
+@dataclass(slots=True, eq=False)
+class Fault:
+    """One order.
+
+    Attributes
+    ----------
+    function
+        C name, or ``<C name>:<attribute>`` such as ``DAQmxGetTimingAttribute:SampClk.Rate``.
+    code
+        Status of an ``error``.
+    skip
+        Matching calls that still go through unharmed.
+    times
+        Calls it strikes from then on; 0: every one.
+    seconds
+        How long a ``hang`` lasts; None: until released.
+    """
+
+    function: str
+    kind: FaultKind
+    code: int
+    skip: int
+    times: int
+    seconds: float | None
+
+
+class Faults:
+    """Orders not yet carried out."""
+
+    def __init__(self) -> None:
+        self._orders: list[Fault] = []
+        self._lock = threading.Lock()
+        self._released = threading.Condition(self._lock)
+        self._release_count = 0
+        self._hanging = 0
+
+    @property
+    def hanging(self) -> int:
+        """Calls that hang now."""
+        with self._lock:
+            return self._hanging
+
+    def inject(
+        self,
+        function: str,
+        kind: str,
+        *,
+        code: int | None = None,
+        nth: int = 1,
+        times: int = 1,
+        seconds: float | None = None,
+    ) -> None:
+        """Order a fault for the nth call of a function from now on.
+
+        Raises
+        ------
+        ValueError
+            No such function or kind, or an ``error`` without its code.
+        """
+        name, _, attribute = function.partition(":")
+        if name not in ENTRY_POINTS or ENTRY_POINTS[name].local:
+            raise ValueError(f"function is {function!r}; it must be one of the table's entry points")
+        if attribute and attribute not in {known.name for known in ATTRIBUTES.values()}:
+            raise ValueError(f"attribute is {attribute!r}; it must be one of the table's attributes")
+        found = next((known for known in KINDS if known == kind), None)
+        if found is None:
+            raise ValueError(f"kind is {kind!r}; it must be one of {', '.join(KINDS)}")
+        if found == "error" and not code:
+            raise ValueError("an error needs its code, for example code=-88710")
+        if nth < 1 or times < 0:
+            raise ValueError(f"nth is {nth} and times {times}; they must be at least 1 and 0")
+        with self._lock:
+            self._orders.append(Fault(function, found, code or 0, nth - 1, times, seconds))
+
+    def clear(self) -> None:
+        """Forget every order; hanging calls go on hanging until released."""
+        with self._lock:
+            self._orders.clear()
+
+    def due(self, function: str, attribute: str) -> Fault | None:
+        """Fault that strikes this call, counting it."""
+        with self._lock:
+            struck: Fault | None = None
+            for order in tuple(self._orders):
+                if order.function not in (function, f"{function}:{attribute}"):
+                    continue
+                if order.skip > 0:
+                    order.skip -= 1
+                elif struck is None:
+                    struck = order
+                    if order.times == 1:
+                        self._orders.remove(order)
+                    elif order.times > 1:
+                        order.times -= 1
+            return struck
+
+    def hang(self, seconds: float | None) -> None:
+        """Keep this call until released or for so long."""
+        with self._released:
+            count = self._release_count
+            self._hanging += 1
+            self._released.notify_all()
+            self._released.wait_for(lambda: self._release_count != count, timeout=seconds)
+            self._hanging -= 1
+            self._released.notify_all()
+
+    def release(self) -> None:
+        """Let every hanging call go on."""
+        with self._released:
+            self._release_count += 1
+            self._released.notify_all()
+
+    def wait_until_hanging(self, timeout_s: float) -> bool:
+        """Wait until at least one call hangs; False at the deadline."""
+        with self._released:
+            return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
+
+
+def lie(
+    entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
+) -> dict[str, Any]:
+    """Plausible wrong answer: success without doing it, or what came out bent a little.
+
+    A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
+    empty, a handle belongs to no task.
+    """
+    told = outputs(entry, arguments.get("attribute", 0))
+    if not told:
+        return {}
+    values = dict(answer())
+    counts = ("samps_per_chan_read", "samps_read")
+    for parameter in told:
+        if parameter.name not in values:
+            continue
+        if parameter.name in counts:
+            values[parameter.name] //= 2
+        elif parameter.role is Role.OUT_ARRAY and any(name in values for name in counts):
+            values[parameter.name] = values[parameter.name][: len(values[parameter.name]) // 2]
+        else:
+            values[parameter.name] = _bent(parameter, values[parameter.name])
+    return values
+
+
+def _bent(parameter: Parameter, value: Any) -> Any:
+    if parameter.role is Role.OUT_TEXT:
+        return ""
+    if parameter.role is Role.OUT_ARRAY:
+        return np.asarray(value) * 2
+    return _bent_number(parameter.scalar, value)
+
+
+def _bent_number(scalar: Scalar, value: Any) -> Any:
+    if scalar is FLOAT64:
+        return value * 1.01
+    if scalar is HANDLE:
+        return value + 0x1000
+    if value in (0, 1):
+        return 1 - value
+    return value + 1
