@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +37,11 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     click.echo(f"sets       {facts['sets']}, the last one due at hour {facts['last_due_h']:g}")
     click.echo(f"strikes    {facts['strikes']} ({settings.schedule.shots_per_set} a set and transducer)")
     click.echo(f"echoes     {facts['pulse_echo_records']}")
+    if facts["record_samples"] is not None:
+        click.echo(
+            f"record     {facts['record_samples']} samples at {facts['sample_rate_hz'] / 1e6:g} MS/s: "
+            f"{facts['record_s'] * 1e3:.4g} ms"
+        )
     click.echo(
         f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk"
     )
@@ -53,7 +59,8 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
     planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
     echoes = len(planned) * len(settings.names_of("pulse_echo"))
-    raw_bytes = 2 * (strikes * settings.twin.adc.record_samples + echoes * settings.twin.echo.record_samples)
+    strike, echo = _records(settings)
+    raw_bytes = strikes * strike.n_bytes + echoes * echo.n_bytes
     existing = next(place for place in (folder, *folder.parents) if place.exists())
     return {
         "name": settings.name,
@@ -61,6 +68,9 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "sets": len(planned),
         "strikes": strikes,
         "pulse_echo_records": echoes,
+        "record_samples": strike.samples if strike.known else None,
+        "sample_rate_hz": strike.sample_rate_hz if strike.known else None,
+        "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
         "raw_bytes": raw_bytes,
         "stored_bytes": round(PACKED_FRACTION * raw_bytes),
         "free_bytes": shutil.disk_usage(existing).free,
@@ -68,6 +78,46 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "last_due_h": planned[-1].due_h if planned else None,
         "end_utc": format_utc(planned[-1].due_utc_ns) if planned else None,
     }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record:
+    """Size of one record.
+
+    Attributes
+    ----------
+    known
+        False for a recording that is played back: its records are assumed to be like the twin's.
+    """
+
+    samples: int
+    sample_rate_hz: float
+    bytes_per_sample: int = 2
+    known: bool = True
+
+    @property
+    def n_bytes(self) -> int:
+        return self.samples * self.bytes_per_sample
+
+
+def _records(settings: Settings) -> tuple[_Record, _Record]:
+    """Record of a strike and of an echo, as the configured instruments will make them."""
+    adc, sampled_echo = settings.twin.adc, settings.twin.echo
+    known = settings.rig.kind != "playback"
+    strike = _Record(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
+    echo = _Record(
+        samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known
+    )
+    boards, probes = settings.rig.daqmx, settings.rig.niscope
+    if settings.rig.kind == "daqmx" and boards is not None:
+        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
+        strike = _Record(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
+    if settings.rig.kind == "daqmx" and probes is not None:
+        # The sum of the averaged records.
+        echo = _Record(
+            samples=probes.record_samples, sample_rate_hz=probes.sample_rate_hz, bytes_per_sample=4
+        )
+    return strike, echo
 
 
 def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:

@@ -35,6 +35,7 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
     names = zipfile.ZipFile(wheel).namelist()
     for wanted in (
         "daq_service/config/simulated.toml",
+        "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
         "daq_service/web/dashboard/index.html",
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
