@@ -18,6 +18,7 @@ from pathlib import Path
 from simulator.doubles.brain import Brain
 from simulator.doubles.control import ControlServer
 from simulator.doubles.description import default_description, read_description
+from simulator.doubles.grpc_front import GrpcFront, why_unavailable
 from simulator.doubles.server import WireServer
 
 
@@ -37,7 +38,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with WireServer(brain) as wire, ControlServer(brain) as control:
         for server in (wire, control):
             threading.Thread(target=server.serve_forever, daemon=True).start()
-        ready = json.dumps({"event": "ready", "wire": wire.address, "control": control.address})
+        # Kept: a gRPC server ends with its last reference.
+        front = _grpc_front(brain)
+        ready = json.dumps(
+            {
+                "event": "ready",
+                "wire": wire.address,
+                "control": control.address,
+                "grpc": "" if front is None else front.address,
+            }
+        )
         if chosen.ready_file is not None:
             written = chosen.ready_file.with_suffix(".writing")
             written.write_text(ready + "\n", encoding="utf-8")
@@ -47,6 +57,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Calls may hang on order; their threads must not keep the process.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _grpc_front(brain: Brain) -> GrpcFront | None:
+    """Serve gRPC too; None where grpc is not installed."""
+    reason = why_unavailable()
+    if reason:
+        logging.getLogger(__name__).warning("no gRPC front: %s", reason)
+        return None
+    client = brain.open_client("grpc", "server")
+    return GrpcFront(lambda function, arguments: brain.call(client, function, arguments))
 
 
 if __name__ == "__main__":
