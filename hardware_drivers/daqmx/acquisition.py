@@ -79,9 +79,9 @@ class Acquisition:
         with vendor_call(f"stopping the acquisition of {self.position!r}"):
             self.task.stop()
 
-    def close(self) -> None:
-        """Give the board free; errors are logged, since whatever led here is the news."""
-        discard(self.task, f"closing the acquisition of {self.position!r}")
+    def close(self) -> bool:
+        """Give the board free; True if the driver did as asked (errors are logged)."""
+        return discard(self.task, f"closing the acquisition of {self.position!r}")
 
     def _require_edge(self, waveform: Waveform) -> None:
         """Refuse a record that does not pass its own trigger level where the trigger is said to be."""
@@ -191,10 +191,11 @@ def _committed(
         )
     calibration = _calibration(channel, wiring, board)
     size = int(channel.ai_raw_samp_size)
-    right = channel.ai_raw_samp_justification == DataJustification.RIGHT
-    if size not in _DTYPES or calibration.resolution_bits > size or not right:
+    bits = calibration.resolution_bits
+    right = bits == size or channel.ai_raw_samp_justification == DataJustification.RIGHT
+    if size not in _DTYPES or bits > size or not right:
         raise ConfigurationError(
-            f"{board.label} gives {calibration.resolution_bits}-bit codes in {size} bits"
+            f"{board.label} gives {bits}-bit codes in {size} bits"
             f"{'' if right else ', not right-justified'}; this driver reads right-justified codes in 16 or "
             "32 bits; use another board"
         )

@@ -103,10 +103,13 @@ def describe(serial: str, device: Any) -> Board:
         if device.self_cal_supported:
             date = device.self_cal_last_date_and_time.isoformat(timespec="minutes")
             temperature_c = float(device.self_cal_last_temp)
+        name, product = str(device.name), str(device.product_type)
+        if not (name and product):
+            raise ConnectionLostError(f"board {serial} gives its name as {name!r} and product as {product!r}")
         return Board(
             serial=serial,
-            name=str(device.name),
-            product=str(device.product_type),
+            name=name,
+            product=product,
             device=device,
             calibration_date=date,
             calibration_temperature_c=temperature_c,

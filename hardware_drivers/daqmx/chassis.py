@@ -16,7 +16,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -109,11 +109,15 @@ class Chassis:
         turn, self._turn = self._turn, None
         if turn is None:
             return
+        well = False
         try:
-            if not turn.coil.close():
-                self._maybe_on = (turn.position, turn.coil.on_until)
+            well = turn.coil.close()
         finally:
-            turn.acquisition.close()
+            well = turn.acquisition.close() and well
+        if turn.coil.on_until > time.monotonic():
+            self._maybe_on = (turn.position, turn.coil.on_until)
+        if not well:
+            self._cleared_by_name(ROLES)
 
     def _commit(self, position: str) -> Turn:
         wiring = self.parameters.transducers[position]
@@ -150,19 +154,19 @@ class Chassis:
         self.end_turn()
         position, until = self._maybe_on
         left_s = until - time.monotonic()
-        if left_s <= 0.0 or self._cleared_by_name():
+        if left_s <= 0.0 or self._cleared_by_name(ROLES):
             return
         raise ConnectionLostError(
             f"the coil of {position!r} may be on for another {left_s:.2g} s: its board does not answer; the "
             f"board's counter ends the pulse after pulse_s = {self.parameters.pulse_s} s whatever happens"
         )
 
-    def _cleared_by_name(self) -> bool:
-        """On a server the coil's task may be alive although the object that stood for it is not."""
+    def _cleared_by_name(self, roles: Sequence[str]) -> bool:
+        """On a server a task may be alive although the object that stood for it is not."""
         try:
-            cleared = self._connection is not None and self._connection.clear_leftovers(("striker",))
+            cleared = self._connection is not None and self._connection.clear_leftovers(roles)
         except InstrumentError:
-            log.warning("the coil's task could not be cleared", exc_info=True)
+            log.warning("tasks on the server could not be cleared by name", exc_info=True)
             return False
         if cleared:
             self._maybe_on = ("", 0.0)

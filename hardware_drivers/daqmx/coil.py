@@ -16,7 +16,12 @@ from hardware_drivers.daqmx.boards import Board, same_serial
 from hardware_drivers.daqmx.connection import Connection, discard
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import vendor_call
-from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
 
 log = logging.getLogger(__name__)
 
@@ -74,22 +79,26 @@ class Coil:
             )
 
     def close(self) -> bool:
-        """Stop the pulse, clear the task; True if the coil is known to be off.
+        """Stop the pulse, then clear the tasks; True if the driver did as asked (errors are logged).
 
-        Errors are logged: whatever led here is the news, and a pulse ends by itself.
+        Afterwards `on_until` tells whether the coil may still be on: it is 0 once any step stopped it.
         """
-        safe = time.monotonic() >= self.on_until
         doing = f"switching off the coil of {self.position!r}"
-        for step in (self.task.stop, self.task.close):
-            try:
-                with vendor_call(doing):
-                    step()
-                safe = True
-            except Exception:  # the next step may still succeed
-                log.warning("%s failed", doing, exc_info=True)
+        well = True
+        try:
+            with vendor_call(doing):
+                self.task.stop()
+            self.on_until = 0.0
+        except InstrumentError:
+            log.warning("%s: its counter could not be stopped", doing, exc_info=True)
+            well = False
+        if discard(self.task, doing):
+            self.on_until = 0.0
+        else:
+            well = False
         if self.watchdog is not None:
-            discard(self.watchdog, doing)
-        return safe
+            well = discard(self.watchdog, doing) and well
+        return well
 
 
 def commit_coil(connection: Connection, parameters: DaqmxParameters, position: str, board: Board) -> Coil:
@@ -136,11 +145,17 @@ def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Boa
         initial_delay=parameters.initial_delay_s,
         high_time=parameters.pulse_s,
     )
-    channel.co_pulse_term = f"/{board.name}/{wiring.output_terminal}"
+    terminal = f"/{board.name}/{wiring.output_terminal}"
+    channel.co_pulse_term = terminal
+    given = str(channel.co_pulse_term)
     high_s = float(channel.co_pulse_high_time)
     # Before the commit: that is what connects the output.
     if channel.co_pulse_idle_state != Level.LOW:
         raise ConfigurationError(f"{board.label} would hold the coil of {position!r} on between strikes")
+    if given.strip("/").casefold() != terminal.strip("/").casefold():
+        raise ConnectionLostError(
+            f"{board.label} would pulse {given or 'no terminal'} instead of {terminal}, the coil of {position!r}"
+        )
     if not 0.0 < high_s <= CAP_S or abs(high_s - parameters.pulse_s) > PULSE_AGREEMENT * parameters.pulse_s:
         raise ConfigurationError(
             f"pulse_s is {parameters.pulse_s} s; {board.label} would pulse for {high_s} s (at most {CAP_S} s "

@@ -15,11 +15,16 @@ from typing import Any, TypeVar
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import vendor_call
-from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
+
+NAMES = 4
+"""Names a role goes through on a server: one that cannot be cleared does not stand in the way."""
+
+NAME_TAKEN = -200089
 
 
 def client_name(parameters: DaqmxParameters) -> str:
@@ -45,6 +50,7 @@ class Connection:
         self._parameters = parameters
         self._channel: Any = None
         self._client = client_name(parameters)
+        self._created = 0
         if parameters.transport == "grpc":
             self._channel = _open_channel(parameters)
 
@@ -65,20 +71,25 @@ class Connection:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
         from nidaqmx import Task
 
-        name = self.name(role)
+        name = self._next_name(role)
         return self._create(Task, f"creating the task {name}", name, attach=False)
 
     def watchdog(self, device: str, role: str, timeout_s: float) -> Any:
         """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
         from nidaqmx.system.watchdog import WatchdogTask
 
-        name = self.name(role)
+        name = self._next_name(role)
         doing = f"creating the watchdog of {device}"
         return self._create(WatchdogTask, doing, name, attach=False, device=device, timeout=timeout_s)
 
-    def name(self, role: str) -> str:
-        """Name of a task: who owns it and what it is for."""
-        return f"solimon-{self._client}-{role}"
+    def _next_name(self, role: str) -> str:
+        """Name of a new task: who owns it and what it is for; on a server one of the few found again."""
+        self._created += 1
+        number = self._created if self._channel is None else self._created % NAMES
+        return self._name(role, number)
+
+    def _name(self, role: str, number: int) -> str:
+        return f"solimon-{self._client}-{role}-{number}"
 
     def clear_leftovers(self, roles: Sequence[str]) -> bool:
         """Clear tasks that an earlier, killed process of this client left on a gRPC server.
@@ -96,12 +107,17 @@ class Connection:
             return False
         from nidaqmx import Task
 
-        for role in roles:
-            name = self.name(role)
+        for name in (self._name(role, number) for role in roles for number in range(NAMES)):
             doing = f"clearing what an earlier run may have left as {name}"
-            task = self._create(Task, doing, name, attach=True)
-            with vendor_call(doing):
-                task.close()
+            try:
+                task = self._create(Task, doing, name, attach=True)
+                with vendor_call(doing):
+                    task.close()
+            except ConnectionLostError as error:
+                if getattr(error.__cause__, "error_code", 0) != NAME_TAKEN:
+                    raise
+                # The server has forgotten the session but not its task: we leave that name alone.
+                log.warning("%s: it cannot be reached any more", doing)
         return True
 
     def _create(
@@ -138,15 +154,26 @@ class Connection:
         )
 
 
-def discard(task: Any, doing: str) -> None:
-    """Clear a task whatever state it is in; a failure is logged: the error that led here is the news."""
+def discard(task: Any, doing: str) -> bool:
+    """Give everything back and clear a task, whatever state it is in; True if all of it went well.
+
+    Each step is tried even if the one before failed, so one refusal leaves at most an empty task, which
+    holds nothing. A failure is logged: the error that led here is the news.
+    """
+    from nidaqmx.constants import TaskMode
+
+    calls = (lambda: task.control(TaskMode.TASK_ABORT), task.close)
+    well = True
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
-        try:
-            task.close()
-        except Exception:  # a half-built object fails after its task is cleared
-            log.debug("discarding a task after a failure in %s", doing, exc_info=True)
+        for call in calls:
+            try:
+                call()
+            except Exception:  # a half-built object fails after its task is cleared
+                log.debug("discarding a task after %s", doing, exc_info=True)
+                well = False
+    return well
 
 
 def package_versions() -> dict[str, str]:

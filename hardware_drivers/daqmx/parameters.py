@@ -215,10 +215,10 @@ class DaqmxParameters:
     def longest_call_s(self) -> float:
         """Longest time one call of an instrument may take over gRPC, clean-up included.
 
-        Self-calibration is slowest: ten times `call_timeout_s`; then the coil is stopped and cleared and
-        the acquisition cleared, each within `call_timeout_s`.
+        Self-calibration is slowest: ten times `call_timeout_s`; the nine calls that stop and clear what is
+        left take one each.
         """
-        return 13.0 * self.call_timeout_s + self.longest_strike_s
+        return 20.0 * self.call_timeout_s + self.longest_strike_s
 
     @property
     def initial_delay_s(self) -> float:

@@ -14,16 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hardware_drivers.daqmx.acquisition import commit_acquisition
+from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
 from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, same_serial
 from hardware_drivers.daqmx.chassis import ROLES
 from hardware_drivers.daqmx.client_lock import ClientLock
-from hardware_drivers.daqmx.coil import commit_coil
+from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name
 from hardware_drivers.daqmx.instruments import opened
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import vendor_call
-from hardware_drivers.errors import InstrumentError
+from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
 
@@ -243,14 +243,14 @@ class _Look:
         self._checked(
             subject,
             "trigger",
-            lambda: commit_acquisition(connection, parameters, position, board, triggered=True).close(),
+            lambda: _given_back(commit_acquisition(connection, parameters, position, board, triggered=True)),
         )
         self._look_at_terminal(subject, position, coil_board)
         # Committed, the output is connected and low; the counter is not started.
         self._checked(
             subject,
             "coil's counter",
-            lambda: _require_off(commit_coil(connection, parameters, position, coil_board).close()),
+            lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
         )
         self._checked(subject, "input read", lambda: self._measure_noise(connection, position, board))
         noise_v = self._noise_rms_v.get(position)
@@ -321,6 +321,9 @@ class _Look:
         )
 
 
-def _require_off(known_off: bool) -> str:
-    assert known_off, "a counter that was never started is off"
-    return "connected and low, not started"
+def _given_back(committed: Acquisition | Coil) -> str:
+    if not committed.close():
+        raise ConnectionLostError(
+            "committed, but the driver did not take it back; end other programs that use the board, or reset it"
+        )
+    return "committed as asked, not started"

@@ -1,0 +1,89 @@
+"""Digitizer and striker on NI-DAQmx keep the contracts, by library and by gRPC, on doubles of NI's driver."""
+
+from __future__ import annotations
+
+import pytest
+from daqmx_rig import meet, parameters_of, quick_description, why_no
+from digitizer_contract import DigitizerContract
+from striker_contract import StrikerContract
+
+from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.instruments import SelfCalibrating
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles.process import running_doubles
+
+DESCRIPTION = quick_description()
+
+
+@pytest.fixture(scope="module")
+def doubles():
+    with running_doubles(DESCRIPTION) as running:
+        yield running
+
+
+@pytest.fixture(params=["library", "grpc"])
+def transport(request, doubles, monkeypatch):
+    if reason := why_no(request.param):
+        pytest.skip(reason)
+    if request.param == "library":
+        meet(doubles, monkeypatch)
+    return request.param
+
+
+@pytest.fixture
+def rig(doubles, transport):
+    doubles.control.clear_record()
+    with open_daqmx(parameters_of(DESCRIPTION, doubles, transport=transport)) as instruments:
+        yield instruments
+    record = doubles.control.record()
+    assert record["tasks"] == []
+    assert record["reservations"] == {}
+
+
+@pytest.fixture
+def unknown_key():
+    return ShotKey(position="nowhere", set_index=0, shot_index=0)
+
+
+class TestDaqmxDigitizer(DigitizerContract):
+    @pytest.fixture
+    def digitizer(self, rig):
+        return rig.digitizer
+
+    @pytest.fixture
+    def strike(self, rig):
+        return rig.striker.strike
+
+    @pytest.fixture
+    def keys(self):
+        return tuple(ShotKey(position="C", set_index=3, shot_index=i) for i in (0, 1))
+
+    @pytest.fixture
+    def unknown_key(self, unknown_key):
+        return unknown_key
+
+
+class TestDaqmxStriker(StrikerContract):
+    @pytest.fixture
+    def striker(self, rig):
+        return rig.striker
+
+    @pytest.fixture
+    def coil_levels(self, rig, doubles):
+        return lambda: [
+            (event["position"], bool(event["level"])) for event in doubles.control.record()["lines"]
+        ]
+
+    @pytest.fixture
+    def keys(self):
+        return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in ("C", "D"))
+
+    @pytest.fixture
+    def unknown_key(self, unknown_key):
+        return unknown_key
+
+
+def test_it_calibrates_itself(rig):
+    assert isinstance(rig.self_calibrating, SelfCalibrating)
+    (what,) = rig.self_calibrating.self_calibrate().values()
+    assert what.endswith("C")

@@ -1,0 +1,102 @@
+"""A double with a quick specimen behind it, and a driver told how it is wired."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from dataclasses import replace
+
+import pytest
+
+from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
+from simulator.doubles.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
+from simulator.doubles.description import TransducerWiring as DoubleWiring
+from simulator.doubles.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.process import RunningDoubles
+from simulator.parameters import ChainParameters, PlateParameters
+from simulator.scenario import NoiseParameters, ScatterParameters, TwinParameters
+
+QUICK_PULSE_S = 3e-3
+QUICK_DROP_M = 1e-3
+
+CHAIN = ChainParameters(drop_height_m=QUICK_DROP_M)
+PLATE = PlateParameters(model="infinite_kirchhoff")
+"""No plate reduction is needed, so a shot costs milliseconds."""
+
+QUICK_TWIN = TwinParameters(noise=NoiseParameters(enabled=False), scatter=ScatterParameters(), thinning={})
+"""Noise off: the counts are the rounded signal itself."""
+
+
+def board(base: BoardParameters = SIMULTANEOUS_16_BIT) -> BoardParameters:
+    """Return a board whose polynomial stays what it is when it calibrates itself."""
+    return replace(base, self_calibration_shift_v=0.0)
+
+
+def wired(ai_serial: int, index: int, counter_serial: int | None = None) -> DoubleWiring:
+    """Return the double's side of a transducer with a quick shot."""
+    return DoubleWiring(
+        ai_serial=ai_serial,
+        ai_channel=index,
+        counter_serial=ai_serial if counter_serial is None else counter_serial,
+        counter=index,
+        lift_s=1e-3,
+        chain=CHAIN,
+        plate=PLATE,
+    )
+
+
+def quick_description(*boards: BoardParameters, positions: str = "CD") -> Description:
+    """Return a double of these boards; all positions sit on the first one."""
+    boards = boards or (board(),)
+    serial = boards[0].serial_number
+    return Description(
+        boards=boards,
+        transducers={name: wired(serial, index) for index, name in enumerate(positions)},
+        twin=QUICK_TWIN,
+    )
+
+
+def parameters_of(description: Description, doubles: RunningDoubles, **changes: object) -> DaqmxParameters:
+    """Return the driver's side of the same wiring, by library unless the changes say otherwise."""
+    by_serial = {one.serial_number: one for one in description.boards}
+    wiring = {
+        name: TransducerWiring(
+            board_serial=f"{its.ai_serial:08X}",
+            input=f"ai{its.ai_channel}",
+            striker_serial="" if its.counter_serial == its.ai_serial else f"{its.counter_serial:08X}",
+            counter=f"ctr{its.counter}",
+            output_terminal=by_serial[its.counter_serial].kind.counter_terminals[its.counter],
+        )
+        for name, its in description.transducers.items()
+    }
+    values = {
+        "transducers": wiring,
+        "pulse_s": QUICK_PULSE_S,
+        "drop_height_m": QUICK_DROP_M,
+        "fall_margin_s": 0.02,
+        "call_timeout_s": 2.0,
+    }
+    if changes.get("transport") == "grpc":
+        values |= {"grpc_address": doubles.grpc, "grpc_client_name": f"test-{os.getpid()}"}
+    return DaqmxParameters(**values | changes)
+
+
+def why_no(transport: str) -> str:
+    """Say why this transport cannot be tested here, empty if it can."""
+    if transport == "library":
+        return why_unavailable()
+    from simulator.doubles.grpc_front import why_unavailable as why_no_grpc
+
+    return why_no_grpc()
+
+
+def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the unmodified `nidaqmx` of this very process find the double of NI's library.
+
+    The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
+    its soname whatever the path says, so it is loaded by its file first.
+    """
+    folder = build_library("nidaqmx")
+    ctypes.CDLL(str(folder / SONAMES["nidaqmx"]), mode=ctypes.RTLD_GLOBAL)
+    for name, text in client_environment(doubles.wire, folder).items():
+        monkeypatch.setenv(name, text)
