@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq_service.archive import PositionRecord, SetRecord
+from daq_service.archive import MissedRecord, PositionRecord, SetRecord
 from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 
 SET_INDEX = 7
@@ -35,6 +35,7 @@ def make_shot(
     calibration: Calibration = LINEAR,
     attempt: int = 0,
     truth: dict[str, float] | None = None,
+    settings: dict[str, float | str] | None = None,
     boot_id: str = "5d1f",
 ) -> Shot:
     return Shot(
@@ -48,6 +49,7 @@ def make_shot(
             calibration=calibration,
         ),
         truth=truth or {},
+        settings=settings or {},
     )
 
 
@@ -63,11 +65,17 @@ def make_echo(sequence: int) -> PulseEchoRecord:
         offset_v=-0.25,
         averages=64,
         truth={"thickness_m": 4.2e-3},
+        settings={"driver_version": "1.5"},
     )
 
 
+def make_missed(position: str, shot_index: int, *, attempt: int = 0) -> MissedRecord:
+    key = ShotKey(position=position, set_index=SET_INDEX, shot_index=shot_index, attempt=attempt)
+    return MissedRecord(key=key, cause="no trigger within 5 s: größer", reason="no_trigger")
+
+
 def make_set() -> SetRecord:
-    """A partial set: A whole, B with a repeated strike, C cut short, D retired in mid-set."""
+    """A partial set: A whole, B with a repeated strike, C cut short, D silent."""
     full_truth = {"depth_fraction": 0.25, "drop_height_m": 5.1e-3, "tilt_rad": 1e-3}
     return SetRecord(
         set_index=SET_INDEX,
@@ -84,15 +92,19 @@ def make_set() -> SetRecord:
             PositionRecord(
                 position="C", method="solitary_wave", n_planned=2, cause="no trigger within 5 s: größer"
             ),
-            PositionRecord(position="D", method="solitary_wave", n_planned=2, cause="retired"),
+            PositionRecord(position="D", method="solitary_wave", n_planned=2, cause="3 missed: größer"),
         ],
         shots=[
-            make_shot("B", 0, 41, truth=full_truth),
+            make_shot("B", 0, 41, truth=full_truth, settings={"board": "01A2B3C4", "trigger_level_v": 0.4}),
             make_shot("B", 1, 42, truth={"depth_fraction": 0.1 + 0.2}),
-            make_shot("B", 1, 43, attempt=1, boot_id="after-the-reboot"),
+            make_shot("B", 1, 43, attempt=1, boot_id="after-the-reboot", settings={"board": "01A2B3C5"}),
             make_shot("C", 0, 44, dtype=np.int32, calibration=CURVED),
         ],
         echoes=[make_echo(40)],
+        missed=[make_missed("D", 0), make_missed("D", 0, attempt=1), make_missed("D", 1)],
+        outcomes={42: "superseded"},
+        trouble="ConnectionLostError: the board in slot 3 does not answer: größer",
+        environment={"supply_state": "on", "voltage_v": 0.1 + 0.2, "charge_coulomb": 12.5},
         provenance={
             "configuration_hash": "ab" * 32,
             "solimon_version": "0.1.0",
@@ -115,6 +127,7 @@ def other_set(record: SetRecord, set_index: int) -> SetRecord:
             sequence=item.sequence + 1000 * hours,
             key=replace(item.key, set_index=set_index),
             truth=dict(item.truth),
+            settings=dict(item.settings),
         )
 
     return replace(
@@ -123,6 +136,8 @@ def other_set(record: SetRecord, set_index: int) -> SetRecord:
         due_utc_ns=record.due_utc_ns + hours * 3_600_000_000_000,
         shots=[moved(shot) for shot in record.shots],
         echoes=[moved(echo) for echo in record.echoes],
+        missed=[replace(item, key=replace(item.key, set_index=set_index)) for item in record.missed],
+        outcomes={sequence + 1000 * hours: outcome for sequence, outcome in record.outcomes.items()},
     )
 
 
@@ -142,6 +157,7 @@ def assert_same_records(found: SetRecord, stored: SetRecord) -> None:
     for one, other in zip(found.records, stored.records, strict=True):
         assert type(one) is type(other)
         assert (one.key, one.stamp, dict(one.truth)) == (other.key, other.stamp, dict(other.truth))
+        assert dict(one.settings) == dict(other.settings)
         assert_same_waveform(one.waveform, other.waveform)
     for one, other in zip(found.echoes, stored.echoes, strict=True):
         assert (one.gain_db, one.offset_v, one.averages) == (other.gain_db, other.offset_v, other.averages)
@@ -149,8 +165,10 @@ def assert_same_records(found: SetRecord, stored: SetRecord) -> None:
 
 def assert_same_set(found: SetRecord, stored: SetRecord) -> None:
     """Everything, bit for bit."""
-    for name in ("set_index", "due_utc_ns", "due_h", "started_utc_ns", "ended_utc_ns", "rig_kind"):
+    for name in ("set_index", "due_utc_ns", "due_h", "started_utc_ns", "ended_utc_ns", "rig_kind", "trouble"):
         assert getattr(found, name) == getattr(stored, name), name
+    assert (found.missed, dict(found.outcomes)) == (stored.missed, dict(stored.outcomes))
+    assert dict(found.environment) == dict(stored.environment)
     assert found.positions == stored.positions
     assert found.provenance == stored.provenance
     assert_same_records(found, stored)

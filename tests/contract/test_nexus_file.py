@@ -194,6 +194,39 @@ def test_the_truth_of_simulated_shots_has_units_and_marks_what_was_not_told(file
     assert truth["depth_fraction"].attrs["known"].tolist() == [1, 1, 0]
 
 
+def test_the_file_says_what_was_missed_and_which_attempt_counts(file):
+    missed = file["entry/missed"]
+    assert texts(missed["position"][()]) == ["D", "D", "D"]
+    assert missed["shot_index"][()].tolist() == [0, 0, 1]
+    assert missed["attempt"][()].tolist() == [0, 1, 0]
+    assert set(texts(missed["reason"][()])) == {"no_trigger"}
+    assert set(texts(missed["cause"][()])) == {"no trigger within 5 s: größer"}
+    table = file["entry/shots"]
+    outcome = dict(zip(table["shot_id"][()].tolist(), texts(table["outcome"][()]), strict=True))
+    assert outcome == {40: "accepted", 41: "accepted", 42: "superseded", 43: "accepted", 44: "accepted"}
+    assert (
+        text(file["entry/trouble"][()]) == "ConnectionLostError: the board in slot 3 does not answer: größer"
+    )
+
+
+def test_what_the_instruments_say_has_units_and_marks_what_was_not_told(file):
+    settings = file["entry/B_settings"]
+    assert settings["shot_id"][()].tolist() == [41, 42, 43]
+    assert texts(settings["board"][()]) == ["01A2B3C4", "", "01A2B3C5"]
+    assert settings["board"].attrs["known"].tolist() == [1, 0, 1]
+    assert settings["trigger_level_v"][0] == 0.4
+    assert text(settings["trigger_level_v"].attrs["units"]) == "V"
+    assert text(file["entry/A_settings/driver_version"][0]) == "1.5"
+
+
+def test_the_environment_of_a_set_has_units(file):
+    environment = file["entry/environment"]
+    assert text(environment["supply_state"][()]) == "on"
+    assert environment["voltage_v"][()] == 0.1 + 0.2
+    units = {name: text(environment[name].attrs["units"]) for name in ("voltage_v", "charge_coulomb")}
+    assert units == {"voltage_v": "V", "charge_coulomb": "C"}
+
+
 def test_facts_and_causes_stand_in_the_file(file):
     entry = file["entry"]
     assert (entry["set_index"][()], entry["due_h"][()]) == (7, 4.0)
@@ -201,7 +234,7 @@ def test_facts_and_causes_stand_in_the_file(file):
     assert text(entry["instrument/name"][()]) == "simulated"
     assert text(entry["program_name"].attrs["configuration"]) == "ab" * 32
     table = entry["positions"]
-    assert texts(table["cause"][()]) == ["", "", "no trigger within 5 s: größer", "retired"]
+    assert texts(table["cause"][()]) == ["", "", "no trigger within 5 s: größer", "3 missed: größer"]
     assert table["n_planned"][()].tolist() == [1, 2, 2, 2]
     assert table["n_taken"][()].tolist() == [1, 3, 1, 0]
     assert json.loads(entry["provenance/data"][0]) == make_set().provenance

@@ -15,6 +15,7 @@ from analysis.sequential import (
     hole_states,
     next_alarm_state,
     next_hole_state,
+    next_poor_sets,
 )
 
 O, X = False, True  # noqa: E741 an inlier and an outlier, to be read as a string of marks
@@ -117,3 +118,25 @@ def test_impossible_hole_rule_is_refused():
         HoleRule(shots=0)
     with pytest.raises(InvalidInputError, match="at least 1"):
         HoleRule(consecutive_sets=0)
+
+
+def poor_sets(*sets):
+    """Count after each set of (valid, tried) shots of ten, seven of which must be valid."""
+    running, counts = 0, []
+    for n_valid, n_tried in sets:
+        running = next_poor_sets(running, n_valid=n_valid, n_tried=n_tried, n_planned=10, minimum_valid=7)
+        counts.append(running)
+    return counts
+
+
+def test_sets_with_too_few_valid_shots_are_counted_while_they_run():
+    assert poor_sets((0, 10), (6, 10), (7, 10), (0, 10)) == [1, 2, 0, 1]
+
+
+def test_a_set_in_which_nothing_was_tried_neither_counts_nor_interrupts():
+    assert poor_sets((0, 10), (0, 0), (0, 10)) == [1, 1, 2]
+
+
+def test_a_set_that_was_cut_short_counts_only_for_the_transducer():
+    assert poor_sets((0, 10), (3, 4), (0, 9), (6, 6)) == [1, 1, 1, 1]
+    assert poor_sets((0, 10), (7, 7)) == [1, 0]

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, update
+from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, reset, update
 
 
 def condition(present: bool, **values: Any) -> Condition:
@@ -97,6 +97,32 @@ def test_nothing_to_acknowledge_is_said() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to acknowledge"):
         acknowledge(seen, "ann", "", moment(2))
+
+
+def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
+    change = reset(raised(kind="hole"), "ann", "contact put right", moment(6))
+    assert change.event_kind == "alarm_reset"
+    row = change.row
+    assert (row["id"], row["state"], row["cleared_utc_ns"]) == (7, "normal", moment(6).utc_ns)
+    assert (row["acknowledged_by"], row["acknowledged_utc_ns"]) == ("ann", moment(6).utc_ns)
+    assert row["note"] == "contact put right"
+    again = update(row, condition(True, kind="hole", latched=True), moment(7))
+    assert again is not None
+    assert (again.event_kind, "id" in again.row) == ("alarm_raised", False)
+
+
+def test_a_reset_keeps_who_saw_the_alarm_first_and_an_old_note_where_there_is_no_new_one() -> None:
+    seen = acknowledge(raised(kind="hole"), "bob", "looked at it", moment(2)).row
+    row = reset(seen, "ann", "", moment(6)).row
+    assert (row["acknowledged_by"], row["acknowledged_utc_ns"]) == ("bob", moment(2).utc_ns)
+    assert row["note"] == "looked at it"
+    assert reset(seen, "ann", "new coil", moment(6)).row["note"] == "new coil"
+
+
+def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
+    ended = reset(raised(kind="hole"), "ann", "", moment(1)).row
+    with pytest.raises(ValueError, match="nothing to reset"):
+        reset(ended, "ann", "", moment(2))
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))

@@ -153,8 +153,41 @@ def test_one_record_can_be_read_alone(stored):
     assert_same_waveform(read_waveform(stored.path, "A", 0), shots[40].waveform)
 
 
-def test_of_several_attempts_the_last_is_the_shot(stored):
-    assert_same_waveform(read_waveform(stored.path, "B", 1), make_set().shots[2].waveform)
+@pytest.mark.parametrize(("superseded", "accepted"), [(42, 43), (43, 42)])
+def test_of_several_attempts_the_accepted_one_is_the_shot(tmp_path, superseded, accepted):
+    record = replace(make_set(), outcomes={superseded: "superseded"})
+    stored = Archive(tmp_path).store_set(record)
+    shots = {item.sequence: item for item in record.shots}
+    assert_same_waveform(read_waveform(stored.path, "B", 1), shots[accepted].waveform)
+
+
+def as_format_1_0(path):
+    """Take out what format 1.0 did not have."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["solimon_format_version"] = "1.0"
+        entry = file["entry"]
+        for name in ("missed", "environment", "trouble", "shots/outcome", "A_settings", "B_settings"):
+            del entry[name]
+
+
+def test_a_file_of_format_1_0_is_read(stored):
+    as_format_1_0(stored.path)
+    record = make_set()
+    without_settings = [replace(shot, settings={}, truth=dict(shot.truth)) for shot in record.shots]
+    echo = replace(record.echoes[0], settings={}, truth=dict(record.echoes[0].truth))
+    before = replace(
+        record,
+        shots=without_settings,
+        echoes=[echo],
+        missed=[],
+        outcomes={},
+        trouble="",
+        environment={},
+    )
+    assert_same_set(read_set(stored.path), before)
+    assert verify_set(stored.path) == []
+    # Every record counted then; the last one was the shot.
+    assert_same_waveform(read_waveform(stored.path, "B", 1), record.shots[2].waveform)
 
 
 @pytest.mark.parametrize(("position", "shot_index"), [("B", 2), ("D", 0), ("X", 0)])
@@ -184,6 +217,7 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
             make_shot("B", 9, 10, calibration=replace(LINEAR, date="2025-01-15")),
         ],
         echoes=[],
+        outcomes={},
     )
     stored = Archive(tmp_path).store_set(record)
     assert_same_set(read_set(stored.path), record)
@@ -191,7 +225,7 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
 
 
 def test_a_set_of_pulse_echo_alone_is_a_set(tmp_path):
-    record = replace(make_set(), shots=[])
+    record = replace(make_set(), shots=[], outcomes={})
     assert_same_set(read_set(Archive(tmp_path).store_set(record).path), record)
 
 
@@ -355,7 +389,7 @@ def test_clipped_records_are_flagged_in_the_file(tmp_path):
     counts[7] = 32767
     clipped = replace(shot, waveform=replace(shot.waveform, counts=counts), truth={})
     stored = Archive(tmp_path).store_set(
-        replace(make_set(), shots=[clipped, make_shot("B", 1, 2)], echoes=[make_echo(3)])
+        replace(make_set(), shots=[clipped, make_shot("B", 1, 2)], echoes=[make_echo(3)], outcomes={})
     )
     with h5py.File(stored.path) as file:
         flags = file["entry/shots/flags"]

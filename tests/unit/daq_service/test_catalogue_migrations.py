@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
 from alembic.config import Config
 from alembic.migration import MigrationContext
@@ -80,6 +81,118 @@ def test_migrations_are_found_from_any_working_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     open_catalogue(Path(), writer=True).close()
     assert "shots" in schema_of(tmp_path / "catalogue.sqlite")
+
+
+def make_first_catalogue(path):
+    """Fill a catalogue of revision 0001 as the recorder of that version left it."""
+    engine = connection.make_engine(path, writable=True)
+    config = Config()
+    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
+    with connection.writing(engine) as opened:
+        config.attributes["connection"] = opened
+        command.upgrade(config, "0001")
+    engine.dispose()
+    rows = {
+        "experiment": [(1, "old", "ab" * 32, "{}", 17, 0, "simulated", "0.1.0")],
+        "sets": [
+            (1, 0, "B", "solitary_wave", 0, 0.5, 1, 2, "done", None, 2, 2, 2, "sets/a.h5"),
+            (2, 0, "C", "solitary_wave", 0, 0.5, None, None, "missed", "no trigger", 2, 0, 0, None),
+        ],
+        "shots": [
+            (7, 0, "B", 0, 0, 1, 1, "boot", 99, 1, "[]"),
+            (8, 0, "B", 1, 0, 2, 2, "boot", 98, 0, '["clipped"]'),
+        ],
+        "events": [(41, 5, 6, "sets", "set_done", "B", 0, "{}")],
+        "alarms": [
+            (
+                3,
+                "B",
+                "hole",
+                "damage",
+                "critical",
+                "acknowledged",
+                1,
+                0.5,
+                0,
+                2,
+                None,
+                2,
+                "ann",
+                "",
+                "m",
+                "{}",
+            )
+        ],
+    }
+    with sqlite3.connect(path) as database:
+        for table, values in rows.items():
+            marks = ", ".join("?" * len(values[0]))
+            database.executemany(f"INSERT INTO {table} VALUES ({marks})", values)
+    database.close()
+    return rows
+
+
+def rows_of(path, table, columns="*"):
+    database = sqlite3.connect(path)
+    found = database.execute(f"SELECT {columns} FROM {table} ORDER BY 1").fetchall()
+    database.close()
+    return found
+
+
+def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
+    path = tmp_path / "catalogue.sqlite"
+    before = make_first_catalogue(path)
+    with pytest.raises(SchemaVersionError, match="schema 0001"):
+        open_catalogue(tmp_path)
+    open_catalogue(tmp_path, writer=True).close()
+    for table, rows in before.items():
+        # New columns stand behind, with what is true of an old row: nothing was repeated, all records count.
+        new = {"sets": (0, 0), "shots": ("accepted",)}.get(table, ())
+        names = f"{', '.join(old_columns(table))}, {', '.join(new_columns(table))}".rstrip(", ")
+        assert rows_of(path, table, names) == [(*row, *new) for row in rows], table
+    assert rows_of(path, "alembic_version") == [("0002",)]
+    with open_catalogue(tmp_path) as catalogue:
+        assert catalogue.list_environment() == []
+        assert [row["outcome"] for row in catalogue.list_shots("B", 0)] == ["accepted"] * 2
+    migrated, described = schema_of(path), tmp_path / "described.sqlite"
+    engine = create_engine(f"sqlite:///{described}")
+    metadata.create_all(engine)
+    engine.dispose()
+    expected = schema_of(described)
+    assert {name: columns_and_constraints(sql) for name, sql in migrated.items()} == {
+        name: columns_and_constraints(sql) for name, sql in expected.items()
+    }
+
+
+NEW_COLUMNS = {"sets": ["n_missed", "n_restrikes"], "shots": ["outcome"]}
+
+
+def new_columns(table):
+    return NEW_COLUMNS.get(table, [])
+
+
+def old_columns(table):
+    return [name for name in metadata.tables[table].columns.keys() if name not in new_columns(table)]
+
+
+def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was(tmp_path):
+    path = tmp_path / "catalogue.sqlite"
+    before = make_first_catalogue(path)
+    schema = schema_of(path)
+    engine = connection.make_engine(path, writable=True)
+
+    @event.listens_for(engine, "before_cursor_execute")
+    def cut(_connection, _cursor, sql, *_rest):
+        if sql.lstrip().upper().startswith("CREATE TABLE ENVIRONMENT"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        migrations.migrate(engine, path, "0001")
+    engine.dispose()
+    assert schema_of(path) == schema
+    assert rows_of(path, "sets") == before["sets"]
+    open_catalogue(tmp_path, writer=True).close()
+    assert rows_of(path, "alembic_version") == [("0002",)]
 
 
 @pytest.mark.parametrize("statement", [1, 5, 10, 14])
