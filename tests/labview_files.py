@@ -31,8 +31,7 @@ def polynomial(coefficients, *, scale=0, source=None) -> dict[str, Any]:
 def time_stamp(utc_ns: int) -> TdmsTimestamp:
     """Nanoseconds of UTC as LabVIEW's time: seconds since 1904 and 2^-64 of a second."""
     seconds, rest_ns = divmod(utc_ns, 1_000_000_000)
-    # Rounded up: the nearest nanosecond to the fraction is the one that was meant.
-    return TdmsTimestamp(seconds + 2_082_844_800, -(-(rest_ns << 64) // 1_000_000_000))
+    return TdmsTimestamp(seconds + 2_082_844_800, (rest_ns << 64) // 1_000_000_000)
 
 
 def waveform_properties(waveform: Waveform, utc_ns: int | None = None) -> dict[str, Any]:

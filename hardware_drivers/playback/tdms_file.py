@@ -48,12 +48,7 @@ def read_channels(path: Path, wanted: Callable[[str, str], bool]) -> list[Channe
                     _refuse_cut_short(path, channel, statuses)
                     if len(channel):
                         found.append(_described(path, file, group, channel))
-        n_bytes = path.stat().st_size
-        _refuse_loose_end(path, n_bytes)
-    for described in found:
-        # A damaged length could ask for more memory than there is.
-        if described.n_samples * described.dtype.itemsize > n_bytes:
-            raise described.refuse(f"{described.n_samples} samples are more than the file holds", _BRING_BACK)
+        _refuse_loose_end(path)
     return found
 
 
@@ -130,13 +125,13 @@ def _refuse_cut_short(path: Path, channel: Any, statuses: Mapping[str, Any]) -> 
         )
 
 
-def _refuse_loose_end(path: Path, n_bytes: int) -> None:
+def _refuse_loose_end(path: Path) -> None:
     """NpTDMS takes a last segment whose metadata are cut for the end of the file: shots would vanish.
 
     A segment starts with 28 bytes: tag, flags (bit 6: big-endian), version, length of the rest, and
     length of its metadata (NI: "TDMS file format internal structure").
     """
-    position = 0
+    position, n_bytes = 0, path.stat().st_size
     with path.open("rb") as file:
         while position < n_bytes:
             file.seek(position)

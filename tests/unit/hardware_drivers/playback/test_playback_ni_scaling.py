@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from labview_files import polynomial
 from nptdms.scaling import get_scaling
@@ -47,6 +47,7 @@ COEFFICIENTS = st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=4)
 
 
 @given(coefficients=COEFFICIENTS)
+@example(coefficients=[-0.0, 1e-300, -0.0])
 def test_a_single_polynomial_keeps_its_coefficients_to_the_last_bit(coefficients):
     found = raw_polynomial({"NI_Number_Of_Scales": 1} | polynomial(coefficients))
     assert found.tobytes() == np.array(coefficients).tobytes()

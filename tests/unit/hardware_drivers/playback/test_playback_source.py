@@ -77,6 +77,14 @@ def test_a_strike_elsewhere_or_a_second_one_plays_nothing_else():
     assert instruments.digitizer.read(1.0).waveform is shots[0].waveform
 
 
+def test_it_is_the_strike_that_says_which_shot_comes():
+    shots = [make_shot("B", 0, 1), make_shot("B", 1, 2)]
+    instruments = build_instruments(ShotsInMemory(shots))
+    instruments.digitizer.arm(shots[0].key)
+    instruments.striker.strike(shots[1].key)
+    assert instruments.digitizer.read(1.0).waveform is shots[1].waveform
+
+
 def test_wanted_positions_are_looked_for_at_once_by_name_and_method():
     source = ShotsInMemory([make_shot("B", 0, 1), make_shot("C", 0, 2), make_echo(40)])
     assert isinstance(source, ShotSource)
@@ -168,6 +176,10 @@ def test_each_planned_time_meets_its_recorded_moment():
     # Start of a set, its echo, three strikes: each a little late, as on a wall clock.
     clock = recorded_clock(10.001, 10.002, 10.101, 14.003, 18.002)
     assert times_s(clock, 10.0, 10.001, 10.001, 14.001, 18.001) == [10.001, 10.002, 10.101, 14.003, 18.002]
+
+
+def test_a_moment_at_the_planned_time_itself_is_met():
+    assert times_s(recorded_clock(10.0, 10.1), 10.0, 10.0) == [10.0, 10.1]
 
 
 def test_a_missed_strike_does_not_borrow_the_time_of_the_next():
