@@ -172,7 +172,7 @@ def new_columns(table):
 
 
 def old_columns(table):
-    return [name for name in metadata.tables[table].columns.keys() if name not in new_columns(table)]
+    return [column.name for column in metadata.tables[table].columns if column.name not in new_columns(table)]
 
 
 def test_a_migration_of_a_filled_catalogue_that_is_cut_short_leaves_it_as_it_was(tmp_path):
