@@ -28,12 +28,16 @@ from simulator.doubles import (
 from simulator.doubles.attributes import ATTRIBUTES
 from simulator.doubles.description import Description
 from simulator.doubles.devices import Devices
-from simulator.doubles.entry_points import ENTRY_POINTS, EntryPoint
+from simulator.doubles.entry_points import EntryPoint
 from simulator.doubles.faults import Faults, lie
 from simulator.doubles.lines import LineRecord
+from simulator.doubles.niscope_board import ProbeWiring as ScopeProbe
+from simulator.doubles.niscope_board import ScopeParameters
+from simulator.doubles.niscope_brain import NiscopeBrain
 from simulator.doubles.reservations import Reservations
 from simulator.doubles.statuses import TEXTS, Status
 from simulator.doubles.strikes import Strikes
+from simulator.doubles.table import TABLE
 from simulator.doubles.tasks import Answer, Arguments, Bench, Clock, WallClock
 
 ClientKind = Literal["library", "grpc"]
@@ -126,7 +130,29 @@ HANDLERS: Mapping[str, Handler] = MappingProxyType(
         **attribute_access.HANDLERS,
     }
 )
-"""By C name; a further library adds its own here."""
+"""Of NI-DAQmx, by C name."""
+
+
+def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
+    """NI-SCOPE boards for the described probes, looking at the same specimen."""
+    scopes = {scope.name: scope for scope in description.scopes}
+    for index, probe in enumerate(description.probes.values()):
+        default = ScopeParameters(name=probe.resource, serial_number=f"{0x01C50000 + index:08X}")
+        scopes.setdefault(probe.resource, default)
+    probes = {
+        position: ScopeProbe(
+            serial_number=scopes[probe.resource].serial_number,
+            channel=probe.channel,
+            thickness_m=probe.thickness_m,
+        )
+        for position, probe in description.probes.items()
+    }
+
+    def next_echo(position: str) -> tuple[ShotKey, float]:
+        with bench.changed:
+            return bench.strikes.next_echo(position)
+
+    return NiscopeBrain(tuple(scopes.values()), probes, bench.strikes.specimen, next_echo)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,6 +226,7 @@ class Brain:
         self._leaked: list[LeakedTask] = []
         self._clients: dict[str, ClientKind] = {}
         self._client_count = 0
+        self.niscope = _niscope(description, self.bench)
 
     # Clients
 
@@ -232,6 +259,11 @@ class Brain:
                 if kind == "library":
                     tasks.clear(self.bench, task)
             self.bench.changed.notify_all()
+        for resource in self.niscope.client_gone(client):
+            leak = LeakedTask(
+                client=client, task="session", state="open", reservations=(resource,), ns=time.monotonic_ns()
+            )
+            self._leaked.append(leak)
 
     def is_open(self, client: str) -> bool:
         """Tell whether a client is still there."""
@@ -248,7 +280,7 @@ class Brain:
         Status
             An error, or a warning that brings its values along.
         """
-        entry = ENTRY_POINTS[function]
+        entry = TABLE[function]
         attribute = ATTRIBUTES.get(arguments.get("attribute", 0))
         name = attribute.name if attribute is not None else ""
         begin_ns = time.monotonic_ns()
@@ -288,6 +320,8 @@ class Brain:
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
+        if entry.library == "niScope":
+            return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
             return HANDLERS[entry.name](self.bench, client, arguments)
 

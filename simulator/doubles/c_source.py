@@ -7,7 +7,8 @@ from collections.abc import Iterable
 from importlib.resources import files
 
 from simulator.doubles.attributes import ATTRIBUTES, Attribute
-from simulator.doubles.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Tail, of_library
+from simulator.doubles.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Tail
+from simulator.doubles.table import of_library
 
 
 def library_source(library: str) -> str:

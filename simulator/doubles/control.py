@@ -1,92 +1,32 @@
-"""The control channel: one JSON object a line, over TCP, for tests and the demo.
+"""Run a double beside the caller, and tell it what to do: the side of tests and the demonstration.
 
-A request is ``{"command": name, ...arguments}``; an answer ``{"ok": result}`` or ``{"error": text}``.
+The control channel carries one JSON object a line; `control_server` answers it.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import socket
-import socketserver
-from collections.abc import Mapping
-from dataclasses import asdict
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.brain import Brain
+from simulator.doubles.description import Description, default_description, to_json
 from simulator.doubles.errors import DoublesProcessError
-from simulator.doubles.statuses import Status
+from simulator.doubles.library import DEFAULT_CACHE_FOLDER, build_library, client_environment
 
 DEFAULT_TIMEOUT_S = 30.0
-
-
-class ControlServer(socketserver.ThreadingTCPServer):
-    """Listens for `DoublesControl` on the loopback interface."""
-
-    daemon_threads = True
-    allow_reuse_address = True
-
-    def __init__(self, brain: Brain, host: str = "127.0.0.1", port: int = 0) -> None:
-        super().__init__((host, port), _Connection)
-        self.brain = brain
-
-    @property
-    def address(self) -> str:
-        """``host:port``."""
-        host, port = self.server_address[:2]
-        return f"{host!s}:{port}"
-
-
-class _Connection(socketserver.StreamRequestHandler):
-    server: ControlServer
-
-    def handle(self) -> None:
-        """Answer requests until the peer closes."""
-        for line in self.rfile:
-            try:
-                request = json.loads(line)
-                answer: dict[str, Any] = {"ok": obey(self.server.brain, request)}
-            except (ValueError, TypeError, KeyError, Status) as error:
-                answer = {"error": f"{type(error).__name__}: {error}"}
-            self.wfile.write(json.dumps(answer).encode() + b"\n")
-
-
-def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
-    """Carry out one request.
-
-    Raises
-    ------
-    ValueError
-        No such command, or arguments that make no sense.
-    """
-    arguments = dict(request)
-    match arguments.pop("command", None):
-        case "announce":
-            brain.announce(ShotKey(**arguments["key"]), float(arguments["hour_h"]))
-        case "inject":
-            brain.faults.inject(**arguments)
-        case "clear_faults":
-            brain.faults.clear()
-        case "release_hangs":
-            brain.faults.release()
-        case "wait_until_hanging":
-            return brain.faults.wait_until_hanging(float(arguments["timeout_s"]))
-        case "record":
-            return brain.record()
-        case "clear_record":
-            brain.clear_record()
-        case "unplug":
-            brain.unplug(int(arguments["serial_number"]))
-        case "plug":
-            brain.plug(int(arguments["serial_number"]), str(arguments.get("name", "")))
-        case "occupy":
-            brain.occupy(str(arguments["resource"]), str(arguments["owner"]))
-        case "vacate":
-            brain.vacate(str(arguments["owner"]))
-        case command:
-            raise ValueError(f"command is {command!r}; there is no such command")
-    return None
+READY_TIMEOUT_S = 60.0
+EXIT_TIMEOUT_S = 10.0
 
 
 class DoublesControl:
@@ -177,3 +117,93 @@ class DoublesControl:
     def vacate(self, owner: str) -> None:
         """Let that other process give everything back."""
         self._ask("vacate", owner=owner)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RunningDoubles:
+    """A double that is up.
+
+    Attributes
+    ----------
+    wire, grpc
+        Addresses, ``host:port``: for the C libraries and for gRPC (empty without that front).
+    control
+        The control channel, connected; `DoublesControl.address` is where another process connects.
+    """
+
+    wire: str
+    grpc: str
+    control: DoublesControl
+    process: subprocess.Popen[bytes]
+
+    def client_environment(
+        self,
+        *libraries: str,
+        cache: Path = DEFAULT_CACHE_FOLDER,
+        environment: Mapping[str, str] | None = None,
+    ) -> dict[str, str]:
+        """Environment of a child process that shall meet this double; builds the libraries if needed."""
+        folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
+        return client_environment(self.wire, *folders, environment=environment)
+
+    def kill(self) -> None:
+        """End the process at once, as a crash of the driver would."""
+        self.process.kill()
+        self.process.wait(EXIT_TIMEOUT_S)
+
+
+@contextmanager
+def running_doubles(
+    description: Description | None = None, *, warm_up: bool = True, timeout_s: float = READY_TIMEOUT_S
+) -> Iterator[RunningDoubles]:
+    """Start ``python -m simulator.doubles``, wait until it is ready, end it afterwards.
+
+    Raises
+    ------
+    DoublesProcessError
+        It ended or said nothing within `timeout_s`.
+    """
+    with tempfile.TemporaryDirectory(prefix="solimon-doubles-") as folder:
+        file = Path(folder) / "description.json"
+        file.write_text(to_json(description or default_description()), encoding="utf-8")
+        command = [sys.executable, "-m", "simulator.doubles", "--description", str(file)]
+        if not warm_up:
+            command.append("--no-warm-up")
+        # The double itself is no client: a library path meant for clients does not concern it.
+        environment = {name: text for name, text in os.environ.items() if name != "SOLIMON_DOUBLES"}
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            ready = _ready(process, timeout_s)
+            with DoublesControl(ready["control"]) as control:
+                yield RunningDoubles(
+                    wire=ready["wire"], grpc=ready.get("grpc", ""), control=control, process=process
+                )
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(EXIT_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            process.stdout.close()
+
+
+def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
+    """Ready line of a process that was just started."""
+    assert process.stdout is not None
+    # A pipe has no deadline of its own on every platform; ending the process ends the wait.
+    watch = threading.Timer(timeout_s, process.kill)
+    watch.start()
+    try:
+        line = process.stdout.readline()
+    finally:
+        watch.cancel()
+    if not line:
+        raise DoublesProcessError(
+            f"the double ended with code {process.wait()} or was not ready within {timeout_s} s; "
+            "its standard error says why"
+        )
+    ready: dict[str, str] = json.loads(line)
+    return ready

@@ -12,6 +12,8 @@ from pydantic import TypeAdapter
 
 from hardware_drivers.bounds import check_bounds
 from simulator.doubles.boards import BOARD_TYPES, BoardType
+from simulator.doubles.niscope_scopes import ScopeParameters
+from simulator.doubles.niscope_board import ScopeParameters
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.scenario import AdcParameters, TwinParameters
 
@@ -117,16 +119,29 @@ class TransducerWiring:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProbeWiring:
-    """Where one ultrasonic probe is connected."""
+    """Where one ultrasonic probe is connected.
+
+    Its pulser-receiver fires by itself and sends a sync each time.
+    """
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _RULES
 
     resource: str
-    """NI-SCOPE resource name."""
+    """NI-SCOPE resource name; a name that no board of `scopes` has brings one of the default kind."""
     channel: str = "0"
     """Channel of the digitizer."""
     thickness_m: Annotated[float, Gt(0.0), Le(1.0)] = 6.35e-3
     """Pristine wall under the probe."""
+    sync_terminal: str = "VAL_EXTERNAL"
+    """Trigger input of the digitizer that the pulser's sync is wired to."""
+    sync_v: Annotated[float, Gt(0.0), Le(100.0)] = 5.0
+    """Height of the sync pulse."""
+    sync_to_firing_s: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Time from the sync's edge to the firing pulse."""
+    repetition_hz: Annotated[float, Gt(0.0), Le(1e6)] = 1000.0
+    """Firings a second."""
+    switched_on: bool = True
+    """Off: the pulser never fires."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -150,6 +165,10 @@ class Description:
     """By position."""
     probes: Mapping[str, ProbeWiring] = field(default_factory=dict)
     """By position."""
+    scopes: tuple[ScopeParameters, ...] = ()
+    """NI-SCOPE boards that differ from the default kind."""
+    scopes: tuple[ScopeParameters, ...] = ()
+    """NI-SCOPE boards; for a probe's resource that none of them has, a default one is there."""
     twin: TwinParameters = field(default_factory=TwinParameters)
     """Scenario of the experiment; of its ADC only what no board decides is used."""
     driver_version: tuple[int, int, int] = (24, 8, 0)
@@ -158,6 +177,17 @@ class Description:
     """How strikes are counted into sets while nobody announces them."""
     hour_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour of the experiment while nobody announces it."""
+
+    @property
+    def all_scopes(self) -> tuple[ScopeParameters, ...]:
+        """NI-SCOPE boards, the default ones too."""
+        named = {scope.name for scope in self.scopes}
+        missing = dict.fromkeys(
+            probe.resource for probe in self.probes.values() if probe.resource not in named
+        )
+        first = ScopeParameters().serial_number
+        default = (ScopeParameters(name=name, serial_number=first + i) for i, name in enumerate(missing))
+        return (*self.scopes, *default)
 
     def __post_init__(self) -> None:
         check_bounds(self)

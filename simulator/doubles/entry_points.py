@@ -1,8 +1,8 @@
-"""The one table of C entry points that the doubles answer.
+"""The table of C entry points that the doubles answer.
 
 From it are made the C source of the libraries (`c_source`), the bytes on the wire (`wire`) and the
-brain's dispatch. Parameter names are those that `nidaqmx` and the NI-DAQmx gRPC messages use. A further
-library adds its entries under its own `library` name; nothing else needs to know.
+brain's dispatch. Parameter names are those that `nidaqmx` and the NI-DAQmx gRPC messages use. Here are
+the vocabulary and the entries of NI-DAQmx; `table` puts those of all libraries together.
 """
 
 from __future__ import annotations
@@ -324,8 +324,3 @@ _DAQMX = (
 
 ENTRY_POINTS: Mapping[str, EntryPoint] = MappingProxyType({entry.name: entry for entry in _DAQMX})
 """By C name."""
-
-
-def of_library(library: str) -> tuple[EntryPoint, ...]:
-    """Entries that one library exports."""
-    return tuple(entry for entry in ENTRY_POINTS.values() if entry.library == library)

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from simulator.doubles.attributes import ATTRIBUTES
-from simulator.doubles.entry_points import ENTRY_POINTS, FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
+from simulator.doubles.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
+from simulator.doubles.table import TABLE
 from simulator.doubles.wire import outputs
 
 FaultKind = Literal["error", "hang", "lie", "death"]
@@ -77,7 +78,7 @@ class Faults:
             No such function or kind, or an ``error`` without its code.
         """
         name, _, attribute = function.partition(":")
-        if name not in ENTRY_POINTS or ENTRY_POINTS[name].local:
+        if name not in TABLE or TABLE[name].local:
             raise ValueError(f"function is {function!r}; it must be one of the table's entry points")
         if attribute and attribute not in {known.name for known in ATTRIBUTES.values()}:
             raise ValueError(f"attribute is {attribute!r}; it must be one of the table's attributes")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -27,6 +28,13 @@ DEFAULT_CACHE_FOLDER: Final = platformdirs.user_cache_path("solimon", appauthor=
 
 SONAMES: Final[Mapping[str, str]] = {"nidaqmx": "libnidaqmx.so.1", "niScope": "libniscope.so.1"}
 """File and soname of each library."""
+
+EMPTY_COMPANIONS: Final[Mapping[str, tuple[str, ...]]] = {"niScope": ("libnitclk.so.1",)}
+"""Libraries that a vendor package opens beside its own and never calls: `niscope` leaks without NI-TClk."""
+
+EMPTY_SOURCE: Final = "int double_without_functions;\n"
+
+FLAGS: Final = ("-shared", "-fPIC", "-O2", "-pthread")
 
 COMPILE_TIMEOUT_S = 120.0
 
@@ -55,8 +63,9 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
         Not Linux, no compiler, or the compiler refused; the message says what to install.
     """
     source, soname = library_source(library), SONAMES[library]
-    flags = ("-shared", "-fPIC", "-O2", "-pthread", f"-Wl,-soname,{soname}")
-    digest = hashlib.blake2b("\0".join([source, *flags, sys.platform]).encode(), digest_size=12).hexdigest()
+    companions = EMPTY_COMPANIONS.get(library, ())
+    made_of = "\0".join([source, *FLAGS, *companions, platform.machine()])
+    digest = hashlib.blake2b(made_of.encode(), digest_size=12).hexdigest()
     folder = cache / f"{library}-{digest}"
     if (folder / soname).exists():
         return folder
@@ -66,9 +75,12 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
     cache.mkdir(parents=True, exist_ok=True)
     building = Path(tempfile.mkdtemp(prefix=f"{library}-building-", dir=cache))
     try:
-        _compile(source, flags, building / soname)
-        # `ld -lnidaqmx` looks for the name without a version.
-        (building / soname.removesuffix(".1")).symlink_to(soname)
+        _compile(source, FLAGS, building / soname)
+        for companion in companions:
+            _compile(EMPTY_SOURCE, FLAGS, building / companion)
+        for name in (soname, *companions):
+            # `ld -lnidaqmx` looks for the name without a version.
+            (building / name.removesuffix(".1")).symlink_to(name)
         building.rename(folder)
     except OSError:
         if not (folder / soname).exists():
@@ -110,7 +122,7 @@ def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
     written = target.with_suffix(".c")
     written.write_text(source, encoding="utf-8")
     done = subprocess.run(
-        [compiler, *flags, "-o", str(target), str(written)],
+        [compiler, *flags, f"-Wl,-soname,{target.name}", "-o", str(target), str(written)],
         capture_output=True,
         text=True,
         timeout=COMPILE_TIMEOUT_S,

@@ -64,18 +64,27 @@ class Strikes:
         return tuple(strike for strike in self._planned if not strike.cancelled)
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Say which shot the next strike at the key's position is.
+        """Say which shot the next strike, or pulse-echo record, at the key's position is.
 
         Raises
         ------
         ValueError
-            No transducer there.
+            Nothing is wired there.
         """
-        if key.position not in self.specimen.transducers:
-            names = ", ".join(self.specimen.transducers) or "none"
-            raise ValueError(f"no transducer at position {key.position!r}; there are: {names}")
+        if key.position not in self.specimen.walls:
+            names = ", ".join(self.specimen.walls) or "none"
+            raise ValueError(f"nothing is wired to position {key.position!r}; there are: {names}")
         self._announced[key.position] = (key, hour_h)
         self._hour_h = hour_h
+
+    def next_echo(self, position: str) -> tuple[ShotKey, float]:
+        """Which pulse-echo record and hour the next one at a position is."""
+        announced = self._announced.pop(position, None)
+        if announced is not None:
+            return announced
+        index = self._counted.get(position, 0)
+        self._counted[position] = index + 1
+        return ShotKey(position=position, set_index=index, shot_index=0), self._hour_h
 
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
         """Let the striker fall at a time to come; None if the pulse is too short to lift it."""

@@ -16,7 +16,6 @@ import numpy as np
 
 from simulator.doubles.attributes import ATTRIBUTES
 from simulator.doubles.entry_points import (
-    ENTRY_POINTS,
     INT32,
     EntryPoint,
     Parameter,
@@ -30,6 +29,7 @@ from simulator.doubles.entry_points import (
 )
 from simulator.doubles.entry_points import array as in_array
 from simulator.doubles.entry_points import text as in_text
+from simulator.doubles.table import TABLE
 
 FRAME_LIMIT = 1 << 30
 HELLO = struct.Struct("<IQ")
@@ -127,9 +127,9 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
     """
     reader = _Reader(body)
     name = bytes(reader.take(reader.number("H"))).decode("utf-8", errors="replace")
-    if name not in ENTRY_POINTS:
+    if name not in TABLE:
         raise WireError(f"no entry point {name!r}; library and brain are of different versions")
-    entry = ENTRY_POINTS[name]
+    entry = TABLE[name]
     arguments: dict[str, Any] = {}
     fixed = inputs(entry)
     for parameter in fixed:
