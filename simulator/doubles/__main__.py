@@ -13,24 +13,13 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
-from simulator.doubles import grpc_front
 from simulator.doubles.brain import Brain
 from simulator.doubles.control_server import ControlServer
 from simulator.doubles.description import default_description, read_description
 from simulator.doubles.grpc_front import GrpcFront, why_unavailable
 from simulator.doubles.server import WireServer
-
-
-def _grpc(brain: Brain) -> dict[str, str]:
-    """Address of a gRPC front, nothing where grpc is not installed."""
-    if grpc_front.why_unavailable():
-        return {}
-    # Its tasks are the server's, whoever calls: they outlive a client that was killed.
-    client = brain.open_client("grpc", "server")
-    return {"grpc": grpc_front.GrpcFront(partial(brain.call, client)).address}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,8 +31,6 @@ from simulator.doubles.devices import Devices
 from simulator.doubles.entry_points import EntryPoint
 from simulator.doubles.faults import Faults, lie
 from simulator.doubles.lines import LineRecord
-from simulator.doubles.niscope_board import ProbeWiring as ScopeProbe
-from simulator.doubles.niscope_board import ScopeParameters
 from simulator.doubles.niscope_brain import NiscopeBrain
 from simulator.doubles.reservations import Reservations
 from simulator.doubles.statuses import TEXTS, Status
@@ -135,24 +133,12 @@ HANDLERS: Mapping[str, Handler] = MappingProxyType(
 
 def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
     """NI-SCOPE boards for the described probes, looking at the same specimen."""
-    scopes = {scope.name: scope for scope in description.scopes}
-    for index, probe in enumerate(description.probes.values()):
-        default = ScopeParameters(name=probe.resource, serial_number=f"{0x01C50000 + index:08X}")
-        scopes.setdefault(probe.resource, default)
-    probes = {
-        position: ScopeProbe(
-            serial_number=scopes[probe.resource].serial_number,
-            channel=probe.channel,
-            thickness_m=probe.thickness_m,
-        )
-        for position, probe in description.probes.items()
-    }
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
         with bench.changed:
             return bench.strikes.next_echo(position)
 
-    return NiscopeBrain(tuple(scopes.values()), probes, bench.strikes.specimen, next_echo)
+    return NiscopeBrain(description.all_scopes, description.probes, bench.strikes.specimen, next_echo)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -334,16 +320,25 @@ class Brain:
 
     def unplug(self, serial_number: int) -> None:
         """Take a board out."""
+        if self.niscope.has(serial_number):
+            self.niscope.unplug(serial_number)
+            return
         with self.bench.changed:
             device_calls.unplug(self.bench, serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
         """Put a board back, under another name if one is given."""
+        if self.niscope.has(serial_number):
+            self.niscope.plug(serial_number, name)
+            return
         with self.bench.changed:
             self.bench.devices.plug(serial_number, name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Let someone else hold ``<board name or serial number>/<part>``."""
+        """Let someone else hold ``<board name or serial number>/<part>``, or an NI-SCOPE board by its name."""
+        if resource in self.niscope.names():
+            self.niscope.occupy(resource, owner)
+            return
         board, _, part = resource.partition("/")
         with self.bench.changed:
             serial_number = int(board) if board.isdecimal() else self.bench.devices.find(board).serial_number
@@ -351,6 +346,7 @@ class Brain:
 
     def vacate(self, owner: str) -> None:
         """Someone else gives back everything."""
+        self.niscope.vacate(owner)
         with self.bench.changed:
             for holder in set(self.bench.reservations.held.values()):
                 if holder.client == "another process" and holder.task == owner:
@@ -358,6 +354,7 @@ class Brain:
 
     def record(self) -> dict[str, Any]:
         """Everything the double noticed, as JSON takes it."""
+        sessions = self.niscope.open_sessions()
         with self.bench.changed:
             now_ns = self.bench.settle()
             wired = {
@@ -384,6 +381,7 @@ class Brain:
                 "reservations": {
                     name: asdict(holder) for name, holder in self.bench.reservations.held.items()
                 },
+                "sessions": [{"client": client, "resource": resource} for client, resource in sessions],
                 "leaked": [asdict(leak) for leak in self._leaked],
                 "strikes": [
                     asdict(strike.key)

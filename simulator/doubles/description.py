@@ -13,7 +13,6 @@ from pydantic import TypeAdapter
 from hardware_drivers.bounds import check_bounds
 from simulator.doubles.boards import BOARD_TYPES, BoardType
 from simulator.doubles.niscope_scopes import ScopeParameters
-from simulator.doubles.niscope_board import ScopeParameters
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.scenario import AdcParameters, TwinParameters
 
@@ -167,8 +166,6 @@ class Description:
     """By position."""
     scopes: tuple[ScopeParameters, ...] = ()
     """NI-SCOPE boards that differ from the default kind."""
-    scopes: tuple[ScopeParameters, ...] = ()
-    """NI-SCOPE boards; for a probe's resource that none of them has, a default one is there."""
     twin: TwinParameters = field(default_factory=TwinParameters)
     """Scenario of the experiment; of its ADC only what no board decides is used."""
     driver_version: tuple[int, int, int] = (24, 8, 0)
