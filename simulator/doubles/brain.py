@@ -335,7 +335,7 @@ class Brain:
             self.bench.devices.plug(serial_number, name)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Let someone else hold ``<board name or serial number>/<part>``, or an NI-SCOPE board by its name."""
+        """Let someone else hold ``<board name or serial number>/<part>``, or an NI-SCOPE board by name."""
         if resource in self.niscope.names():
             self.niscope.occupy(resource, owner)
             return
