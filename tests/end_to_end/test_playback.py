@@ -1,5 +1,6 @@
 """A recorded test, played back through the recorder, gives the same test again."""
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -13,6 +14,7 @@ from labview_files import raw_properties, waveform_properties, write
 from small_experiment import disturbed_rig, rows_of, run, small_settings
 
 from daq_service.archive import read_set, set_files
+from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig import open_rig
 from daq_service.settings import load_settings
@@ -83,6 +85,13 @@ def test_the_recorded_times_come_back_to_the_nanosecond(tmp_path):
     recorded = read_set(set_files(tmp_path / "recorded")[2])
     assert recorded.shots[1].stamp.utc_ns - recorded.shots[0].stamp.utc_ns != 4_000_000_000
     assert_same_sets(tmp_path / "played", tmp_path / "recorded")
+
+
+def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
+    assert run(played_back(recording, SHORT_H), tmp_path)
+    assert run(played_back(recording), tmp_path)
+    assert_same_sets(tmp_path, recording)
+    assert rows_of(tmp_path) == rows_of(recording)
 
 
 def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path):
@@ -195,3 +204,19 @@ def test_a_relative_source_counts_from_the_configuration_file(tmp_path):
     playback = load_settings(path).rig.playback
     assert playback is not None
     assert playback.source == tmp_path / "old-test"
+
+
+PAGE = Path(__file__).parents[2] / "docs/how-to/play-back-recorded-shots.md"
+
+
+@pytest.mark.parametrize("text", re.findall(r"```toml\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL))
+def test_the_toml_of_the_page_is_accepted(text, tmp_path):
+    path = tmp_path / "playback.toml"
+    path.write_text(text, encoding="utf-8")
+    assert load_settings(path).rig.kind == "playback"
+
+
+def test_the_python_of_the_page_tells_hour_0(recording, capsys):
+    (text,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
+    exec(text, {"path": set_files(recording)[3]})
+    assert int(capsys.readouterr().out) == parse_utc("2024-01-01T00:00:00Z")
