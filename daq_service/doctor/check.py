@@ -1,0 +1,71 @@
+"""What one check says: how it stands, what was found, what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from daq_service.errors import EXIT_OK, BusyError, RigError, StorageError, UsageError
+
+State = Literal["ok", "warn", "fail", "skipped"]
+Area = Literal["software", "folder", "machine", "recorder", "rig"]
+
+Value = float | str | bool | None
+
+EXIT_CODES: Mapping[Area, int] = {
+    # In this order: the first area that failed gives the exit code.
+    "recorder": BusyError.exit_code,
+    "rig": RigError.exit_code,
+    "machine": RigError.exit_code,
+    "folder": StorageError.exit_code,
+    "software": UsageError.exit_code,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name
+        What was looked at: ``transducer B: trigger``.
+    found
+        In words, with units.
+    remedy
+        What to do; every check that is not ``ok`` has one.
+    values
+        The same for programs, SI units in the names.
+    """
+
+    area: Area
+    name: str
+    state: State
+    found: str
+    remedy: str = ""
+    values: Mapping[str, Value] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.state != "ok" and not self.remedy:
+            raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
+
+
+def exit_code(checks: Sequence[Check]) -> int:
+    """Exit code of a checkup: 0 where nothing failed."""
+    failed = {check.area for check in checks if check.state == "fail"}
+    return next((code for area, code in EXIT_CODES.items() if area in failed), EXIT_OK)
+
+
+def failure(area: Area, name: str, error: Exception, otherwise: str) -> Check:
+    """Check that ended in an error; messages of this project end in their remedy.
+
+    Parameters
+    ----------
+    otherwise
+        Remedy where the message has none.
+    """
+    problem, _, remedy = str(error).rpartition("; ")
+    if not problem:
+        problem, remedy = str(error), otherwise
+    return Check(area=area, name=name, state="fail", found=problem, remedy=remedy)
