@@ -124,6 +124,18 @@ def check_config(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
+@click.option("--strike", metavar="POSITION", help="Also strike this transducer, once.")
+@JSON
+def doctor(**options: Any) -> None:
+    """Look at software, rig, data folder and clocks; says what to do. Strikes nothing unless told to."""
+    from daq_service.doctor.command import run_doctor
+
+    sys.exit(run_doctor(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
 @JSON
 def status(**options: Any) -> None:
     """Say how a test stands: recorder, last sets, features, alarms."""
