@@ -16,13 +16,15 @@ Severity is kept at the highest reached until the alarm is acknowledged.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 State = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 ACTIVE_STATES = ("unacknowledged", "acknowledged", "returned_unacknowledged")
 SEVERITIES = ("low", "medium", "high", "critical")
+RETIRING = ("hole", "retired")
+"""Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +56,21 @@ class Moment:
     utc_ns: int
     due_h: float
     set_index: int | None
+
+
+def retired_positions(alarms: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """Transducers that strike no more, and the alarm's message that says why.
+
+    Parameters
+    ----------
+    alarms
+        Rows; those that are back to normal retire nobody.
+    """
+    return {
+        row["position"]: str(row["message"])
+        for row in alarms
+        if row["position"] is not None and row["kind"] in RETIRING and row["state"] != "normal"
+    }
 
 
 def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) -> Change | None:

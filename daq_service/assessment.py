@@ -42,9 +42,6 @@ from daq_service.schedule import DueSet
 from daq_service.settings import Settings
 from hardware_drivers.measurement import Shot
 
-RETIRING = ("hole", "retired")
-"""Kinds of alarm at which a transducer strikes no more, until it is reinstated."""
-
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
 
 

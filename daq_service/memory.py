@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from analysis.quality_gate import ACCEPTED
+from daq_service.alarms import RETIRING
 from daq_service.archive import read_waveform
-from daq_service.assessment import RETIRING, SolitaryWaveAssessor
+from daq_service.assessment import SolitaryWaveAssessor
 from daq_service.catalogue import Catalogue
 from daq_service.schedule import due_hours
 from daq_service.settings import Settings

@@ -8,8 +8,15 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from daq_service.alarms import Condition, Moment, acknowledge, reset, update
-from daq_service.assessment import RETIRING
+from daq_service.alarms import (
+    RETIRING,
+    Condition,
+    Moment,
+    acknowledge,
+    reset,
+    retired_positions,
+    update,
+)
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import SimulatedClock
 from daq_service.rows import Transaction
@@ -24,15 +31,6 @@ ORDERS = ("finish_now", "stop", "acknowledge_alarm", "hold", "release", "retire"
 
 AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, Mapping[str, Any]]
-
-
-def retired_positions(alarms: Alarms) -> dict[str, str]:
-    """Transducers that strike no more, and the alarm's message that says why."""
-    return {
-        position: str(row["message"])
-        for (position, kind), row in alarms.items()
-        if position is not None and kind in RETIRING and row["state"] != "normal"
-    }
 
 
 class Operator:
@@ -150,7 +148,7 @@ class Operator:
 
     def _retire(self, command: Mapping[str, Any], hour: float) -> str:
         position = self._position(command)
-        if position in retired_positions(self._alarms):
+        if position in retired_positions(self._alarms.values()):
             raise ValueError(f"{position} is retired already")
         condition = Condition(
             position=position,

@@ -18,7 +18,7 @@ from typing import Any
 from analysis.features import ShotFeatures
 from analysis.quality_gate import ACCEPTED, RestrikeRule
 from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
-from daq_service.alarms import Condition, Moment, update
+from daq_service.alarms import Condition, Moment, retired_positions, update
 from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
 from daq_service.assessment import Assessment, SolitaryWaveAssessor
 from daq_service.catalogue import RecorderCatalogue
@@ -28,7 +28,7 @@ from daq_service.errors import RigError
 from daq_service.heartbeat import Heartbeat
 from daq_service.live import LivePicture
 from daq_service.memory import restored_assessors
-from daq_service.operator_commands import Operator, retired_positions
+from daq_service.operator_commands import Operator
 from daq_service.provenance import provenance
 from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
@@ -272,7 +272,7 @@ class Recorder:
 
     def _retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
-        return retired_positions(self._alarms)
+        return retired_positions(self._alarms.values())
 
     def _reinstated(self, position: str) -> None:
         assessor = self._assessors[position]

@@ -59,9 +59,9 @@ class FilledFolder:
     def beat(self, doing: str = "waiting") -> None:
         Heartbeat(self.folder, deadline_s=3600.0).beat(doing)
 
-    def say(self, kind: str, utc_ns: int | None = None) -> int:
+    def say(self, kind: str, utc_ns: int | None = None, **payload: object) -> int:
         return self.catalogue.add_event(
-            utc_ns=utc_ns or self.epoch_ns, topic="service", kind=kind, payload={}
+            utc_ns=utc_ns or self.epoch_ns, topic="service", kind=kind, payload=payload
         )
 
     def scene(self, position: str, hour: float) -> Scene:
@@ -232,6 +232,33 @@ class FilledFolder:
         }
         return self.catalogue.commit_set(SetCommit(alarms=[row], events=[event])).alarm_ids[0]
 
+    def add_environment(self, index: int) -> None:
+        """Supply and climate around a set: 10 V and 5 mA, the probe a little late and without humidity."""
+        due = self.due[index]
+        row = {
+            "set_index": index,
+            "due_h": due.due_h,
+            "supply_state": "on",
+            "supply_quality": "good",
+            "supply_age_s": 0.5,
+            "supply_tripped": None,
+            "voltage_v": 10.0,
+            "voltage_min_v": 9.98,
+            "voltage_max_v": 10.02,
+            "current_a": 0.005,
+            "current_min_a": 0.0049,
+            "current_max_a": 0.0051,
+            "charge_coulomb": 18.0 * due.due_h,
+            "unknown_s": 0.0,
+            "climate_quality": "stale",
+            "climate_age_s": 95.0,
+            "temperature_c": 21.5,
+            "relative_humidity": None,
+        }
+        event = {"utc_ns": due.due_utc_ns, "topic": "environment", "kind": "environment_read", "payload": row}
+        event |= {"set_index": index}
+        self.catalogue.commit_set(SetCommit(environment=[row], events=[event]))
+
     def show(self, records, hour: float) -> None:
         """Replace the live pictures, as often as a test wants."""
         for record in records:
@@ -239,7 +266,8 @@ class FilledFolder:
             self.live.show(record, due_h=hour, features=found)
 
     def retire(self, position: str, index: int) -> None:
-        """Store the row of a planned set that a retired transducer did not take."""
+        """Retire a transducer: its alarm, and the row of a planned set that it did not take."""
+        self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
         due, method = self.due[index], self.settings.positions[position].method
         row = set_row(due, position, method=method, state="retired", cause="hole", n_planned=0)
         event = {"utc_ns": due.due_utc_ns, "topic": "sets", "kind": "set_retired", "payload": {}}

@@ -7,13 +7,14 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 
 from daq_service.settings import Settings
 from daq_service.web import (
     alarms,
     assets,
     commands,
+    environment,
     features,
     fits,
     health,
@@ -30,7 +31,8 @@ from daq_service.web import (
 from daq_service.web.answers import JsonAnswer
 from daq_service.web.context import Context, context_of
 from daq_service.web.guards import RequestGuard
-from daq_service.web.models import problem_schemas
+from daq_service.web.models import problem_schemas, problems
+from daq_service.web.parameters import refuse_unknown_parameters
 from daq_service.web.version import API_VERSION
 
 RESOURCES = (
@@ -44,6 +46,7 @@ RESOURCES = (
     trends,
     fits,
     waveforms,
+    environment,
     alarms,
     commands,
     stream,
@@ -103,7 +106,9 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
     app.add_middleware(RequestGuard)
     problem.install(app)
     app.include_router(health.probes)
-    api = APIRouter(prefix="/api/v1")
+    api = APIRouter(
+        prefix="/api/v1", dependencies=[Depends(refuse_unknown_parameters)], responses=problems(422)
+    )
     for resource in RESOURCES:
         api.include_router(resource.router)
     app.include_router(api)

@@ -8,6 +8,7 @@ from fastapi import APIRouter, Path, Request
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
+from daq_service.alarms import retired_positions
 from daq_service.web.alarms import LARGEST_ID, check_waiting
 from daq_service.web.answers import JsonAnswer, with_utc
 from daq_service.web.context import Context, ContextOf
@@ -31,6 +32,21 @@ class AlarmArguments(BaseModel):
 
     model_config = _STRICT
     alarm_id: int = Field(ge=1, le=LARGEST_ID)
+    note: str = Field(default="", max_length=2000)
+
+
+class NoteArguments(BaseModel):
+    """Why; shown to everybody."""
+
+    model_config = _STRICT
+    note: str = Field(default="", max_length=2000)
+
+
+class TransducerArguments(BaseModel):
+    """Which transducer, and why."""
+
+    model_config = _STRICT
+    position: str = Field(min_length=1, max_length=16)
     note: str = Field(default="", max_length=2000)
 
 
@@ -61,6 +77,42 @@ class AcknowledgeAlarm(BaseModel):
     arguments: AlarmArguments
 
 
+class Hold(BaseModel):
+    """Strike nothing until the test is released, not even after a restart."""
+
+    model_config = _STRICT
+    kind: Literal["hold"]
+    author: Author = "operator"
+    arguments: NoteArguments = NoteArguments()
+
+
+class Release(BaseModel):
+    """End a hold: the next due set is taken."""
+
+    model_config = _STRICT
+    kind: Literal["release"]
+    author: Author = "operator"
+    arguments: NoteArguments = NoteArguments()
+
+
+class Retire(BaseModel):
+    """Strike a transducer no more; the others go on."""
+
+    model_config = _STRICT
+    kind: Literal["retire"]
+    author: Author = "operator"
+    arguments: TransducerArguments
+
+
+class Reinstate(BaseModel):
+    """Let a retired transducer strike again: what was wrong is put right."""
+
+    model_config = _STRICT
+    kind: Literal["reinstate"]
+    author: Author = "operator"
+    arguments: TransducerArguments
+
+
 class Acknowledgement(BaseModel):
     """Body of an acknowledgement."""
 
@@ -69,7 +121,9 @@ class Acknowledgement(BaseModel):
     note: str = Field(default="", max_length=2000)
 
 
-Command = Annotated[FinishNow | Stop | AcknowledgeAlarm, Field(discriminator="kind")]
+Command = Annotated[
+    FinishNow | Stop | AcknowledgeAlarm | Hold | Release | Retire | Reinstate, Field(discriminator="kind")
+]
 ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
 
 
@@ -87,6 +141,10 @@ def create_command(command: Command, context: ContextOf, request: Request) -> Re
         check_waiting(context, command.arguments.alarm_id)
     elif (state := context.freshness().recorder) in {"finished", "stopped"}:
         raise conflict(f"The recorder has {state}: nobody would carry this out.", "Start it again first.")
+    if isinstance(command, Hold | Release):
+        _check_hold(context, command)
+    if isinstance(command, Retire | Reinstate):
+        _check_transducer(context, command)
     return _written(context, command.author, command.kind, command.arguments.model_dump())
 
 
@@ -114,6 +172,28 @@ def acknowledge_alarm(
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Tell what became of an order."""
     return JsonAnswer(_row(context, command_id))
+
+
+def _check_hold(context: Context, command: Hold | Release) -> None:
+    held = context.catalogue().held()
+    if isinstance(command, Hold) and held:
+        raise conflict(f"The test is already on hold: {held}.", "Release it first; a hold has one reason.")
+    if isinstance(command, Release) and not held:
+        raise conflict("The test is not on hold.", "Only a test on hold can be released.")
+
+
+def _check_transducer(context: Context, command: Retire | Reinstate) -> None:
+    position = command.arguments.position
+    names = context.settings.names_of("solitary_wave")
+    if position not in names:
+        raise conflict(
+            f"There is no solitary-wave transducer {position!r}.", f"There are: {', '.join(names) or 'none'}."
+        )
+    retired = retired_positions(context.catalogue().list_alarms(position, active=True)).get(position)
+    if isinstance(command, Retire) and retired is not None:
+        raise conflict(f"{position} is retired already: {retired}.", "Reinstate it when it is put right.")
+    if isinstance(command, Reinstate) and retired is None:
+        raise conflict(f"{position} is not retired.", "/api/v1/transducers tells which are, and why.")
 
 
 def _written(context: Context, author: str, kind: str, arguments: dict[str, Any]) -> Response:

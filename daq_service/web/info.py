@@ -24,7 +24,9 @@ def get_info(context: ContextOf) -> JsonAnswer:
     """Tell name, rig, clock, plan, limits and positions."""
     settings = context.settings
     fresh = context.freshness()
-    row = context.catalogue().experiment_row()
+    catalogue = context.catalogue()
+    row = catalogue.experiment_row()
+    started = catalogue.last_told("recorder_started")
     hours = list(schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
     return JsonAnswer(
         {
@@ -62,6 +64,8 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 }
                 for name, place in settings.positions.items()
             ],
+            "held": catalogue.held(),
+            "dry_run": None if started is None else started["payload"].get("dry_run"),
             "last_event_id": fresh.last_event_id,
             "as_of": fresh.as_of(),
         }

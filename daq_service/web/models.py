@@ -270,6 +270,45 @@ class AlarmPage(Page):
     items: list[AlarmRow]
 
 
+class EnvironmentRow(Answer):
+    """What supply and climate probe said around a set; null where nothing was heard."""
+
+    id: int
+    set_index: int
+    due_h: float
+    due_utc: str
+    supply_state: Literal["on", "off", "unknown", "absent"]
+    supply_quality: Literal["good", "stale", "lost", "absent"]
+    supply_age_s: float | None = Field(description="Of the newest reading, when the row was written")
+    supply_tripped: str | None = Field(description="Why the interlock is open; null: it is closed")
+    voltage_v: float | None = Field(description="Mean over the readings since the set before")
+    voltage_min_v: float | None
+    voltage_max_v: float | None
+    current_a: float | None
+    current_min_a: float | None
+    current_max_a: float | None
+    charge_coulomb: float | None = Field(description="Since hour 0, by measured current only")
+    unknown_s: float | None = Field(description="Since hour 0: time whose current nobody measured")
+    climate_quality: Literal["good", "stale", "lost", "absent"]
+    climate_age_s: float | None
+    temperature_c: float | None
+    relative_humidity: float | None = Field(description="0 to 1")
+    age_h: float
+
+
+class EnvironmentPage(Page):
+    """Supply and climate in order."""
+
+    items: list[EnvironmentRow]
+
+
+class EnvironmentNow(Answer):
+    """Supply and climate around the newest set."""
+
+    as_of: AsOf
+    latest: EnvironmentRow | None
+
+
 class BaselineList(Answer):
     """Every baseline ever frozen, oldest first."""
 
@@ -293,6 +332,9 @@ class PositionState(Answer):
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None
     last_verdict: VerdictRow | None
+    retired_because: str | None = Field(
+        description="Why the transducer strikes no more until it is reinstated; null: it strikes"
+    )
     active_alarms: int
     highest_severity: Literal["low", "medium", "high", "critical"] | None
 
@@ -356,6 +398,10 @@ class Info(Answer):
     limits: LimitInfo
     initial_thickness_m: float
     positions: list[PositionInfo]
+    held: str | None = Field(description="Who holds the test and why: nothing strikes; null: nobody does")
+    dry_run: bool | None = Field(
+        description="True: a rehearsal, no coil is ever energised; null: recorded by an older version"
+    )
     last_event_id: int
     as_of: AsOf
 

@@ -21,7 +21,7 @@ from daq_service.web.models import problems
 from daq_service.web.problem import Problem
 
 router = APIRouter(tags=["stream"])
-TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "service")
+TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
 LONGEST_REPLAY_EVENTS = 5000
 REPLAY_PAGE_EVENTS = 500
 LARGEST_CHUNK_EVENTS = 256

@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from daq_service.alarms import SEVERITIES, retired_positions
 from daq_service.settings import ScheduleSettings
 from daq_service.web.answers import JsonAnswer
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -13,7 +14,6 @@ from daq_service.web.models import PositionList, PositionState, problems
 from daq_service.web.verdicts import with_quality
 
 router = APIRouter(tags=["transducers"])
-SEVERITIES = ("low", "medium", "high", "critical")
 STALE_INTERVALS = 1.5
 """A set may be late by half an interval before its position counts as stale."""
 
@@ -55,7 +55,8 @@ def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] 
     measured = [row["due_h"] for row in (parts.get("last_feature"), parts.get("last_thickness")) if row]
     data_h = max(measured, default=None)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    word = state_word(last_set, verdict, alarms)
+    retired = retired_positions(alarms).get(name)
+    word = "retired" if retired else state_word(last_set, verdict, alarms)
     return {
         "position": name,
         "label": place.label,
@@ -70,6 +71,7 @@ def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] 
         "last_feature": _row(fresh, parts.get("last_feature")),
         "last_thickness": _row(fresh, parts.get("last_thickness")),
         "last_verdict": None if verdict is None else fresh.row(with_quality(context, [verdict])[0]),
+        "retired_because": retired,
         "active_alarms": len(alarms),
         "highest_severity": max((row["severity"] for row in alarms), key=SEVERITIES.index, default=None),
     }
@@ -82,11 +84,9 @@ def _row(fresh: Freshness, row: dict[str, Any] | None) -> dict[str, Any] | None:
 def state_word(
     last_set: dict[str, Any] | None, verdict: dict[str, Any] | None, alarms: list[dict[str, Any]]
 ) -> str:
-    """One word for a position, the gravest first."""
+    """One word for a position that strikes, the gravest first."""
     if last_set is None:
         return "no_data"
-    if last_set["state"] == "retired":
-        return "retired"
     if alarms:
         return "alarm"
     if verdict is not None and verdict["outlier"]:

@@ -13,7 +13,6 @@ from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
-from analysis.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, read_waveform
 from daq_service.web.answers import JsonAnswer, rfc3339, with_utc
 from daq_service.web.context import Context, ContextOf, SocketContextOf
@@ -177,7 +176,7 @@ def _set_with_file(context: Context, position: str, set_index: int) -> dict[str,
 
 def _accepted(shots: Sequence[dict[str, Any]], shot_index: int) -> dict[str, Any] | None:
     """Row of the attempt that counts."""
-    found = (row for row in shots if row["shot_index"] == shot_index and row["outcome"] == ACCEPTED)
+    found = (row for row in shots if row["shot_index"] == shot_index and row["outcome"] == "accepted")
     return next(found, None)
 
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, reset, update
+from daq_service.alarms import ACTIVE_STATES, Condition, Moment, acknowledge, reset, retired_positions, update
 
 
 def condition(present: bool, **values: Any) -> Condition:
@@ -137,3 +137,27 @@ def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_see
     assert (row is not None and row["state"] in ACTIVE_STATES) == appeared
     if row is not None:
         assert (row["state"] == "unacknowledged") == history[-1]
+
+
+def standing(position: str | None, kind: str, state: str = "unacknowledged") -> dict[str, Any]:
+    return {"position": position, "kind": kind, "state": state, "message": f"{kind} at {position}"}
+
+
+@pytest.mark.parametrize("kind", ["hole", "retired"])
+@pytest.mark.parametrize("state", ACTIVE_STATES)
+def test_a_standing_hole_or_retirement_takes_a_transducer_out(kind: str, state: str) -> None:
+    assert retired_positions([standing("B", kind, state)]) == {"B": f"{kind} at B"}
+
+
+def test_a_reset_alarm_lets_it_strike_again() -> None:
+    assert retired_positions([standing("B", "hole", "normal"), standing("C", "retired", "normal")]) == {}
+
+
+def test_one_of_two_standing_is_enough() -> None:
+    rows = (standing("B", "hole", "normal"), standing("B", "retired"))
+    assert retired_positions(rows) == {"B": "retired at B"}
+
+
+def test_other_alarms_and_those_of_the_service_retire_nobody() -> None:
+    rows = (standing("B", "wall_change"), standing("C", "no_data"), standing(None, "rig_unavailable"))
+    assert retired_positions(rows) == {}

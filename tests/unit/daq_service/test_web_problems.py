@@ -67,11 +67,36 @@ def n_commands(filled):
         ("features?to_h=1e9", "/to_h"),
         ("features?scope=all", "/scope"),
         ("fits/B", "/field"),
+        ("environment?from_h=nan", "/from_h"),
+        ("environment?position=B", "/position"),
+        ("sets?limits=5", "/limits"),
+        ("info?verbose=1", "/verbose"),
+        ("alarms/1?actve=true", "/actve"),
+        ("environment/latest?limit=1", "/limit"),
     ],
 )
 def test_invalid_query_points_at_the_parameter(api, query, pointer):
     body = problem(api.get(f"/api/v1/{query}"), 422, "invalid-request")
     assert [(part["in"], part["pointer"]) for part in body["errors"]] == [("query", pointer)]
+
+
+@pytest.mark.parametrize(
+    ("query", "remedy"),
+    [
+        ("sets?limits=5", "did you mean limit?"),
+        ("environment?position=B", "there are cursor, from_h, limit, to_h"),
+        ("health?deep=1", "this resource has no parameters"),
+    ],
+)
+def test_unknown_parameter_is_refused_with_the_remedy(api, query, remedy):
+    (part,) = problem(api.get(f"/api/v1/{query}"), 422, "invalid-request")["errors"]
+    assert remedy in part["detail"]
+
+
+def test_order_with_an_unknown_parameter_is_not_written(api, filled):
+    before = n_commands(filled)
+    problem(api.post("/api/v1/commands?force=1", json={"kind": "stop"}), 422, "invalid-request")
+    assert n_commands(filled) == before
 
 
 @pytest.mark.parametrize(
@@ -83,6 +108,7 @@ def test_invalid_query_points_at_the_parameter(api, query, pointer):
         "fits/B?field=tof_pp_s,tof_mf_s",
         "fits/B?field=set_index",
         "sets?from_h=5&to_h=4",
+        "environment?from_h=5&to_h=4",
         "stream?topics=sets,gossip",
         "stream?topics=",
     ],
@@ -271,6 +297,11 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ({"kind": "stop", "arguments": {"now": True}}, "/stop/arguments/now"),
         ({"kind": "stop", "author": ""}, "/stop/author"),
         ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
+        ({"kind": "hold", "arguments": {"position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "release", "arguments": {"note": "x" * 2001}}, "/release/arguments/note"),
+        ({"kind": "retire"}, "/retire/arguments"),
+        ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
+        ({"kind": "reinstate", "arguments": {"position": 1}}, "/reinstate/arguments/position"),
         (
             {"kind": "acknowledge_alarm", "arguments": {"alarm_id": "one"}},
             "/acknowledge_alarm/arguments/alarm_id",
@@ -283,6 +314,65 @@ def test_invalid_order_points_at_its_part(api, filled, body, pointer):
     assert errors[0]["in"] == "body"
     assert errors[0]["pointer"] == pointer
     assert n_commands(filled) == before
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A folder of its own: these orders depend on what was ordered before."""
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        yield filled, api
+    filled.close()
+
+
+def ordered(api, kind, **arguments):
+    body = {"kind": kind, "author": "Ada", **({"arguments": arguments} if arguments else {})}
+    return api.post("/api/v1/commands", json=body)
+
+
+def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
+    filled, api = lab
+    problem(ordered(api, "release"), 409, "conflict")
+    assert ordered(api, "hold", note="door open").status_code == 202
+    (row,) = filled.catalogue.pending_commands()
+    assert (row["kind"], row["author"], row["arguments"]) == ("hold", "Ada", {"note": "door open"})
+    filled.say("hold", held="held by Ada: door open", author="Ada")
+    refusal = problem(ordered(api, "hold"), 409, "conflict")
+    assert "held by Ada: door open" in refusal["detail"]
+    assert ordered(api, "release").status_code == 202
+    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
+
+
+def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(lab):
+    filled, api = lab
+    for position in ("Z", "A"):
+        for kind in ("retire", "reinstate"):
+            refusal = problem(ordered(api, kind, position=position), 409, "conflict")
+            assert f"no solitary-wave transducer '{position}'" in refusal["detail"]
+    assert "not retired" in problem(ordered(api, "reinstate", position="B"), 409, "conflict")["detail"]
+    assert ordered(api, "retire", position="B", note="coil is hot").status_code == 202
+    filled.retire("B", 1)
+    refusal = problem(ordered(api, "retire", position="B"), 409, "conflict")
+    assert "10 sets running with nothing at B" in refusal["detail"]
+    assert ordered(api, "reinstate", position="B").status_code == 202
+    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    assert kinds == [
+        ("retire", {"position": "B", "note": "coil is hot"}),
+        ("reinstate", {"position": "B", "note": ""}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [("hold", {}), ("release", {}), ("retire", {"position": "B"}), ("reinstate", {"position": "B"})],
+)
+def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
+    filled, api = lab
+    filled.say("recorder_stopped", filled.due[0].due_utc_ns)
+    assert "has stopped" in problem(ordered(api, kind, **arguments), 409, "conflict")["detail"]
+    assert filled.catalogue.pending_commands() == []
 
 
 def test_order_that_is_not_json_is_refused(api):

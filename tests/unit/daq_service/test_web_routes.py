@@ -25,6 +25,8 @@ def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
     for index in range(N_SETS):
         folder.add_set(index, stored=index in (0, N_SETS - 1), shown=index == N_SETS - 1)
+        if index > 1:  # the supply came later
+            folder.add_environment(index)
     folder.add_alarm("B", 55)
     folder.add_alarm("C", 50, state="acknowledged", severity="critical", kind="hole")
     yield folder
@@ -63,6 +65,8 @@ def get(api, path):
         ("/api/v1/trends/A", models.Trend),
         ("/api/v1/trends/B", models.Trend),
         ("/api/v1/fits/B?field=tof_pp_s", models.Fit),
+        ("/api/v1/environment", models.EnvironmentPage),
+        ("/api/v1/environment/latest", models.EnvironmentNow),
         ("/api/v1/alarms", models.AlarmPage),
         ("/api/v1/alarms/1", models.AlarmRow),
         ("/api/v1/waveforms/B/0/1", models.WaveformAnswer),
@@ -130,6 +134,7 @@ def test_ranges_include_their_start_and_exclude_their_end(api):
         ("/api/v1/features?scope=shot", 6 * N_SETS),
         ("/api/v1/verdicts?position=D", N_SETS),
         ("/api/v1/thickness", N_SETS),
+        ("/api/v1/environment", N_SETS - 2),
         ("/api/v1/alarms", 2),
     ],
 )
@@ -146,6 +151,47 @@ def test_pages_together_are_the_whole_listing(api, path, total):
             break
     assert len(ids) == total
     assert ids == sorted(set(ids))
+
+
+def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
+    (row,) = get(api, "/api/v1/environment?from_h=10&to_h=10.25")["items"]
+    (stored,) = filled.catalogue.list_environment(first_h=10.0, last_h=10.0)
+    assert {name: row[name] for name in stored} == stored
+    assert (row["voltage_v"], row["charge_coulomb"]) == (10.0, 180.0)
+    assert (row["climate_quality"], row["temperature_c"], row["relative_humidity"]) == ("stale", 21.5, None)
+    assert (row["due_utc"], row["age_h"]) == ("2024-01-01T10:00:00Z", 20.0)
+    latest = get(api, "/api/v1/environment/latest")
+    assert (latest["latest"]["set_index"], latest["latest"]["age_h"]) == (N_SETS - 1, 0.0)
+    assert latest["as_of"]["now_h"] == 30.0
+
+
+def test_without_supply_and_probe_the_environment_is_empty(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        assert get(api, "/api/v1/environment")["items"] == []
+        assert get(api, "/api/v1/environment/latest")["latest"] is None
+    filled.close()
+
+
+def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+
+        def told():
+            info = get(api, "/api/v1/info")
+            return info["held"], info["dry_run"]
+
+        assert told() == (None, None), "a recorder of an older version does not say"
+        filled.say("recorder_started", dry_run=True)
+        filled.say("hold", held="held by ann: door open", author="ann")
+        assert told() == ("held by ann: door open", True)
+        filled.say("recorder_started", dry_run=False)
+        assert told() == ("held by ann: door open", False), "a restart ends no hold"
+        filled.say("release", held="", author="ann")
+        assert told() == (None, False)
+    filled.close()
 
 
 def test_trend_columns_are_the_catalogues_rows(api, filled):
@@ -193,7 +239,7 @@ def test_transducers_tell_their_state(api):
     assert {name: row["state"] for name, row in states.items()} == {
         "A": "normal",
         "B": "alarm",
-        "C": "alarm",
+        "C": "retired",
         "D": "normal",
     }
     assert states["C"]["highest_severity"] == "critical"
@@ -225,6 +271,8 @@ def test_data_of_a_retired_transducer_age_on(tmp_path):
     assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
     assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
     assert states["D"]["age_h"] == 0.5
+    assert states["C"]["retired_because"] == "10 sets running with nothing at C"
+    assert states["D"]["retired_because"] is None
     filled.close()
 
 
@@ -308,7 +356,8 @@ ECHO_SET = {"state": "done", "method": "pulse_echo"}
     ("last_set", "verdict", "alarms", "word"),
     [
         (None, None, [], "no_data"),
-        ({"state": "retired", "method": "solitary_wave"}, {"outlier": True}, [{}], "retired"),
+        # It was reinstated after this set: what it is now is told by its alarms.
+        ({"state": "retired", "method": "solitary_wave"}, {"outlier": False}, [], "normal"),
         (SET, {"outlier": False}, [{}], "alarm"),
         (SET, {"outlier": True}, [], "outlier"),
         (SET, {"outlier": False}, [], "normal"),

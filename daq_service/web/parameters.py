@@ -1,0 +1,35 @@
+"""Query parameters that a route does not know are refused: a misspelt filter must not look like a result."""
+
+from __future__ import annotations
+
+import difflib
+
+from fastapi.exceptions import RequestValidationError
+from fastapi.routing import APIRoute
+from starlette.requests import HTTPConnection
+
+
+def refuse_unknown_parameters(connection: HTTPConnection) -> None:
+    """Check the names of a request's query parameters; a dependency of every route of the API.
+
+    Raises
+    ------
+    RequestValidationError
+        422: a name that the route does not have, with the nearest one that it has.
+    """
+    route = connection.scope.get("route")
+    if not isinstance(route, APIRoute):
+        return  # a WebSocket: its route checks for itself
+    known = sorted(field.alias for field in route.dependant.query_params)
+    unknown = [name for name in connection.query_params if name not in known]
+    if unknown:
+        raise RequestValidationError(
+            [{"loc": ("query", name), "msg": _remedy(name, known)} for name in dict.fromkeys(unknown)]
+        )
+
+
+def _remedy(name: str, known: list[str]) -> str:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    if near:
+        return f"unknown parameter; did you mean {near[0]}?"
+    return f"unknown parameter; there are {', '.join(known)}" if known else "this resource has no parameters"
