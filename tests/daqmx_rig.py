@@ -4,17 +4,24 @@ from __future__ import annotations
 
 import ctypes
 import os
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
+from hardware_drivers.daqmx.instruments import DaqmxInstruments
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import Counts, ShotKey
+from simulator.coupled_model import ShotModel
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
 from simulator.doubles.description import TransducerWiring as DoubleWiring
 from simulator.doubles.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.doubles.process import RunningDoubles
 from simulator.parameters import ChainParameters, PlateParameters
 from simulator.scenario import NoiseParameters, ScatterParameters, TwinParameters
+from simulator.specimen import Transducer, build_specimen
 
 QUICK_PULSE_S = 3e-3
 QUICK_DROP_M = 1e-3
@@ -100,3 +107,57 @@ def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
     ctypes.CDLL(str(folder / SONAMES["nidaqmx"]), mode=ctypes.RTLD_GLOBAL)
     for name, text in client_environment(doubles.wire, folder).items():
         monkeypatch.setenv(name, text)
+
+
+HOUR_H = 12.0
+
+
+def take(
+    rig: DaqmxInstruments, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = 2.0
+) -> Acquired:
+    """Take one shot and tell the double which one it is."""
+    doubles.control.announce(key, HOUR_H)
+    rig.digitizer.arm(key)
+    rig.striker.strike(key)
+    return rig.digitizer.read(read_timeout_s)
+
+
+def counts_of_the_twin(description: Description, parameters: DaqmxParameters, key: ShotKey) -> Counts:
+    """Counts of this shot: the twin's volts through the polynomial of the board that samples it."""
+    wiring = description.transducers[key.position]
+    sampler = next(one for one in description.boards if one.serial_number == wiring.ai_serial)
+    adc = sampler.adc(
+        range_v=parameters.transducers[key.position].range_v,
+        sample_rate_hz=parameters.sample_rate_hz,
+        record_samples=parameters.record_samples,
+        pretrigger_samples=parameters.pretrigger_samples,
+        trigger_level_v=parameters.trigger_level_v,
+    )
+    specimen = build_specimen(
+        replace(description.twin, adc=adc),
+        transducers={
+            name: Transducer(chain=its.chain, model=ShotModel(its.chain, its.plate, its.corrosion))
+            for name, its in description.transducers.items()
+        },
+        probed_thickness_m={},
+    )
+    acquired = specimen.solitary_wave(key, HOUR_H)
+    assert acquired is not None, "the twin's strike reaches the level"
+    return acquired.waveform.counts
+
+
+def coil_pulses_s(record: Mapping[str, Any]) -> list[float]:
+    """Length of every pulse in a double's record; fails if a line was left high."""
+    assert not any(record["levels"].values()), f"a coil is on: {record['levels']}"
+    since, pulses_s = {}, []
+    for event in record["lines"]:
+        if event["level"]:
+            since[event["line"]] = event["ns"]
+        elif event["line"] in since:
+            pulses_s.append((event["ns"] - since.pop(event["line"])) / 1e9)
+    return pulses_s
+
+
+def functions_of(record: Mapping[str, Any]) -> list[str]:
+    """Names of the calls in a double's record, in order."""
+    return [call["function"].removeprefix("DAQmx") for call in record["calls"]]

@@ -173,7 +173,6 @@ def _committed(
     task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, *, triggered: bool
 ) -> Acquisition:
     """Read back what counts and refuse what was silently changed."""
-    from nidaqmx.constants import DataJustification
     from nidaqmx.stream_readers import AnalogUnscaledReader
 
     wiring = parameters.transducers[position]
@@ -191,13 +190,10 @@ def _committed(
         )
     calibration = _calibration(channel, wiring, board)
     size = int(channel.ai_raw_samp_size)
-    bits = calibration.resolution_bits
-    right = bits == size or channel.ai_raw_samp_justification == DataJustification.RIGHT
-    if size not in _DTYPES or bits > size or not right:
+    if size not in _DTYPES or calibration.resolution_bits > size:
         raise ConfigurationError(
-            f"{board.label} gives {bits}-bit codes in {size} bits"
-            f"{'' if right else ', not right-justified'}; this driver reads right-justified codes in 16 or "
-            "32 bits; use another board"
+            f"{board.label} gives {calibration.resolution_bits}-bit codes in {size}-bit samples; this driver "
+            "reads samples of 16 and 32 bits; use another board"
         )
     level_v = parameters.trigger_level_v
     if triggered:
@@ -238,7 +234,7 @@ def _calibration(channel: Any, wiring: TransducerWiring, board: Board) -> Calibr
     if not (ends_v[0] < 0.0 < ends_v[1] and ((reach >= OVER_RANGE[0]) & (reach <= OVER_RANGE[1])).all()):
         raise ConnectionLostError(
             f"{board.label} scales its codes to {ends_v[0]:.4g}..{ends_v[1]:.4g} V in the range of "
-            f"+-{wiring.range_v} V, which makes no sense"
+            f"+-{wiring.range_v} V, which makes no sense (left-justified codes would look so too)"
         )
     return calibration
 

@@ -154,7 +154,7 @@ def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Boa
         raise ConfigurationError(f"{board.label} would hold the coil of {position!r} on between strikes")
     if given.strip("/").casefold() != terminal.strip("/").casefold():
         raise ConnectionLostError(
-            f"{board.label} would pulse {given or 'no terminal'} instead of {terminal}, the coil of {position!r}"
+            f"{board.label} would pulse {given or 'no terminal'} instead of {terminal} of {position!r}"
         )
     if not 0.0 < high_s <= CAP_S or abs(high_s - parameters.pulse_s) > PULSE_AGREEMENT * parameters.pulse_s:
         raise ConfigurationError(

@@ -324,6 +324,6 @@ class _Look:
 def _given_back(committed: Acquisition | Coil) -> str:
     if not committed.close():
         raise ConnectionLostError(
-            "committed, but the driver did not take it back; end other programs that use the board, or reset it"
+            "committed, but the driver did not take it back; end what else uses the board, or reset it"
         )
     return "committed as asked, not started"
