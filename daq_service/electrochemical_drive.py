@@ -165,7 +165,7 @@ class ElectrochemicalDrive:
         if self._intended_on is None or (reading.output_on and not self._intended_on):
             # Found like this at the start, or switched on at the front panel: a person wants it.
             self._intended_on = reading.output_on
-        high = reading.output_on and reading.current_a >= self._parameters.interlock_current_a
+        high = reading.current_a >= self._parameters.interlock_current_a
         self._high_readings = self._high_readings + 1 if high else 0
         if self._high_readings >= self._parameters.interlock_readings:
             self.trip(
@@ -196,11 +196,7 @@ class ElectrochemicalDrive:
         self._must_read_back = True
         assert self._parameters is not None, "given with its supply"
         silent_s = self._supply_log.silent_s(now_ns)
-        if (
-            self._intended_on is not False
-            and silent_s >= self._parameters.interlock_lost_after_s
-            and self._tripped is None
-        ):
+        if self._intended_on is not False and silent_s >= self._parameters.interlock_lost_after_s:
             # Not reachable now: it is switched off as soon as it answers.
             self._latch(f"no answer from the supply for {silent_s:.0f} s: {error}")
 

@@ -25,7 +25,7 @@ PARAMETERS = SupplyParameters(
 CLIMATE = ClimateParameters(line=LINE, identity="ANY", log_interval_s=60.0)
 
 
-class ScriptedSupply:
+class PlainSupply:
     """Says what the test wants; notes everything that is asked of it."""
 
     tripped_protections = ()
@@ -53,11 +53,6 @@ class ScriptedSupply:
             output_on=self.on,
         )
 
-    def read_back(self, timeout_s):
-        assert timeout_s == PARAMETERS.read_timeout_s
-        self._call("read_back")
-        return {**self.set, "output": "on" if self.on else "off"}
-
     def energise(self, voltage_v, current_limit_a):
         self._call(f"energise {voltage_v:g} V {current_limit_a:g} A")
         self.on = True
@@ -68,6 +63,15 @@ class ScriptedSupply:
 
     def identity(self):
         return {}
+
+
+class ScriptedSupply(PlainSupply):
+    """The same, and tells what is set."""
+
+    def read_back(self, timeout_s):
+        assert timeout_s == PARAMETERS.read_timeout_s
+        self._call("read_back")
+        return {**self.set, "output": "on" if self.on else "off"}
 
 
 class ScriptedProbe:
@@ -87,9 +91,9 @@ LOST = ConnectionLostError("the supply at COM4 is gone")
 
 
 class Bench:
-    def __init__(self, state=None, **supply):
+    def __init__(self, state=None, kind=ScriptedSupply, **supply):
         self.clock = TestClock()
-        self.supply = ScriptedSupply(self.clock)
+        self.supply = kind(self.clock)
         for name, value in supply.items():
             setattr(self.supply, name, value)
         self.probe = ScriptedProbe(self.clock)
@@ -138,6 +142,16 @@ def test_one_call_reads_one_instrument_at_most():
     assert bench.supply.calls.count("read") == 30
     assert bench.supply.calls.count("read_back") == 1
     assert bench.probe.calls == 5
+
+
+def test_a_recorder_that_was_busy_reads_once_and_not_in_a_burst(energised):
+    energised.supply.calls.clear()
+    energised.clock.advance(25.0)
+    for _ in range(5):
+        energised.drive.tick()
+    assert energised.supply.calls == ["read"]
+    energised.run(INTERVAL_S)
+    assert energised.supply.calls == ["read"] * 2
 
 
 def test_charge_is_the_integral_of_the_measured_current(energised):
@@ -336,6 +350,7 @@ def test_over_current_trips_after_some_readings_in_a_row(energised):
 def test_a_trip_without_a_link_is_owed_and_paid_when_the_supply_answers(energised):
     energised.supply.error = LOST
     assert energised.drive.trip("hole at B") is False
+    assert energised.drive.output() == "unknown"
     assert "could not be switched off yet" in energised.message("interlock_tripped")
     energised.run(60.0)
     assert energised.supply.on, "nobody can reach it"
@@ -346,6 +361,30 @@ def test_a_trip_without_a_link_is_owed_and_paid_when_the_supply_answers(energise
     assert energised.supply.calls[0] == "make_safe"
     assert not energised.supply.on
     assert energised.message("interlock_tripped") == "hole at B"
+
+
+def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised):
+    energised.supply.error = LOST
+    energised.drive.trip("hole at B")
+    energised.supply.error = None
+    energised.drive.energise("Ada")
+    energised.run(60.0)
+    assert energised.supply.on
+    assert energised.active() == set()
+
+
+def test_an_order_that_fails_leaves_what_is_found(energised):
+    def fails(voltage_v, current_limit_a):
+        energised.supply.on = False
+        raise ConfigurationError("it did not keep what was set; the output is off")
+
+    energised.supply.energise = fails
+    with pytest.raises(ConfigurationError):
+        energised.drive.energise("Ada")
+    energised.supply.calls.clear()
+    energised.run(INTERVAL_S)
+    assert energised.active() == set(), "the person who ordered knows that it is off"
+    assert energised.supply.calls == ["read", "read_back"]
 
 
 def test_owed_switching_off_is_tried_once_an_interval(energised):
@@ -375,6 +414,14 @@ def test_silence_of_a_supply_that_was_switched_off_trips_nothing(energised):
     energised.supply.error = LOST
     energised.run(1000.0)
     assert energised.active() == {"supply_lost"}
+
+
+def test_silence_of_a_supply_that_was_found_off_trips_nothing():
+    bench = Bench()
+    bench.run(INTERVAL_S)
+    bench.supply.error = LOST
+    bench.run(1000.0)
+    assert bench.active() == {"supply_lost"}
 
 
 def test_an_output_switched_on_against_the_interlock_is_switched_off(energised):
@@ -427,6 +474,14 @@ def test_at_the_limit_it_says_so():
     bench.run(INTERVAL_S)
     assert bench.active() == {"supply_limit"}
     assert "0.5 A" in bench.message("supply_limit")
+
+
+def test_a_supply_that_cannot_read_back_is_judged_by_the_order():
+    bench = Bench(kind=PlainSupply)
+    bench.drive.energise("Ada", current_limit_a=0.5)
+    bench.supply.current_a = 0.5
+    bench.run(INTERVAL_S)
+    assert bench.active() == {"supply_limit"}
 
 
 # Restart -------------------------------------------------------------------------------------------
