@@ -21,7 +21,16 @@ from hardware_drivers.errors import (
     InstrumentError,
 )
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from hardware_drivers.niscope.session import Board, Fetched, Setup, configure, describe, fetch, open_session
+from hardware_drivers.niscope.session import (
+    Board,
+    Fetched,
+    Setup,
+    close_session,
+    configure,
+    describe,
+    fetch,
+    open_session,
+)
 from hardware_drivers.niscope.vendor_errors import BoardAbsentError, vendor_calls
 
 RESET_RUNG = 2
@@ -99,7 +108,7 @@ class BoardConnection:
             return
         # What cannot be closed is lost already, and the next opening says so if that matters.
         with contextlib.suppress(InstrumentError), vendor_calls(self._niscope, "closing"):
-            session.close()
+            close_session(self._niscope, session)
 
     @contextlib.contextmanager
     def _ladder(self) -> Iterator[None]:

@@ -71,9 +71,20 @@ def open_session(niscope: ModuleType, resource: str) -> Any:
         # The package forgets a board that it opened but could not ask for its channels. If opening itself
         # failed, closing is refused, which changes nothing: the first error is the one to report.
         with contextlib.suppress(niscope.errors.Error, AttributeError):
-            session.close()
+            close_session(niscope, session)
         raise
     return session
+
+
+def close_session(niscope: ModuleType, session: Any) -> None:
+    """Close a board, with a second try: nobody else can close it."""
+    handle = session._interpreter.get_session_handle()
+    try:
+        session.close()
+    except niscope.errors.Error:
+        # The package forgets the handle of a board that refused to be closed.
+        session._interpreter.set_session_handle(handle)
+        session.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,19 +159,28 @@ def configure(
     session.commit()
     setup = _read_back(session, channel)
     _refuse_coerced(parameters, wiring, setup, channel, board)
+    if session.trigger_source != trigger_terminal(wiring):
+        raise ConnectionLostError(
+            f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
+            f"{trigger_terminal(wiring)!r} as it was told"
+        )
     check_sum_fits(parameters.averages, max(setup.sample_bits, setup.resolution_bits))
     return setup
 
 
+def trigger_terminal(wiring: ProbeWiring) -> str:
+    """Name NI-SCOPE gives the trigger's source."""
+    return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
+
+
 def _configure_trigger(niscope: ModuleType, session: Any, wiring: ProbeWiring) -> None:
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
+    terminal = trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
-        session.configure_trigger_digital(
-            TRIGGER_TERMINALS[wiring.trigger_source], slope=slope, delay=wiring.firing_delay_s
-        )
+        session.configure_trigger_digital(terminal, slope=slope, delay=wiring.firing_delay_s)
         return
     session.configure_trigger_edge(
-        TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel),
+        terminal,
         wiring.trigger_level_v,
         niscope.TriggerCoupling.DC,
         slope=slope,

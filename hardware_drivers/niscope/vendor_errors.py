@@ -70,6 +70,9 @@ CLASS_OF_KERNEL_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
 
 _WRAPPED = re.compile(r"Status Code:\s*(-?\d+)")
 
+_NONSENSE = (ValueError, TypeError, AssertionError, ArithmeticError, LookupError)
+"""What the package raises of its own on answers that it cannot make sense of."""
+
 _REMEDY: Mapping[type[InstrumentError], str] = {
     AcquisitionTimeoutError: "check that the pulser fires and that its sync reaches the trigger input",
     BusyError: "close the other program that uses the board (a soft front panel?)",
@@ -135,7 +138,7 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
             yield kept
         except InstrumentError:
             raise
-        except (niscope.errors.Error, ValueError, TypeError, AssertionError, ArithmeticError) as error:
+        except (niscope.errors.Error, *_NONSENSE) as error:
             raise translated(niscope, error, doing) from error
         finally:
             for warning in seen:

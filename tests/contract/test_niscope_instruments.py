@@ -1,0 +1,309 @@
+"""The pulse-echo unit on the unmodified `niscope` package, a double of NI's library below it."""
+
+import dataclasses
+
+import niscope_rig as rig
+import numpy as np
+import pytest
+from pulse_echo_unit_contract import PulseEchoUnitContract
+
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+)
+from hardware_drivers.instruments import SelfCalibrating
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+from hardware_drivers.niscope.pulse_echo import open_niscope
+from simulator.doubles.description import ProbeWiring as DoubleProbe
+from simulator.doubles.niscope_scopes import ScopeParameters
+from simulator.scenario import EchoParameters, TwinParameters
+from simulator.specimen import build_specimen
+
+pytestmark = rig.needs_niscope
+
+
+@pytest.fixture
+def brain():
+    with rig.met_brain(rig.description()) as brain:
+        yield brain
+        assert brain.record()["sessions"] == []
+        assert brain.record()["leaked"] == []
+
+
+@pytest.fixture
+def unit(brain):
+    with open_niscope(rig.parameters()) as unit:
+        yield unit
+
+
+class TestNiscopePulseEchoUnit(PulseEchoUnitContract):
+    @pytest.fixture
+    def pulse_echo(self, unit):
+        return unit
+
+    @pytest.fixture
+    def keys(self):
+        return rig.key(0), rig.key(1)
+
+    @pytest.fixture
+    def unknown_key(self):
+        return ShotKey(position="nowhere", set_index=0, shot_index=0)
+
+
+def test_the_sum_of_the_records_is_the_twin_s_echo_to_the_last_count(unit, brain):
+    brain.announce(rig.key(), rig.HOUR_H)
+    waveform = unit.acquire(rig.key(), rig.TIMEOUT_S).waveform
+    described = rig.description()
+    codes = rig.codes_of_the_twin(described, rig.key())
+    # 16 equal records of codes padded by 4.
+    np.testing.assert_array_equal(waveform.counts, 16 * 4 * codes.astype(np.int32))
+    # 64 is a power of two: the volts are those of one code through the board's scaling, bit for bit.
+    np.testing.assert_array_equal(waveform.volts(), rig.SCOPE.calibration(1.0, 0.0).volts(codes))
+    assert waveform.counts.dtype == np.int32
+
+
+def test_on_an_ideal_board_the_volts_are_the_twin_s_own():
+    ideal = ScopeParameters(
+        name=rig.RESOURCE,
+        serial_number=rig.SERIAL,
+        over_range_fraction=0.0,
+        gain_error_fraction=0.0,
+        offset_v=0.0,
+    )
+    described = rig.description(scope=ideal)
+    with rig.met_brain(described) as running, open_niscope(rig.parameters()) as unit:
+        running.announce(rig.key(), rig.HOUR_H)
+        echo = unit.acquire(rig.key(), rig.TIMEOUT_S)
+    specimen = build_specimen(described.twin, transducers={}, probed_thickness_m={"A": 6.35e-3})
+    own = specimen.echo(rig.key(), rig.HOUR_H)
+    np.testing.assert_array_equal(echo.waveform.volts(), own.waveform.volts())
+    assert (echo.gain_db, echo.offset_v, echo.averages) == (own.gain_db, own.offset_v, own.averages)
+    np.testing.assert_array_equal(echo.waveform.time_s(), own.waveform.time_s())
+
+
+def test_averaging_reduces_the_noise_by_the_root_of_the_records():
+    noise_v = {}
+    quiet_v = None
+    for averages in (1, 16):
+        with rig.met_brain(rig.description(twin=TwinParameters())) as running:
+            running.announce(rig.key(), rig.HOUR_H)
+            with open_niscope(rig.parameters(averages=averages)) as unit:
+                noise_v[averages] = unit.acquire(rig.key(), rig.TIMEOUT_S).waveform.volts()
+    with rig.met_brain(rig.description()) as running, open_niscope(rig.parameters()) as unit:
+        running.announce(rig.key(), rig.HOUR_H)
+        quiet_v = unit.acquire(rig.key(), rig.TIMEOUT_S).waveform.volts()
+    single, mean = ((noise_v[n] - quiet_v).std() for n in (1, 16))
+    # A standard deviation of 2,048 draws scatters by 1.6 %; five of those.
+    assert single == pytest.approx(EchoParameters().noise_rms_v, rel=0.08)
+    assert mean == pytest.approx(EchoParameters().noise_rms_v / 4.0, rel=0.08)
+
+
+def test_a_record_says_what_it_was_taken_with(unit):
+    settings = unit.acquire(rig.key(), rig.TIMEOUT_S).settings
+    assert settings["board_serial"] == "01C5A1F0"
+    assert settings["product"] == "NI PXI-5122"
+    assert settings["calibration_date"] == "2026-05-04"
+    assert settings["calibration_temperature_c"] == 41.5
+    assert (settings["clipped_records"], settings["first_sample_s"]) == (0.0, 0.0)
+    assert settings["trigger_level_v"] == 1.0
+    assert "driver_warnings" not in settings
+    assert all(isinstance(value, float | str) for value in settings.values())
+    assert unit.identity() == {
+        "niscope": settings["niscope_version"],
+        "ni_scope": settings["driver_version"],
+        "probe_A": "NI PXI-5122 01C5A1F0 at PXI1Slot5, channel 0",
+    }
+
+
+def test_clipping_is_counted_on_the_single_records():
+    loud = dataclasses.replace(rig.QUIET, echo=EchoParameters(back_wall_v=3.0))
+    with rig.met_brain(rig.description(twin=loud)), open_niscope(rig.parameters()) as unit:
+        settings = unit.acquire(rig.key(), rig.TIMEOUT_S).settings
+    assert settings["clipped_records"] == 16.0
+    assert "ADC overload" in settings["driver_warnings"]
+
+
+def test_a_session_is_set_up_once_and_then_only_triggered(unit, brain):
+    unit.acquire(rig.key(0), rig.TIMEOUT_S)
+    brain.clear_record()
+    unit.acquire(rig.key(1), rig.TIMEOUT_S)
+    called = set(rig.functions_of(brain.record()))
+    assert "niScope_FetchBinary16" in called
+    assert not {name for name in called if "Configure" in name or "Commit" in name or "Init" in name} - {
+        "niScope_InitiateAcquisition"
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"range_v": 0.3}, r"range_v is 0\.3; the NI PXI-5122 at 'PXI1Slot5' would use 0\.5"),
+        ({"channel": "7"}, "channel is '7'; the NI PXI-5122 at 'PXI1Slot5' has 0, 1"),
+        ({"range_v": 50.0}, "NI-SCOPE error -1074135024"),
+        ({"resource": "PXI1Slot9"}, "'PXI1Slot9'(.|\n)*NI-SCOPE error -1074134944"),
+        ({"serial_number": "0BADCAFE"}, "'PXI1Slot5' is a NI PXI-5122 with serial number '01C5A1F0', not"),
+    ],
+)
+def test_what_the_board_cannot_do_is_refused_at_the_start(brain, changes, said):
+    with pytest.raises(ConfigurationError, match=said), open_niscope(rig.parameters(**changes)):
+        pytest.fail("it opened")
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"sample_rate_hz": 60e6}, r"sample_rate_hz is 60000000\.0; .* would use 100000000\.0"),
+        ({"sample_rate_hz": 200e6}, "NI-SCOPE error"),
+        ({"record_samples": 5_000_000}, "NI-SCOPE error -1074118653"),
+    ],
+)
+def test_what_it_cannot_record_is_refused_at_the_start(brain, changes, said):
+    asked = dataclasses.replace(rig.parameters(), **changes)
+    with pytest.raises(ConfigurationError, match=said), open_niscope(asked):
+        pytest.fail("it opened")
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, -1.0])
+def test_a_deadline_that_is_none_is_refused(unit, timeout_s):
+    with pytest.raises(ConfigurationError, match="must be positive"):
+        unit.acquire(rig.key(), timeout_s)
+
+
+def test_a_pulser_that_is_off_times_out_and_one_that_is_on_again_is_recorded():
+    with (
+        rig.met_brain(rig.description(repetition_hz=0.5)),
+        open_niscope(rig.parameters(averages=1)) as unit,
+    ):
+        with pytest.raises(AcquisitionTimeoutError, match="its sync reaches the trigger input"):
+            # The next firing is up to 2 s away, unless it happens to come in this very millisecond.
+            unit.acquire(rig.key(), 1e-3)
+        unit.acquire(rig.key(), 5.0)
+
+
+def test_no_wait_is_longer_than_configured():
+    short = dataclasses.replace(rig.parameters(), call_timeout_s=0.01)
+    with (
+        rig.met_brain(rig.description(switched_on=False)),
+        open_niscope(short) as unit,
+        pytest.raises(AcquisitionTimeoutError, match=r"Timeout: 0\.01 s"),
+    ):
+        unit.acquire(rig.key(), 600.0)
+
+
+def test_somebody_else_s_board_is_named_and_left_alone(brain):
+    brain.occupy(rig.RESOURCE, "InstrumentStudio of pc-7")
+    with (
+        pytest.raises(BusyError, match="being used by another application or process"),
+        open_niscope(rig.parameters()),
+    ):
+        pytest.fail("it opened")
+    assert "niScope_ResetDevice" not in rig.functions_of(brain.record())
+    brain.vacate("InstrumentStudio of pc-7")
+    with open_niscope(rig.parameters()) as unit:
+        unit.acquire(rig.key(), rig.TIMEOUT_S)
+
+
+def test_a_board_has_one_owner(unit):
+    with pytest.raises(BusyError), open_niscope(rig.parameters()):
+        pytest.fail("it opened")
+    unit.acquire(rig.key(), rig.TIMEOUT_S)
+
+
+def test_two_probes_take_turns_on_one_board():
+    described = rig.description()
+    probes = {
+        name: DoubleProbe(resource=rig.RESOURCE, channel=channel)
+        for name, channel in (("A", "0"), ("E", "1"))
+    }
+    described = dataclasses.replace(described, probes=probes)
+    wiring = {
+        name: ProbeWiring(resource=rig.RESOURCE, channel=probe.channel) for name, probe in probes.items()
+    }
+    with rig.met_brain(described) as running, open_niscope(NiscopeParameters(probes=wiring)) as unit:
+        for name in ("A", "E", "E", "A"):
+            shot = ShotKey(position=name, set_index=7, shot_index=0)
+            running.announce(shot, rig.HOUR_H)
+            echo = unit.acquire(shot, rig.TIMEOUT_S)
+            assert echo.settings["channel"] == wiring[name].channel
+            assert np.ptp(echo.waveform.counts) > 0
+        assert len(running.record()["sessions"]) == 1
+
+
+def test_self_calibration_is_dated_and_the_next_record_is_set_up_anew(unit, brain):
+    assert isinstance(unit, SelfCalibrating)
+    done = unit.self_calibrate()
+    assert list(done) == ["01C5A1F0"]
+    assert done["01C5A1F0"].endswith(", 41.50 C")
+    assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["calibration_date"] in done["01C5A1F0"]
+    assert "niScope_CalSelfCalibrate" in rig.functions_of(brain.record())
+
+
+def test_a_board_that_was_unplugged_is_found_again_under_another_name():
+    looked_for = rig.parameters(other_resources=("Dev3", "Dev4"))
+    with rig.met_brain(rig.description()) as running, open_niscope(looked_for) as unit:
+        unit.acquire(rig.key(), rig.TIMEOUT_S)
+        running.unplug(rig.SERIAL)
+        for attempts in (None, None, None, 3, 4):
+            said = f"not back after {attempts} attempts" if attempts else "."
+            with pytest.raises(ConnectionLostError, match=said):
+                unit.acquire(rig.key(), rig.TIMEOUT_S)
+        running.plug(rig.SERIAL, "Dev4")
+        assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["resource"] == "Dev4"
+        # The ladder begins anew: one loss is no reason for a reset.
+        running.clear_record()
+        running.faults.inject("niScope_InitiateAcquisition", "error", code=-1074118654)
+        with pytest.raises(ConnectionLostError):
+            unit.acquire(rig.key(), rig.TIMEOUT_S)
+        unit.acquire(rig.key(), rig.TIMEOUT_S)
+        assert "niScope_ResetDevice" not in rig.functions_of(running.record())
+
+
+def test_another_board_under_the_name_is_never_reset():
+    described = rig.description()
+    stranger = ScopeParameters(name="Dev3", serial_number=0x0BADCAFE)
+    described = dataclasses.replace(described, scopes=(rig.SCOPE, stranger))
+    looked_for = rig.parameters(other_resources=("Dev3",))
+    with rig.met_brain(described) as running, open_niscope(looked_for) as unit:
+        running.unplug(rig.SERIAL)
+        running.clear_record()
+        for _ in range(5):
+            with pytest.raises(ConnectionLostError):
+                unit.acquire(rig.key(), rig.TIMEOUT_S)
+        called = rig.functions_of(running.record())
+        assert "niScope_InitWithOptions" in called
+        assert "niScope_ResetDevice" not in called
+        assert running.record()["sessions"] == []
+
+
+def test_the_second_rung_resets_our_own_board(unit, brain):
+    unit.acquire(rig.key(), rig.TIMEOUT_S)
+    brain.clear_record()
+    brain.faults.inject("niScope_InitiateAcquisition", "error", code=-1074118654, times=2)
+    for _ in range(2):
+        with pytest.raises(ConnectionLostError):
+            unit.acquire(rig.key(), rig.TIMEOUT_S)
+    unit.acquire(rig.key(), rig.TIMEOUT_S)
+    assert rig.functions_of(brain.record()).count("niScope_ResetDevice") == 1
+
+
+def test_a_board_that_opens_but_cannot_tell_its_channels_is_closed(brain):
+    brain.faults.inject("niScope_GetChannelNameFromString", "error", code=-1074118654)
+    with pytest.raises(ConnectionLostError), open_niscope(rig.parameters()):
+        pytest.fail("it opened")
+    assert brain.record()["sessions"] == []
+
+
+def test_without_ni_tclk_no_board_is_opened(brain, monkeypatch):
+    import nitclk
+
+    def missing(_handle):
+        raise nitclk.errors.DriverNotInstalledError
+
+    monkeypatch.setattr(nitclk, "SessionReference", missing)
+    brain.clear_record()
+    with pytest.raises(ConfigurationError, match="NI-TClk"), open_niscope(rig.parameters()):
+        pytest.fail("it opened")
+    assert rig.functions_of(brain.record()) == []
