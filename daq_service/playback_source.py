@@ -62,9 +62,7 @@ class ArchivedShots:
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
-        # A test has the same positions from its first set on; later ones only retire.
-        positions = {place.position: place.method for place in first.positions}
-        self._shots = ShotsBySet(positions, self._records)
+        self._shots = ShotsBySet(_positions(first), self._records)
         self._moments: dict[int, list[int]] = {}
 
     @property
@@ -137,6 +135,15 @@ class ArchivedShots:
             left = read_set(path, skip_damaged=True)
             self._damaged[set_index] = f"{path}: {'; '.join(map(str, verify_set(path)))}"
             return left
+
+
+def _positions(record: SetRecord) -> dict[str, str]:
+    """Positions of a test and their method: those of its configuration, retired or not, and of the set."""
+    configured = record.provenance.get("configuration", {}).get("positions", {})
+    return {
+        **{name: place["method"] for name, place in configured.items()},
+        **{place.position: place.method for place in record.positions},
+    }
 
 
 def _due_utc_ns(path: Path) -> int:

@@ -84,6 +84,14 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
     assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
 
+def test_a_position_that_was_retired_at_first_is_known_from_the_configuration(tmp_path):
+    configured = {
+        "configuration": {"positions": {"B": {"method": "solitary_wave"}, "E": {"method": "pulse_echo"}}}
+    }
+    stored(tmp_path, replace(make_set(), provenance=configured))
+    assert ArchivedShots(tmp_path).positions["E"] == "pulse_echo"
+
+
 def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tmp_path):
     shots = [make_shot("B", index, 1 + index, n_samples=2000) for index in range(3)]
     record = SetRecord(
