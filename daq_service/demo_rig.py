@@ -77,12 +77,14 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
             doubles = stack.enter_context(running_doubles(_description(settings)))
         except DoublesError as error:
             raise RigError(f"the doubles of the NI boards did not start: {error}") from error
+        if transport == "grpc" and not doubles.grpc:
+            raise UsageError("--rig daqmx-grpc needs the package grpcio: pip install 'solimon[grpc]'")
         tables = _rig_tables(settings, transport, doubles.grpc, has_probe=has_probe)
         dropped = [] if has_probe else settings.names_of("pulse_echo")
         environment = client_environment(doubles.wire, *folders, environment=_searched(folders))
         yield DemoRig(
             settings=_on_rig(settings, tables, dropped),
-            environment={**environment, CONTROL_VARIABLE: doubles.control},
+            environment={**environment, CONTROL_VARIABLE: doubles.control.address},
             notes=tuple(f"position {name} is left out: {NO_PROBE[transport]}" for name in dropped),
         )
 

@@ -43,11 +43,13 @@ class Heartbeat:
         self._deadline_s = deadline_s
         self._mono_ns = mono_ns
         self._last_ns: int | None = None
+        self._last_doing = ""
 
     def beat(self, doing: str) -> None:
         """Say that the line moves, and what it is doing."""
         now = self._mono_ns()
-        if self._last_ns is not None and now - self._last_ns < SHORTEST_INTERVAL_NS:
+        news = doing != self._last_doing
+        if not news and self._last_ns is not None and now - self._last_ns < SHORTEST_INTERVAL_NS:
             return
         text = json.dumps(
             {"process": os.getpid(), "mono_ns": now, "deadline_s": self._deadline_s, "doing": doing}
@@ -55,7 +57,7 @@ class Heartbeat:
         partial = self._path.with_suffix(".tmp")
         partial.write_text(text, encoding="utf-8")
         partial.replace(self._path)
-        self._last_ns = now
+        self._last_ns, self._last_doing = now, doing
 
 
 def read_heartbeat(folder: Path) -> Beat | None:

@@ -135,7 +135,7 @@ class Recorder:
         if self._operator.held:
             self._gap(due, dict.fromkeys(self._settings.positions, self._operator.held))
             return
-        self._doing = f"taking set {due.set_index}"
+        self._begin(f"taking set {due.set_index}")
         taken = self._take(due)
         if not taken.is_empty:
             self._store_and_judge(due, taken)
@@ -203,7 +203,7 @@ class Recorder:
 
     def _store_and_judge(self, due: DueSet, taken: TakenSet) -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
-        self._doing = f"storing set {due.set_index}"
+        self._begin(f"storing set {due.set_index}")
         record = SetRecord(
             set_index=due.set_index,
             due_utc_ns=due.due_utc_ns,
@@ -236,8 +236,7 @@ class Recorder:
         has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
         if age_h < boards.self_calibration_interval_h or not has_time:
             return
-        self._doing = f"self-calibration before set {due.set_index}"
-        self._heartbeat.beat(self._doing)
+        self._begin(f"self-calibration before set {due.set_index}")
         try:
             told = self_calibrating.self_calibrate()
         except InstrumentError as error:
@@ -393,7 +392,8 @@ class Recorder:
             )
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
+        if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
+            self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
         self._commit(transaction)
 
     def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
@@ -418,6 +418,11 @@ class Recorder:
         )
 
     # Operator and supervisor ---------------------------------------------------------------------
+
+    def _begin(self, doing: str) -> None:
+        """Say at once what is begun: should it never end, the supervisor tells what hung."""
+        self._doing = doing
+        self._heartbeat.beat(doing)
 
     def _idle(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""

@@ -1,0 +1,181 @@
+"""Whole sets through the vendor's unmodified packages, with the twin below them."""
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daq_service.archive import read_set, set_files
+from daq_service.catalogue import open_catalogue
+from daq_service.demo_rig import DemoRig, running_rig
+from daq_service.folder import prepare_data_folder
+from daq_service.rig import CONTROL_VARIABLE
+from daq_service.run import child_plans
+from daq_service.supervisor import Supervisor
+from simulator.doubles.control import DoublesControl
+from simulator.doubles.grpc_front import why_unavailable as why_no_grpc
+from simulator.doubles.library import why_unavailable as why_no_library
+
+REASONS = {"daqmx-library": why_no_library(), "daqmx-grpc": why_no_grpc()}
+NI_RIGS = [
+    pytest.param(rig, marks=pytest.mark.skipif(bool(reason), reason=reason or "available"))
+    for rig, reason in REASONS.items()
+]
+SMALL: dict[str, Any] = {
+    "schedule": {"phases": [{"until_h": 1.0, "interval_h": 0.5}], "shots_per_set": 2},
+    # A coarse mesh: the rigs are compared with each other, not with nature.
+    "plate": {"elements_per_edge": 16},
+    "baseline": {"minimum_valid_shots": 2},
+    "alarms": {"hole_shots": 2},
+    # What is left between two rigs is then the board's polynomial and its rounding.
+    "twin": {"noise": {"enabled": False}},
+}
+
+
+def configuration(running: DemoRig, folder: Path) -> Path:
+    prepare_data_folder(folder)
+    path = folder / "configuration.json"
+    path.write_text(running.settings.model_dump_json(), encoding="utf-8")
+    return path
+
+
+def record(running: DemoRig, folder: Path) -> None:
+    """Follow the schedule in a process of its own: the loader reads the library path when one starts."""
+    config = configuration(running, folder)
+    done = subprocess.run(
+        [sys.executable, "-m", "daq_service.cli", "record", str(config), "--data-dir", str(folder)],
+        env={**os.environ, **running.environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def shot_features(folder: Path) -> dict[tuple[str, int, int], Mapping[str, Any]]:
+    with open_catalogue(folder) as catalogue:
+        rows = catalogue.list_features(scope="shot")
+    return {(row["position"], row["set_index"], row["shot_index"]): row for row in rows}
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("simulated")
+    with running_rig("simulated", SMALL) as running:
+        record(running, folder)
+    return folder
+
+
+@pytest.mark.parametrize("rig", NI_RIGS)
+def test_a_set_through_nidaqmx_is_the_twins(rig: str, simulated: Path, tmp_path: Path) -> None:
+    with running_rig(rig, SMALL) as running:
+        record(running, tmp_path)
+        with DoublesControl(running.environment[CONTROL_VARIABLE]) as doubles:
+            told = doubles.record()
+    expected, found = shot_features(simulated), shot_features(tmp_path)
+    assert found.keys() == expected.keys()
+    assert len(found) == 12
+    for key, row in found.items():
+        # Boards and twin round to codes of their own: 16 bits move a pick by far less than this.
+        assert row["tof_pp_s"] == pytest.approx(expected[key]["tof_pp_s"], abs=0.02e-6), key
+        assert row["tof_mf_s"] == pytest.approx(expected[key]["tof_mf_s"], abs=0.02e-6), key
+    with open_catalogue(tmp_path) as catalogue:
+        assert {row["state"] for row in catalogue.list_sets(limit=None)} == {"done"}
+    assert told["tasks"] == []
+    assert told["leaked"] == []
+    assert told["sessions"] == []
+    assert told["reservations"] == {}
+
+
+@pytest.mark.parametrize("rig", NI_RIGS)
+def test_a_shot_says_how_it_was_taken(rig: str, tmp_path: Path) -> None:
+    with running_rig(rig, SMALL | {"schedule": SMALL["schedule"] | {"end_h": 0.5}}) as running:
+        record(running, tmp_path)
+    record_ = read_set(set_files(tmp_path)[0])
+    assert record_.rig_kind == "daqmx"
+    assert record_.provenance["rig_identity"]["doubles"], "data of a double say so"
+    shot = record_.shots[0]
+    assert shot.settings["product"] == "PXIe-6386"
+    assert shot.settings["trigger_level_v"] > 0.0
+    assert shot.settings["calibration_date"]
+    assert shot.waveform.calibration.coefficients_v.size == 4
+    assert shot.truth == {}, "a driver knows nothing of the wall"
+
+
+SECOND_H = 1.0 / 3600.0
+PULSE_NS = 20_000_000
+
+
+def quick_wall_settings(running: DemoRig) -> DemoRig:
+    """One transducer, a set of one strike every two seconds of real time, and little patience."""
+    values = running.settings.model_dump(mode="json")
+    values["clock"]["kind"] = "wall"
+    values["schedule"] |= {
+        "phases": [{"until_h": 16.0 * SECOND_H, "interval_h": 2.0 * SECOND_H}],
+        "shots_per_set": 1,
+    }
+    values["baseline"]["minimum_valid_shots"] = 1
+    values["alarms"]["hole_shots"] = 1
+    values["positions"] = {"D": values["positions"]["D"]}
+    values["rig"]["niscope"] = None
+    values["rig"]["daqmx"]["transducers"] = {"D": values["rig"]["daqmx"]["transducers"]["D"]}
+    values["rig"] |= {"read_timeout_s": 1.0, "stall_timeout_s": 2.0}
+    return replace(running, settings=type(running.settings)(**values))
+
+
+@pytest.mark.skipif(bool(REASONS["daqmx-library"]), reason=REASONS["daqmx-library"] or "available")
+@pytest.mark.parametrize("function", ["DAQmxReadBinaryI16", "DAQmxWaitUntilTaskDone"])
+def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: str, tmp_path: Path) -> None:
+    """Nothing can interrupt a hung call of the library but the end of its process."""
+    first_set, codes = threading.Event(), []
+
+    def on_message(child: str, message: Mapping[str, Any]) -> None:
+        if message["event"] == "progress":
+            first_set.set()
+
+    with (
+        running_rig("daqmx-library", SMALL) as started,
+        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
+    ):
+        running = quick_wall_settings(started)
+        config = configuration(running, tmp_path)
+        plans = child_plans(
+            config, tmp_path, port=None, web=False, linger=False, environment=running.environment
+        )
+        supervisor = Supervisor(plans, tmp_path, on_message=on_message)
+        stop = threading.Event()
+        thread = threading.Thread(target=lambda: codes.append(supervisor.run(stop, stay=False)))
+        thread.start()
+        try:
+            assert first_set.wait(60.0), "no set was taken"
+            doubles.inject(function, "hang")
+            assert doubles.wait_until_hanging(20.0), "nothing hung"
+            thread.join(60.0)
+        finally:
+            stop.set()
+            thread.join(20.0)
+        told = doubles.record()
+    assert codes == [0], "the schedule is followed to its end"
+    with open_catalogue(tmp_path) as catalogue:
+        sets = catalogue.list_sets("D", limit=None)
+        starts = catalogue.events_after(0, {"service"}, limit=None)
+    (restart,) = [row["payload"]["before"] for row in starts if row["kind"] == "recorder_started"][1:]
+    assert "hung while taking set" in restart
+    missed = [row for row in sets if row["state"] == "missed"]
+    assert missed, "the sets of that time are gaps in the ledger"
+    assert all("hung while taking set" in row["cause"] for row in missed)
+    assert sets[-1]["state"] == "done", "the test goes on"
+    # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
+    for line in {event["line"] for event in told["lines"]}:
+        events = [event for event in told["lines"] if event["line"] == line]
+        assert [event["level"] for event in events] == [1, 0] * (len(events) // 2)
+        for on, off in zip(events[::2], events[1::2], strict=True):
+            assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
+    assert not any(told["levels"].values())
