@@ -81,12 +81,16 @@ def missed(acquired: Acquired) -> Acquired:
 
 
 class OrderingClock:
-    """The recorder's clock, and an operator who writes orders at chosen hours of the test."""
+    """The recorder's clock, and an operator who writes orders at chosen hours of the test.
 
-    def __init__(self, clock: Clock, folder: Path, orders: Sequence[Order]) -> None:
+    Late ones come when the hour is reached: the recorder hears them at its next look.
+    """
+
+    def __init__(self, clock: Clock, folder: Path, orders: Sequence[Order], late: bool) -> None:
         self._clock = clock
         self._folder = folder
         self._orders = list(orders)
+        self._late = late
 
     def utc_ns(self) -> int:
         return self._clock.utc_ns()
@@ -95,20 +99,23 @@ class OrderingClock:
         return self._clock.mono_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        reached = self._late and self._clock.wait_until(utc_ns, idle)
         while self._orders and utc_ns >= EPOCH_NS + round(self._orders[0][0] * NS_PER_H):
             _, kind, arguments = self._orders.pop(0)
             with open_catalogue(self._folder) as catalogue:
                 catalogue.add_command("ann", kind, arguments)
-        return self._clock.wait_until(utc_ns, idle)
+        return reached if self._late else self._clock.wait_until(utc_ns, idle)
 
 
-def ordering_rig(folder: Path, orders: Sequence[Order], disturb: Disturb = untouched) -> RigOpener:
+def ordering_rig(
+    folder: Path, orders: Sequence[Order], disturb: Disturb = untouched, *, late: bool = False
+) -> RigOpener:
     """A disturbed twin whose operator gives ``orders``: hour, kind, arguments."""
 
     @contextmanager
     def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
         with disturbed_rig(disturb)(settings, clock, epoch_utc_ns) as rig:
-            yield replace(rig, clock=OrderingClock(rig.clock, folder, orders))
+            yield replace(rig, clock=OrderingClock(rig.clock, folder, orders, late))
 
     return opener
 
@@ -389,18 +396,13 @@ def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
 
 @pytest.mark.parametrize("restart", [False, True])
 def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
-    """The chain had lost contact: put right after set 7, and silent again at once."""
+    """The chain had lost contact: put right after set 6, and silent again at once."""
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     settings = small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0})
-    stop = threading.Event()
-
-    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
-        if restart and key == ShotKey(position="D", set_index=7, shot_index=2):
-            stop.set()
-        return acquired
-
     orders: list[Order] = [(3.9, "reinstate", {"position": "B", "note": "contact was open"})]
-    assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, disturb), stop=stop) is not restart
+    if restart:
+        orders.append((3.9, "stop", {}))
+    assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders)) is not restart
     if restart:
         assert run(settings, tmp_path)
     # Sets 5 and 6 make the hole, set 7 is the first one after the reinstatement.
@@ -619,6 +621,16 @@ def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
     row = sets_of(tmp_path, "B")[1]
     assert (row["state"], row["file"], row["n_missed"], row["n_restrikes"]) == ("missed", None, 3, 0)
     assert alarms_of(tmp_path)[None, "rig_unavailable"]["raised_set_index"] == 1
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
+    """Heard while the set is awaited, or when its first record is."""
+    disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
+    rig = ordering_rig(tmp_path, [(1.5, "hold", {})], disturb, late=late)
+    assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=rig)
+    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
+    assert alarms_of(tmp_path)[None, "rig_unavailable"]["state"] == "unacknowledged"
 
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
