@@ -1,0 +1,74 @@
+"""Parameters of serial instruments refuse what could never work, or could do harm."""
+
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from daq_service.settings import load_settings
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+
+LINE = SerialLineParameters(port="/dev/serial/by-id/usb-FTDI")
+SUPPLY = SupplyParameters(line=LINE, identity="MAKER,MODEL")
+CLIMATE = ClimateParameters(line=LINE, identity="MAKER,PROBE")
+PAGE = Path(__file__).parents[3] / "docs/how-to/supply-and-climate.md"
+
+
+@pytest.mark.parametrize("port", ["", "serial:", " COM4", "COM4\n", "\x00"])
+def test_a_port_without_a_name_is_refused(port):
+    with pytest.raises(ValueError, match="give a path, a name like COM4, or serial:"):
+        replace(LINE, port=port)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "changes", "complaint"),
+    [
+        (LINE, {"reconnect_first_s": 90.0}, "reconnect_longest_s is 60.0 s"),
+        (LINE, {"reply_timeout_s": 0.0}, "reply_timeout_s is 0.0"),
+        (SUPPLY, {"voltage_v": 12.5}, "at most voltage_cap_v = 12.0"),
+        (SUPPLY, {"current_limit_a": 2.5}, "at most current_cap_a = 2.0"),
+        (SUPPLY, {"voltage_cap_v": 61.0}, "voltage_cap_v is 61.0; it must be at most 60"),
+        (SUPPLY, {"identity": ""}, "any instrument matches"),
+        (SUPPLY, {"identity": ".*"}, "any instrument matches"),
+        (SUPPLY, {"identity": "("}, "no regular expression"),
+        (SUPPLY, {"protection_queries": ("VOLT:PROT:TRIP?;:OUTP ON",)}, "give one command"),
+        (SUPPLY, {"setup_commands": ("OUTP ON",)}, "only SYST, INST and DISP"),
+        (SUPPLY, {"setup_commands": ("*RST",)}, "only SYST, INST and DISP"),
+        (SUPPLY, {"setup_commands": ("VOLT 10",)}, "only SYST, INST and DISP"),
+        (SUPPLY, {"setup_commands": ("SYST:REM;:OUTP ON",)}, "give one command"),
+        (SUPPLY, {"setup_commands": ("SYST:REM\nOUTP ON",)}, "give one command"),
+        (CLIMATE, {"identity": "x?"}, "any instrument matches"),
+        (CLIMATE, {"temperature_query": ""}, "temperature_query is ''"),
+        (CLIMATE, {"humidity_query": "MEAS:HÜM?"}, "printable ASCII"),
+        (CLIMATE, {"log_interval_s": float("nan")}, "finite"),
+    ],
+)
+def test_what_cannot_work_is_refused_with_its_value(parameters, changes, complaint):
+    with pytest.raises(ValueError, match=re.escape(complaint)):
+        replace(parameters, **changes)
+
+
+def test_what_supplies_need_before_they_obey_is_accepted():
+    commands = ("SYST:REM", ":INST:NSEL 1", "disp:text 'solimon'")
+    assert replace(SUPPLY, setup_commands=commands).setup_commands == commands
+
+
+@pytest.mark.parametrize(
+    "module", ["hardware_drivers.serial_port.parameters", "daq_service.electrochemical_drive"]
+)
+def test_settings_and_bookkeeping_need_no_serial_port(module):
+    code = f"import sys, {module}; sys.exit('serial' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_tables_of_the_how_to_are_accepted(tmp_path):
+    (text,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    path = tmp_path / "wired.toml"
+    path.write_text(text, encoding="utf-8")
+    rig = load_settings(path).rig
+    assert rig.supply is not None
+    assert rig.supply.line.port == "serial:FT0ABC12"
+    assert rig.climate is not None
