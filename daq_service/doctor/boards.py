@@ -178,8 +178,8 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: It
     values: dict[str, Value] = {}
     detail = finding.detail
     if kind == "transducer":
-        if detail == "as asked":
-            detail = f"as asked: {_asked(parameters, which, finding.check)}"
+        if "as asked" in detail:
+            detail = f"{detail}: {_asked(parameters, which, finding.check)}"
         if finding.check == "noise":
             level_v = parameters.trigger_level_v
             values = {"noise_rms_v": found.noise_rms_v.get(which), "trigger_level_v": level_v}

@@ -1,0 +1,351 @@
+"""`solimon doctor` and a rehearsal on doubles of NI's boards: the real driver, the unmodified `nidaqmx`."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from daqmx_rig import (
+    QUICK_PULSE_S,
+    QUICK_TWIN,
+    board,
+    coil_pulses_s,
+    functions_of,
+    meet,
+    parameters_of,
+    quick_description,
+)
+from small_experiment import run
+
+from daq_service.archive import read_set, set_files
+from daq_service.catalogue import open_catalogue
+from daq_service.doctor.command import run_doctor
+from daq_service.folder import own_data_folder, prepare_data_folder
+from daq_service.settings import Settings, config_file, load_settings
+from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW, Description
+from simulator.doubles.library import why_unavailable
+from simulator.doubles.process import RunningDoubles, running_doubles
+from simulator.scenario import NoiseParameters
+
+pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
+
+NOISY = replace(QUICK_TWIN, noise=NoiseParameters())
+DESCRIPTION = replace(
+    quick_description(board(), replace(SLOW, name="Dev9"), positions="BCD"), twin=NOISY, shots_per_set=2
+)
+LIMIT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def running() -> Iterator[RunningDoubles]:
+    with running_doubles(DESCRIPTION) as doubles:
+        yield doubles
+
+
+@pytest.fixture
+def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+    meet(running, monkeypatch)
+    running.control.clear_faults()
+    running.control.clear_record()
+    return running
+
+
+def configuration(
+    folder: Path, doubles: RunningDoubles, description: Description = DESCRIPTION, **changes: Any
+) -> Path:
+    """A configuration file of a wall-clock test on these doubles; changes are of [rig.daqmx]."""
+    boards = asdict(replace(parameters_of(description, doubles), **changes))
+    values: dict[str, Any] = {
+        "clock": {"kind": "wall"},
+        "schedule": {
+            "phases": [{"until_h": 0.0008, "interval_h": 0.0004}],
+            "shots_per_set": 2,
+            "shot_interval_s": 0.05,
+        },
+        "baseline": {"minimum_valid_shots": 2},
+        "positions": {name: {"method": "solitary_wave"} for name in description.transducers},
+        "rig": {"kind": "daqmx", "daqmx": boards},
+    }
+    path = folder / "laboratory.json"
+    path.write_text(json.dumps(values), encoding="utf-8")
+    return path
+
+
+def solimon(doubles: RunningDoubles, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "daq_service.cli", *map(str, arguments)],
+        env=doubles.client_environment(),
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+def doctor(
+    capsys: pytest.CaptureFixture[str], config: Path, folder: Path, strike: str | None = None
+) -> tuple[int, dict[str, dict[str, Any]], dict[str, Any]]:
+    """Exit code, checks by name, whole report."""
+    code = run_doctor(config=config, data_dir=folder, strike=strike, as_json=True)
+    report = json.loads(capsys.readouterr().out)
+    assert report["exit_code"] == code
+    return code, {check["name"]: check for check in report["checks"]}, report
+
+
+def test_a_sound_rig_is_looked_at_whole_and_nothing_is_energised(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data")
+    assert code == 0, [check for check in checks.values() if check["state"] == "fail"]
+    serial = f"{SIMULTANEOUS_16_BIT.serial_number:08X}"
+    assert checks["driver: version"]["found"] == "NI-DAQmx 24.8.0 (at least 20.1)"
+    calibrated = checks[f"board {serial}: calibrated"]
+    assert calibrated["values"]["product"] == "PXIe-6386"
+    assert calibrated["values"]["temperature_c"] == SIMULTANEOUS_16_BIT.temperature_c
+    for position, channel, counter in (("B", "ai0", "PFI12"), ("C", "ai1", "PFI13"), ("D", "ai2", "PFI14")):
+        assert f"{channel}, +-5 V, 10 MS/s" in checks[f"transducer {position}: board can do it"]["found"]
+        assert f"0.25 V rising at {channel}" in checks[f"transducer {position}: trigger"]["found"]
+        assert f"to {counter}, 0.003 s" in checks[f"transducer {position}: coil's counter"]["found"]
+        assert counter in checks[f"transducer {position}: coil's terminal"]["found"]
+        noise = checks[f"transducer {position}: noise"]["values"]
+        # White 25 mV and slow 15 mV: 29 mV; a record holds some ten correlation times of the slow part.
+        assert noise["noise_rms_v"] == pytest.approx(29e-3, rel=0.2)
+        assert noise["trigger_level_v"] == 0.25
+    assert report["strike"] is None
+    record = doubles.control.record()
+    assert coil_pulses_s(record) == []
+    assert not any(event["level"] for event in record["lines"]), "no line was ever high"
+    assert (record["tasks"], record["reservations"]) == ([], {}), "everything is given back"
+    assert not (tmp_path / "data").exists(), "no folder is made on the way"
+
+
+def test_the_record_of_lines_would_show_a_strike(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data", strike="C")
+    assert code == 0
+    assert "reflected" in checks["strike C: record"]["found"]
+    assert report["strike"]["position"] == "C"
+    assert report["strike"]["features"]["isw_amplitude_v"] > 0.25, "beyond its trigger level"
+    # From 1 mm the wave is small against the noise, which may be flagged; it is a whole shot all the same.
+    assert set(report["strike"]["features"]["flags"]) <= {"baseline", "noisy"}
+    assert report["strike"]["settings"]["trigger_level_v"] == pytest.approx(0.25, abs=1e-3)
+    record = doubles.control.record()
+    # One pulse of one coil, as long as configured; the double times it in whole ns.
+    assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)]
+    assert {event["position"] for event in record["lines"] if event["level"]} == {"C"}
+    assert record["tasks"] == []
+
+
+def test_a_strike_is_refused_while_a_recorder_owns_the_folder(
+    doubles: RunningDoubles, tmp_path: Path
+) -> None:
+    folder, config = tmp_path / "data", configuration(tmp_path, doubles)
+    prepare_data_folder(folder)
+    with own_data_folder(folder):
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "daq_service.cli",
+                "doctor",
+                str(config),
+                "--data-dir",
+                str(folder),
+                "--strike",
+                "C",
+            ],
+            env=doubles.client_environment(),
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+    assert done.returncode == 5
+    assert f"--strike is refused: another recorder owns {folder} (process {os.getpid()})" in done.stderr
+    assert doubles.control.record()["calls"] == [], "not one call reached the driver"
+
+
+def test_boards_of_a_running_recorder_are_left_alone(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, config = tmp_path / "data", configuration(tmp_path, doubles)
+    prepare_data_folder(folder)
+    script = (
+        "import sys; from pathlib import Path; from daq_service.folder import own_data_folder\n"
+        "with own_data_folder(Path(sys.argv[1])):\n    print('owned', flush=True); sys.stdin.read()"
+    )
+    command = [sys.executable, "-c", script, str(folder)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as owner:
+        assert owner.stdout is not None
+        assert owner.stdout.readline() == "owned\n"
+        code, checks, _ = doctor(capsys, config, folder)
+        owner.communicate("")
+    assert code == 5
+    assert f"process {owner.pid}" in checks["recorder"]["found"]
+    assert checks["boards"]["state"] == "skipped"
+    assert doubles.control.record()["calls"] == []
+
+
+def test_a_strike_on_boards_that_somebody_else_holds_is_refused(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = configuration(tmp_path, doubles)
+    doubles.control.occupy(f"{SIMULTANEOUS_16_BIT.name}/ai", "LabVIEW")
+    try:
+        code, checks, _ = doctor(capsys, config, tmp_path / "data", strike="C")
+    finally:
+        doubles.control.vacate("LabVIEW")
+    assert code == 5
+    assert checks["strike C: record"]["state"] == "fail"
+    assert coil_pulses_s(doubles.control.record()) == []
+
+
+def test_placeholders_are_boards_that_are_not_there(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, checks, _ = doctor(capsys, config_file("laboratory.toml"), tmp_path / "data")
+    assert code == 3
+    present = checks["board FFFFFFFF: present"]
+    assert present["state"] == "fail"
+    assert "no board with this serial number" in present["found"]
+    assert "board_serial" in present["remedy"]
+    unremedied = [name for name, check in checks.items() if check["state"] != "ok" and not check["remedy"]]
+    assert unremedied == []
+
+
+def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = replace(DESCRIPTION, transducers={"B": DESCRIPTION.transducers["B"]})
+    wiring = parameters_of(one, doubles).transducers["B"]
+    wiring = replace(wiring, board_serial=f"{SLOW.serial_number:08X}")
+    config = configuration(tmp_path, doubles, one, transducers={"B": wiring})
+    code, checks, _ = doctor(capsys, config, tmp_path / "data")
+    assert code == 3
+    refused = checks["transducer B: board can do it"]
+    assert refused["state"] == "fail"
+    assert "PCI-6221 00C16021 does at most 250000 Hz on one channel" in refused["found"]
+    assert "lower the rate" in refused["remedy"]
+    recorded = solimon(doubles, "record", config, "--data-dir", tmp_path / "r")
+    assert recorded.returncode == 3
+    assert "does at most 250000 Hz on one channel; lower the rate to that" in recorded.stderr
+    assert set_files(tmp_path / "r") == {}
+    assert coil_pulses_s(doubles.control.record()) == []
+
+
+def test_a_noisy_input_is_told_beside_its_trigger_level(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, trigger_level_v=0.1), tmp_path / "data")
+    assert code == 0, "a warning is no failure"
+    assert checks["transducer B: noise"]["state"] == "warn"
+    assert "five times the noise" in checks["transducer B: noise"]["remedy"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "state"), [(["port2/line4", "port2/line5", "port2/line6"], "ok"), (["port2/line4"], "fail")]
+)
+def test_a_watchdog_covers_every_coil(
+    doubles: RunningDoubles,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    lines: list[str],
+    state: str,
+) -> None:
+    config = configuration(tmp_path, doubles)
+    values = json.loads(config.read_text(encoding="utf-8"))
+    values["rig"]["daqmx"]["watchdog"] = {
+        "board_serial": f"{SIMULTANEOUS_16_BIT.serial_number:08X}",
+        "lines": lines,
+        "timeout_s": 1.0,
+    }
+    config.write_text(json.dumps(values), encoding="utf-8")
+    code, checks, _ = doctor(capsys, config, tmp_path / "data")
+    assert checks["watchdog"]["state"] == state
+    assert code == (0 if state == "ok" else 3), [c for c in checks.values() if c["state"] == "fail"]
+    if state == "fail":
+        assert "PFI13 (position C), PFI14 (position D)" in checks["watchdog"]["found"]
+    assert "CreateWatchdogTimerTaskEx" in functions_of(doubles.control.record()), "the board was asked"
+
+
+def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDoubles, tmp_path: Path) -> None:
+    settings: Settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
+    folder = tmp_path / "rehearsal"
+    strikes_before = doubles.control.record()["strikes"]
+    assert run(settings, folder)
+    record = doubles.control.record()
+    assert coil_pulses_s(record) == []
+    assert not any(event["level"] for event in record["lines"])
+    assert record["strikes"] == strikes_before
+    files = set_files(folder)
+    assert list(files) == [0, 1]
+    for path in files.values():
+        stored = read_set(path)
+        assert len(stored.shots) == 6, "three transducers, two records each: no strike is repeated"
+        assert {shot.settings["dry_run"] for shot in stored.shots} == {"yes"}
+        assert {shot.settings["pulse_s"] for shot in stored.shots} == {0.0}
+        assert stored.provenance["configuration"]["rig"]["daqmx"]["dry_run"] is True
+    with open_catalogue(folder) as catalogue:
+        assert catalogue.list_alarms() == [], "noise is no damage"
+        assert [row["state"] for row in catalogue.list_sets(limit=None)] == ["done"] * 6
+        started = list(catalogue.events_after(0, {"service"}, limit=None))
+        assert [row["payload"]["dry_run"] for row in started if row["kind"] == "recorder_started"] == [True]
+
+
+def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
+    doubles: RunningDoubles, tmp_path: Path
+) -> None:
+    config = configuration(tmp_path, doubles, dry_run=True)
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "daq_service.cli",
+            "doctor",
+            str(config),
+            "--strike",
+            "B",
+            "--data-dir",
+            str(tmp_path / "data"),
+        ],
+        env=doubles.client_environment(),
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "dry_run is true" in done.stderr
+    assert doubles.control.record()["calls"] == []
+
+
+def test_a_server_is_reached_and_one_that_is_gone_is_told_at_once(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not doubles.grpc:
+        pytest.skip("the double was started without the extra grpc")
+    boards = parameters_of(DESCRIPTION, doubles, transport="grpc")
+    changes: dict[str, Any] = {
+        "transport": "grpc",
+        "grpc_client_name": boards.grpc_client_name,
+        "grpc_address": boards.grpc_address,
+    }
+    code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
+    assert code == 0, [check for check in checks.values() if check["state"] == "fail"]
+    assert checks["gRPC server"]["state"] == "ok"
+    assert "by grpc" in checks["driver: reachable"]["found"]
+    assert coil_pulses_s(doubles.control.record()) == []
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # and nobody listens
+        changes["grpc_address"] = f"127.0.0.1:{taken.getsockname()[1]}"
+        code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
+    assert code == 3
+    assert "does not take a connection" in checks["gRPC server"]["found"]
+    assert "driver: reachable" not in checks

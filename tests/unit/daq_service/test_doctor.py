@@ -1,0 +1,308 @@
+"""What the doctor says of software, machine and folder, each state of each check."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_experiment import run, small_settings
+
+from daq_service.doctor.boards import digital_name
+from daq_service.doctor.check import Check, exit_code
+from daq_service.doctor.command import run_doctor
+from daq_service.doctor.machine import ask_system, machine_checks
+from daq_service.doctor.software import software_checks
+from daq_service.doctor.storage import held_folder, storage_checks
+from daq_service.errors import UsageError
+from daq_service.folder import own_data_folder, prepare_data_folder
+from daq_service.settings import RigSettings, Settings, config_file, load_settings
+
+LABORATORY = load_settings(config_file("laboratory.toml")).rig
+
+
+def by_name(checks: Sequence[Check]) -> dict[str, Check]:
+    return {check.name: check for check in checks}
+
+
+# The checks themselves ------------------------------------------------------------------------------
+
+
+def check(area: Any, state: Any) -> Check:
+    return Check(area=area, name="it", state=state, found="something", remedy="mend it")
+
+
+@pytest.mark.parametrize(
+    ("checks", "code"),
+    [
+        ([check("rig", "ok"), check("machine", "warn"), check("rig", "skipped")], 0),
+        ([check("software", "fail")], 2),
+        ([check("software", "fail"), check("folder", "fail")], 4),
+        ([check("folder", "fail"), check("rig", "fail"), check("software", "fail")], 3),
+        ([check("rig", "fail"), check("recorder", "fail")], 5),
+    ],
+)
+def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> None:
+    assert exit_code(checks) == code
+
+
+def test_what_is_not_ok_needs_a_remedy() -> None:
+    with pytest.raises(ValueError, match="needs a remedy"):
+        Check(area="rig", name="it", state="warn", found="something")
+
+
+# Software -------------------------------------------------------------------------------------------
+
+
+def test_the_packages_of_this_environment_are_good() -> None:
+    checks = by_name(software_checks(LABORATORY))
+    assert {check.state for check in checks.values()} == {"ok"}
+    assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
+    assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
+
+
+def test_a_rig_without_boards_asks_for_none_of_their_packages() -> None:
+    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(RigSettings())))
+
+
+def test_a_missing_and_an_old_package_have_a_remedy() -> None:
+    def installed(name: str) -> str:
+        if name == "niscope":
+            raise PackageNotFoundError(name)
+        return {"nidaqmx": "0.9.0", "numpy": "1.26.4"}.get(name, "99.0")
+
+    checks = by_name(software_checks(LABORATORY, installed=installed))
+    assert checks["niscope"].found == "not installed"
+    assert "solimon[niscope]" in checks["niscope"].remedy
+    assert checks["nidaqmx"].found == "0.9.0 (at least 1.0)"
+    assert checks["numpy"].state == "fail"
+    assert {name for name, one in checks.items() if one.state == "fail"} == {"niscope", "nidaqmx", "numpy"}
+
+
+def test_a_package_that_does_not_load_is_named() -> None:
+    def load(name: str) -> None:
+        if name == "numba":
+            raise OSError("libLLVM: cannot open shared object file")
+
+    found = by_name(software_checks(RigSettings(), load=load))["compiled packages"]
+    assert (found.state, "numba does not load (OSError: libLLVM" in found.found) == ("fail", True)
+    assert found.remedy.endswith("--force-reinstall numba")
+
+
+# Machine --------------------------------------------------------------------------------------------
+
+ON_BATTERY_AND_MAINS = """\
+GUID des Energieschemas: 381b4222-f694-41f0-9685-ff5bb260df2e  (Ausbalanciert)
+    Minimale Einstellung: 0x00000000
+    Index der aktuellen Wechselstromeinstellung: {mains}
+    Index der aktuellen Gleichstromeinstellung: 0x00000384
+"""
+
+
+def answers(**by_program: str | None) -> Any:
+    def ask(command: Sequence[str]) -> str | None:
+        return by_program.get(command[0].replace("-", "_"))
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "state"),
+    [
+        ("linux", {"timedatectl": "yes"}, "ok"),
+        ("linux", {"timedatectl": "no"}, "warn"),
+        ("linux", {}, "warn"),
+        ("win32", {"w32tm": "Sprungindikator: 0(keine Warnung)"}, "ok"),
+        ("win32", {"w32tm": "Leap Indicator: 3(not synchronized)"}, "warn"),
+        ("win32", {}, "warn"),
+        ("darwin", {}, "warn"),
+    ],
+)
+def test_whether_the_clock_is_synchronised_and_how_that_was_found(
+    system: str, answer: dict[str, str], state: str
+) -> None:
+    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["clock synchronised"]
+    assert found.state == state
+    assert ("unknown" in found.found) == (not answer)
+    assert next(iter(answer), "") in found.found, "it says who was asked"
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "state"),
+    [
+        ("linux", {"systemctl": "masked"}, "ok"),
+        ("linux", {"systemctl": "static"}, "warn"),
+        ("linux", {}, "warn"),
+        ("win32", {"powercfg": ON_BATTERY_AND_MAINS.format(mains="0x00000000")}, "ok"),
+        ("win32", {"powercfg": ON_BATTERY_AND_MAINS.format(mains="0x00000708")}, "warn"),
+        ("win32", {}, "warn"),
+    ],
+)
+def test_whether_the_computer_would_sleep(system: str, answer: dict[str, str], state: str) -> None:
+    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["sleep"]
+    assert found.state == state
+    assert ("unknown" in found.found) == (not answer)
+
+
+def test_on_simulated_time_neither_matters() -> None:
+    checks = by_name(machine_checks("simulated", ask=answers(), system="linux"))
+    assert {name for name, one in checks.items() if one.state == "skipped"} == {"clock synchronised", "sleep"}
+
+
+@pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
+def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) -> None:
+    checks = machine_checks(
+        "simulated",
+        started_wall_s=time.time() - 5.0 - step_s,
+        started_mono_s=time.monotonic() - 5.0,
+    )
+    assert by_name(checks)["monotonic clock"].state == state
+
+
+def test_a_program_that_is_not_there_or_fails_is_no_answer() -> None:
+    assert ask_system(["solimon-no-such-program"]) is None
+    assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
+    assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
+
+
+# Folder ---------------------------------------------------------------------------------------------
+
+
+def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    checks = by_name(storage_checks(Settings(), folder))
+    assert {one.state for one in checks.values()} == {"ok"}
+    assert "to be made" in checks["data folder: writable"].found
+    assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
+
+
+def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Path) -> None:
+    settings = small_settings(schedule={"end_h": 1.0})
+    assert run(settings, tmp_path)
+    checks = by_name(storage_checks(settings, tmp_path))
+    assert {one.state for one in checks.values()} == {"ok"}
+    assert checks["disk: space"].values["stored_bytes"] == sum(
+        path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
+    )
+    other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
+    assert other["data folder: configuration"].state == "fail"
+    assert "belongs to the experiment" in other["data folder: configuration"].found
+
+
+def test_a_folder_with_somebody_s_files_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
+    assert (found.state, "thesis.tex" in found.found) == ("fail", True)
+
+
+def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("precious")
+    found = by_name(storage_checks(Settings(), tmp_path / "file" / "data"))["data folder: writable"]
+    assert (found.state, "is a file" in found.found) == ("fail", True)
+
+
+def test_a_disk_that_refuses_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("daq_service.doctor.storage.os.fsync", full)
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
+    assert found.found == f"{tmp_path} cannot be written: No space left on device"
+
+
+def test_a_network_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq_service.doctor.storage.network_filesystem", lambda folder: "nfs4")
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: place"]
+    assert (found.state, "nfs4" in found.found) == ("fail", True)
+
+
+@pytest.mark.parametrize(("free", "state"), [(10_000_000_000, "ok"), (300_000_000, "warn"), (1_000, "fail")])
+def test_the_disk_is_compared_with_the_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
+) -> None:
+    class Usage:
+        pass
+
+    Usage.free = free  # type: ignore[attr-defined]
+    monkeypatch.setattr("daq_service.inspection.shutil.disk_usage", lambda place: Usage)
+    found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
+    assert found.state == state
+    # 425 sets of 30 strikes and one echo, int16, packed to half.
+    assert found.values["needed_bytes"] == 425 * (30 * 13_600 + 2048)
+
+
+# Owner ----------------------------------------------------------------------------------------------
+
+
+def test_no_recorder_starts_while_the_doctor_looks(tmp_path: Path) -> None:
+    prepare_data_folder(tmp_path)
+    with own_data_folder(tmp_path):
+        pass  # a recorder was here
+    script = (
+        "import sys; from pathlib import Path; from daq_service.folder import own_data_folder\n"
+        "with own_data_folder(Path(sys.argv[1])): pass"
+    )
+    attempt = [sys.executable, "-c", script, str(tmp_path)]
+    with held_folder(tmp_path) as owner:
+        assert owner == ""
+        refused = subprocess.run(attempt, capture_output=True, text=True, check=False)
+        assert "another recorder owns" in refused.stderr
+    assert subprocess.run(attempt, check=False).returncode == 0
+
+
+def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> None:
+    with held_folder(tmp_path) as owner:
+        assert owner == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+# The command on the twin ----------------------------------------------------------------------------
+
+
+def coarse(folder: Path) -> Path:
+    path = folder / "twin.toml"
+    path.write_text("[plate]\nelements_per_edge = 16\n", encoding="utf-8")
+    return path
+
+
+def test_the_twin_is_struck_the_way_of_every_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike="B", as_json=True)
+    out = capsys.readouterr()
+    report = json.loads(out.out)
+    assert (code, report["exit_code"], report["rig"]) == (0, 0, "simulated")
+    features = report["strike"]["features"]
+    # A coarse plate: anything between the rigid wall (317 us) and a plate softer than the paper's.
+    assert 317e-6 < features["tof_pp_s"] < 360e-6
+    assert features["flags"] == []
+    assert "one test strike at B" in out.err
+
+
+def test_without_strike_nothing_is_struck(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*arguments: object) -> None:
+        pytest.fail("the rig was opened")
+
+    monkeypatch.setattr("daq_service.doctor.trial.open_rig", opened)
+    assert run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "d", strike=None, as_json=False) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("ok       python ")
+    assert lines[-1].startswith("0 fail, ")
+
+
+@pytest.mark.parametrize(("position", "words"), [("A", "B, C, D"), ("Z", "B, C, D")])
+def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike=position, as_json=True)
+
+
+@pytest.mark.parametrize(
+    ("terminal", "line"),
+    [("PFI0", "port1/line0"), ("PFI12", "port2/line4"), ("PFI15", "port2/line7"), ("Ctr0Out", "")],
+)
+def test_a_terminal_s_digital_name(terminal: str, line: str) -> None:
+    assert digital_name(terminal) == line
