@@ -363,6 +363,7 @@ class Brain:
             }
             return {
                 "now_ns": now_ns,
+                "clients": sorted(self._clients),
                 "calls": [asdict(call) for call in self._calls],
                 "lines": [
                     asdict(event) | {"position": wired.get(event.line)} for event in self.bench.lines.events
