@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -30,6 +31,9 @@ SERIAL = 0x01C5A1F0
 HOUR_H = 120.0
 TIMEOUT_S = 2.0
 """Far beyond 16 firings at 1 kHz."""
+
+TESTS = Path(__file__).parent
+ROOT = TESTS.parent
 
 POLL_S = 0.01
 """The server notices within this time that it shall end."""
@@ -76,18 +80,25 @@ def preload() -> list[Any]:
 @contextmanager
 def met_brain(described: Description) -> Iterator[Brain]:
     """Run a double in a thread of this process; its unmodified `niscope` finds it."""
-    folders = preload()
     brain = Brain(described)
-    with WireServer(brain) as wire, pytest.MonkeyPatch.context() as patch:
-        serving = threading.Thread(target=wire.serve_forever, args=(POLL_S,), daemon=True)
+    with met_server(WireServer(brain)):
+        yield brain
+        brain.faults.release()
+
+
+@contextmanager
+def met_server(server: WireServer) -> Iterator[WireServer]:
+    """Serve in a thread of this process; its unmodified `niscope` finds the server."""
+    folders = preload()
+    with server, pytest.MonkeyPatch.context() as patch:
+        serving = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         serving.start()
-        for name, text in client_environment(wire.address, *folders).items():
+        for name, text in client_environment(server.address, *folders).items():
             patch.setenv(name, text)
         try:
-            yield brain
+            yield server
         finally:
-            brain.faults.release()
-            wire.shutdown()
+            server.shutdown()
             serving.join()
 
 

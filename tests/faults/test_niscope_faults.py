@@ -1,0 +1,322 @@
+"""A fault at each call of the NI-SCOPE driver: a typed error, nothing left open, the next record taken.
+
+The list of calls is not written down: it is what the double recorded while the driver opened the board,
+took a record, calibrated itself and closed. A call that the driver makes tomorrow is struck tomorrow.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+from collections import Counter
+from contextlib import contextmanager
+
+import niscope_rig as rig
+import numpy as np
+import pytest
+
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+from hardware_drivers.niscope.pulse_echo import open_niscope
+from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
+from simulator.doubles.brain import Brain
+from simulator.doubles.control import running_doubles
+from simulator.doubles.library import client_environment
+
+pytestmark = rig.needs_niscope
+
+DESCRIBED = rig.description(repetition_hz=20e3)
+"""A pulser that nobody has to wait for."""
+
+HARDWARE_FAILURE = -1074118654
+ATTEMPTS = 4
+"""The ladder has three rungs; a lie about the end of one acquisition costs the next one too."""
+
+PHASES = ("open", "acquire", "calibrate", "close")
+
+
+def recorded_calls():
+    """Functions called in each phase of a life without faults, in order."""
+    if rig.why_no_niscope():
+        return {}
+    with rig.met_brain(DESCRIBED) as brain:
+        marks = [0]
+
+        def mark():
+            marks.append(len(brain.record()["calls"]))
+
+        with open_niscope(rig.parameters()) as unit:
+            mark()
+            unit.acquire(rig.key(), rig.TIMEOUT_S)
+            mark()
+            unit.self_calibrate()
+            mark()
+        mark()
+        called = rig.functions_of(brain.record())
+    return {phase: called[marks[i] : marks[i + 1]] for i, phase in enumerate(PHASES)}
+
+
+def cases(*wanted):
+    """Each function of each phase at its first call; in an acquisition at every call."""
+    found = []
+    for phase, called in recorded_calls().items():
+        if phase not in wanted:
+            continue
+        seen = Counter()
+        for function in called:
+            # The package says once a process who it is.
+            if function == "niScope_SetRuntimeEnvironment":
+                continue
+            seen[function] += 1
+            if seen[function] == 1 or phase == "acquire":
+                found.append((phase, function, seen[function]))
+    return found
+
+
+ALL = cases(*PHASES)
+ids = [f"{phase}-{function.removeprefix('niScope_')}-{nth}" for phase, function, nth in ALL]
+each_call = pytest.mark.parametrize(("phase", "function", "nth"), ALL, ids=ids)
+
+
+def test_the_list_of_calls_covers_the_driver_s_life():
+    called = recorded_calls()
+    assert set(called) == set(PHASES)
+    assert {"niScope_InitWithOptions", "niScope_Commit"} <= set(called["open"])
+    assert {"niScope_InitiateAcquisition", "niScope_FetchBinary16", "niScope_Abort"} <= set(called["acquire"])
+    assert "niScope_CalSelfCalibrate" in called["calibrate"]
+    assert "niScope_close" in called["close"]
+
+
+def is_right(echo, described):
+    """Tell whether a record is the twin's: counts and volts."""
+    codes = rig.codes_of_the_twin(described, rig.key())
+    right_counts = np.array_equal(echo.waveform.counts, 64 * codes.astype(np.int32))
+    return right_counts and np.array_equal(
+        echo.waveform.volts(), rig.SCOPE.calibration(1.0, 0.0).volts(codes)
+    )
+
+
+def take(unit, brain):
+    brain.announce(rig.key(), rig.HOUR_H)
+    return unit.acquire(rig.key(), rig.TIMEOUT_S)
+
+
+def live(brain, phase, struck):
+    """Go through the driver's life up to a phase; `struck` orders the fault as the phase begins.
+
+    Returns the unit's error in that phase, or None, and every record taken after it, errors in between
+    counted.
+    """
+    error, after, lost = None, [], 0
+
+    @contextmanager
+    def catching():
+        nonlocal error
+        try:
+            yield
+        except InstrumentError as caught:
+            error = caught
+
+    def go_on(unit):
+        nonlocal lost
+        for _ in range(ATTEMPTS):
+            try:
+                after.append(take(unit, brain))
+            except ConnectionLostError:
+                lost += 1
+            else:
+                return
+
+    if phase == "open":
+        struck()
+    with catching(), open_niscope(rig.parameters()) as unit:
+        if phase == "acquire":
+            struck()
+            with catching():
+                after.append(take(unit, brain))
+        if phase == "calibrate":
+            struck()
+            with catching():
+                unit.self_calibrate()
+        go_on(unit)
+        if phase == "close":
+            struck()
+    return error, after, lost
+
+
+@pytest.fixture
+def brain():
+    with rig.met_brain(DESCRIBED) as brain:
+        yield brain
+
+
+def works_again(brain):
+    """Nothing is left open, and a fresh driver takes the right record."""
+    brain.faults.clear()
+    assert brain.record()["sessions"] == []
+    with open_niscope(rig.parameters()) as unit:
+        assert is_right(take(unit, brain), DESCRIBED)
+    assert brain.record()["sessions"] == []
+    return True
+
+
+@each_call
+def test_an_error_is_typed_and_costs_one_record_at_most(brain, phase, function, nth):
+    error, after, lost = live(
+        brain, phase, lambda: brain.faults.inject(function, "error", code=HARDWARE_FAILURE, nth=nth)
+    )
+    if phase == "close":
+        assert error is None
+    else:
+        assert isinstance(error, ConnectionLostError)
+        assert error.__cause__ is not None
+    if phase != "open":
+        assert after
+        assert lost == 0
+    assert all(is_right(echo, DESCRIBED) for echo in after)
+    assert works_again(brain)
+
+
+@each_call
+def test_a_lie_never_becomes_a_wrong_record(brain, phase, function, nth):
+    error, after, _ = live(brain, phase, lambda: brain.faults.inject(function, "lie", nth=nth))
+    assert all(is_right(echo, DESCRIBED) for echo in after)
+    if function in ("niScope_InitWithOptions", "niScope_close"):
+        # A wrong handle, a board that says it is closed and is not: only the end of this process, or the
+        # supervisor that ends it, gives the board back. Until then the driver says that it is in use.
+        assert len(brain.record()["sessions"]) == 1
+        with pytest.raises(BusyError), open_niscope(rig.parameters()):
+            pytest.fail("it opened")
+        return
+    assert error is not None or after
+    if phase != "open":
+        assert after
+    assert works_again(brain)
+
+
+@each_call
+def test_a_process_that_dies_is_a_lost_connection_and_a_new_one_is_found(phase, function, nth):
+    with dying_brain(DESCRIBED) as brain:
+        error, after, _ = live(brain, phase, lambda: brain.faults.inject(function, "death", nth=nth))
+    if phase == "close":
+        assert error is None
+    else:
+        assert isinstance(error, ConnectionLostError)
+    with rig.met_brain(DESCRIBED) as brain:
+        assert works_again(brain)
+    assert all(is_right(echo, DESCRIBED) for echo in after)
+
+
+@contextmanager
+def dying_brain(described):
+    """Run a double whose death is what a client sees of one: every connection closed at once."""
+    connections = []
+
+    class Mortal(rig.WireServer):
+        def get_request(self):
+            connection, address = super().get_request()
+            connections.append(connection)
+            return connection, address
+
+    def die():
+        server.socket.close()
+        for connection in connections:
+            # The one that asked may be closed already.
+            if connection.fileno() >= 0:
+                connection.shutdown(socket.SHUT_RDWR)
+        raise ConnectionAbortedError("the double died on order")
+
+    brain = Brain(described, die=die)
+    with rig.met_server(Mortal(brain)) as server:
+        yield brain
+
+
+def test_a_driver_finds_the_double_that_was_started_again():
+    with rig.met_brain(DESCRIBED), open_niscope(rig.parameters()) as unit:
+        with dying_brain(DESCRIBED) as second:
+            pass
+        del second
+        with rig.met_brain(DESCRIBED) as third:
+            with pytest.raises(ConnectionLostError):
+                unit.acquire(rig.key(), rig.TIMEOUT_S)
+            assert is_right(take(unit, third), DESCRIBED)
+
+
+CLIENT = """
+import sys
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+from hardware_drivers.niscope.pulse_echo import open_niscope
+probe = ProbeWiring(resource=sys.argv[1], serial_number=sys.argv[2])
+with open_niscope(NiscopeParameters(probes={"A": probe})) as unit:
+    unit.acquire(ShotKey(position="A", set_index=0, shot_index=0), 2.0)
+    unit.self_calibrate()
+print("came through", flush=True)
+"""
+
+HANGING = sorted({function for _, function, _ in ALL})
+
+
+@pytest.mark.parametrize("function", HANGING)
+def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, function):
+    brain.faults.inject(function, "hang")
+    command = [sys.executable, "-c", CLIENT, rig.RESOURCE, f"{rig.SERIAL:08X}"]
+    environment = os.environ | {"PYTHONPATH": str(rig.ROOT)}
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as child:
+        assert brain.faults.wait_until_hanging(30.0)
+        child.kill()
+        assert child.stdout.read() == ""
+    with brain.bench.changed:
+        # First the double notices that the process is gone, then the hung call may go on: nobody hears it.
+        assert brain.bench.changed.wait_for(lambda: not brain.record()["clients"], 10.0)
+    brain.faults.release()
+    assert works_again(brain)
+
+
+@pytest.mark.parametrize("code", [*CLASS_OF_CODE, *CLASS_OF_KERNEL_CODE, -1074135024], ids=str)
+@pytest.mark.parametrize("function", ["niScope_InitiateAcquisition", "niScope_FetchBinary16"])
+def test_each_code_has_its_class_and_a_way_back(brain, function, code):
+    kind = CLASS_OF_CODE.get(code) or CLASS_OF_KERNEL_CODE.get(code) or ConfigurationError
+    with open_niscope(rig.parameters()) as unit:
+        brain.clear_record()
+        brain.faults.inject(function, "error", code=code)
+        with pytest.raises(InstrumentError, match=str(code)) as raised:
+            take(unit, brain)
+        assert type(raised.value) is kind
+        assert raised.value.__cause__.code == code
+        # Only a lost connection is rebuilt: a missed trigger, a busy board or a wrong wish keep the session.
+        reopened = take(unit, brain) and "niScope_InitWithOptions" in rig.functions_of(brain.record())
+        assert reopened is issubclass(kind, ConnectionLostError)
+    assert works_again(brain)
+
+
+def test_after_a_missed_trigger_the_board_is_idle_and_set_up(brain):
+    with open_niscope(rig.parameters()) as unit:
+        brain.clear_record()
+        brain.faults.inject("niScope_FetchBinary16", "error", code=-1074126845)
+        with pytest.raises(AcquisitionTimeoutError):
+            take(unit, brain)
+        assert "niScope_Abort" in rig.functions_of(brain.record())
+        assert is_right(take(unit, brain), DESCRIBED)
+        assert "niScope_Commit" not in rig.functions_of(brain.record())
+
+
+def test_a_killed_process_is_a_lost_connection_and_its_successor_is_found():
+    """The double as a process of its own, as the demonstration starts it."""
+    folders = rig.preload()
+    with pytest.MonkeyPatch.context() as patch, running_doubles(DESCRIBED, warm_up=False) as first:
+        for name, text in client_environment(first.wire, *folders).items():
+            patch.setenv(name, text)
+        with open_niscope(rig.parameters()) as unit:
+            first.control.announce(rig.key(), rig.HOUR_H)
+            assert is_right(unit.acquire(rig.key(), rig.TIMEOUT_S), DESCRIBED)
+            first.kill()
+            with pytest.raises(ConnectionLostError):
+                unit.acquire(rig.key(), rig.TIMEOUT_S)
+            with rig.met_brain(DESCRIBED) as second:
+                assert is_right(take(unit, second), DESCRIBED)
