@@ -9,7 +9,7 @@ import numpy as np
 from synthetic_records import Scene
 
 from analysis.features import extract_features
-from daq_service.alarms import Moment, acknowledge
+from daq_service.alarms import Change, Moment, acknowledge, reset
 from daq_service.archive import Archive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.clock import NS_PER_H, parse_utc
@@ -274,14 +274,22 @@ class FilledFolder:
         event |= {"position": position, "set_index": index}
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
+    def reinstate(self, position: str) -> None:
+        """Reset the alarm that retired a transducer, as the recorder does."""
+        row = self.catalogue.alarms_of(position)["retired"]
+        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
+        self._change(reset(row, "ann", "put right", moment), moment)
+
+    def _change(self, change: Change, moment: Moment) -> None:
+        event = {"utc_ns": moment.utc_ns, "topic": "alarms", "kind": change.event_kind, "payload": {}}
+        event |= {"position": change.row["position"], "alarm_index": 0}
+        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event]))
+
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
-        change = acknowledge(row, command["author"], command["arguments"]["note"], moment)
-        event = {"utc_ns": moment.utc_ns, "topic": "alarms", "kind": change.event_kind, "payload": {}}
-        event |= {"position": row["position"], "alarm_index": 0}
-        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event]))
+        self._change(acknowledge(row, command["author"], command["arguments"]["note"], moment), moment)
         self.catalogue.finish_command(command["id"], "done", "acknowledged")
 
     def records(self, index: int):

@@ -160,6 +160,82 @@ def test_finish_now_becomes_an_order(filled, service, open_page):
     expect(page.locator("#finish")).to_be_hidden()
 
 
+def answer(filled, kind, arguments, state="done", result=""):
+    """Answer the one waiting order as the recorder does."""
+    (command,) = filled.catalogue.pending_commands()
+    assert (command["kind"], command["author"], command["arguments"]) == (kind, "dashboard", arguments)
+    filled.catalogue.finish_command(command["id"], state, result)
+
+
+def test_hold_asks_for_a_reason_and_stays_in_sight_until_the_release(filled, service, open_page):
+    page = open_page(service.url)
+    banner = page.locator("#held")
+    expect(banner).to_be_hidden()
+    page.get_by_role("button", name="Hold", exact=True).click()
+    expect(page.get_by_label("Reason")).to_be_focused()
+    page.keyboard.type("hands in the rig")
+    page.keyboard.press("Enter")
+    expect(page.locator("#hold")).to_have_text("Sent")
+    answer(filled, "hold", {"note": "hands in the rig"})
+    at = filled.due[N_SETS - 1].due_utc_ns
+    filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
+    expect(banner).to_contain_text("Held by dashboard: hands in the rig")
+    expect(banner).to_contain_text("Nothing strikes until the test is released")
+    expect(page.locator("#hold")).to_be_hidden()
+    # Whoever opens the page later sees it too.
+    expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
+    page.get_by_role("button", name="Release").click()
+    expect(page.locator("#release")).to_have_text("Sent")
+    answer(filled, "release", {"note": ""})
+    filled.say("release", at, held="", author="dashboard")
+    expect(banner).to_be_hidden()
+    expect(page.locator("#hold")).to_have_text("Hold")
+
+
+def test_a_hold_may_be_thought_better_of_and_a_refusal_is_said(filled, service, open_page):
+    page = open_page(service.url)
+    page.locator("#hold").click()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#hold-dialog")).to_be_hidden()
+    assert filled.catalogue.pending_commands() == []
+    page.locator("#hold").click()
+    page.get_by_role("button", name="Hold now").click()
+    expect(page.locator("#hold")).to_have_text("Sent")
+    answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
+    expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
+    expect(page.locator("#hold")).to_have_text("Hold")
+
+
+def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    expect(page.locator("#retired")).to_be_hidden()
+    filled.retire("C", N_SETS)
+    expect(page.locator("#retired")).to_contain_text("Position C: 10 sets running with nothing at C")
+    tile = page.locator('.tile[data-position="C"]')
+    expect(tile).to_have_attribute("data-state", "retired")
+    page.get_by_role("button", name="Reinstate: position C").click()
+    expect(page.locator("#retired button")).to_have_text("Sent")
+    answer(filled, "reinstate", {"position": "C", "note": ""})
+    filled.reinstate("C")
+    expect(page.locator("#retired")).to_be_hidden()
+    expect(tile).to_have_attribute("data-state", "normal")
+
+
+def test_supply_and_climate_appear_with_their_quality_and_age(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    strip = page.locator("#environment")
+    expect(strip).to_be_hidden()
+    filled.add_environment(N_SETS - 1)
+    for text in ("10.00 V", "5.00 mA", "540.0 C", "21.5 °C", "read 95 s before", "Set 59, hour 30.0"):
+        expect(strip).to_contain_text(text)
+    expect(strip.locator('[data-quality="good"]')).to_contain_text("Supply")
+    climate = strip.locator('[data-quality="stale"]')
+    expect(climate).to_contain_text("Stale")
+    expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
+
+
 def test_positions_are_chosen_by_keyboard(service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
@@ -193,9 +269,14 @@ def test_chart_is_read_by_keyboard_and_as_a_table(service, open_page):
 
 
 @pytest.mark.parametrize("color_scheme", ["light", "dark"])
-def test_phone_width_shows_everything_without_sideways_scrolling(service, open_page, color_scheme):
+def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page, color_scheme):
+    filled.add_environment(N_SETS - 1)
+    filled.retire("C", N_SETS)
+    filled.say("hold", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
     page = open_page(service.url, viewport=PHONE, color_scheme=color_scheme)
     wait_for_sets(page, N_SETS)
+    for name in ("held", "retired", "environment"):
+        expect(page.locator(f"#{name}")).to_be_visible()
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
         box = page.locator(f"#{name} canvas").bounding_box()

@@ -6,7 +6,10 @@ import { SolimonAlarms } from "./alarms.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
 import { fixed, hour, scientific, significant, utc } from "./format.js";
+import { showEnvironment } from "./environment.js";
+import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
+import { Retired } from "./retired.js";
 import { EventStream, WaveformStream } from "./streams.js";
 import { Tiles } from "./tiles.js";
 import { SolimonWaveform } from "./waveform.js";
@@ -47,13 +50,15 @@ const state = {
   refreshes: 0,
 };
 /** What is to be read again. */
-const dirty = { positions: new Set(), whole: new Set(), fits: new Set(), alarms: false, info: false };
+const dirty = { positions: new Set(), whole: new Set(), fits: new Set(), alarms: false, info: false, environment: false };
 let refreshing = false;
 let refreshAgain = false;
 let fitsReadAt = -Infinity;
 
 configureCharts();
 const tiles = new Tiles(byId("tiles"), select);
+const hold = new Hold((text) => notice(text, "alarm"));
+const retired = new Retired(byId("retired"), (text) => notice(text, "alarm"));
 const waves = new WaveformStream((record) => waveform.show(record));
 const events = new EventStream({ onEvent, onGap: everything, onState });
 
@@ -145,6 +150,7 @@ function everything() {
   for (const place of state.info?.positions ?? []) dirty.whole.add(place.position);
   dirty.alarms = true;
   dirty.info = true;
+  dirty.environment = true;
   schedule();
 }
 
@@ -153,13 +159,14 @@ function onEvent(topic, event) {
   if (!state.info) return;
   if (topic === "alarms") dirty.alarms = true;
   if (topic === "service") dirty.info = true;
+  if (topic === "environment") dirty.environment = true;
   if (event.position) {
     const rows = state.trends.get(event.position)?.columns.set_index ?? [];
     const last = rows.length ? rows[rows.length - 1] : -1;
     // A frozen baseline or a correction changes sets that are already drawn.
     if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) dirty.whole.add(event.position);
     dirty.positions.add(event.position);
-  } else if (topic !== "alarms" && topic !== "service") everything();
+  } else if (!["alarms", "service", "environment"].includes(topic)) everything();
   else if (event.set_index !== null) for (const place of state.info.positions) dirty.positions.add(place.position);
   schedule();
 }
@@ -192,14 +199,17 @@ async function refresh() {
   const changed = new Set([...dirty.positions, ...whole]);
   const withAlarms = dirty.alarms;
   const withInfo = dirty.info;
+  const withEnvironment = dirty.environment;
   dirty.whole.clear();
   dirty.positions.clear();
   dirty.alarms = false;
   dirty.info = false;
+  dirty.environment = false;
   const readings = [...changed].map((position) => readTrend(position, whole.has(position)));
   if (withAlarms) readings.push(all("/alarms?limit=200").then((items) => alarmList.update(items)));
   if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), showInfo())));
-  readings.push(get("/transducers").then((answer) => (tiles.update(answer), showClock(answer.as_of))));
+  readings.push(get("/transducers").then((answer) => (tiles.update(answer), retired.update(answer), showClock(answer.as_of))));
+  if (withEnvironment) readings.push(get("/environment/latest").then((answer) => showEnvironment(byId("environment"), answer.latest)));
   await Promise.all(readings);
   for (const position of changed) dirty.fits.add(position);
   if (performance.now() - fitsReadAt > FIT_REFRESH_MS) await readFits();
@@ -264,6 +274,7 @@ function showClock(asOf) {
   /** @type {HTMLProgressElement} */ (byId("progress")).value = state.info ? Math.min(1, asOf.now_h / state.info.schedule.end_h) : 0;
   recorder = asOf.recorder;
   if (recorder !== "running") byId("finish").hidden = true;
+  hold.update(state.info?.held ?? null, recorder);
   showConnection();
 }
 

@@ -1,6 +1,6 @@
 // The two live connections: events (SSE, resumes by itself) and waveforms (WebSocket, latest only).
 
-const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "service"];
+const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "environment", "service"];
 
 export class EventStream {
   /**

@@ -1,0 +1,58 @@
+// Supply and climate around the newest set, each with its quality and age; nothing where neither is configured.
+
+import { el } from "./dom.js";
+import { fixed, hour, quantity } from "./format.js";
+import { chip } from "./icons.js";
+
+/** @type {Record<string, import("./icons.js").Look>} */
+const QUALITIES = {
+  good: { word: "Good", icon: "check", tone: "good" },
+  stale: { word: "Stale", icon: "triangle", tone: "warn" },
+  lost: { word: "Lost", icon: "link", tone: "alarm" },
+};
+
+/** Amperes at the scale of the electrochemical drive. @param {number | null} current_a */
+function current(current_a) {
+  return current_a !== null && Math.abs(current_a) >= 1 ? quantity(current_a, 1, 3, "A") : quantity(current_a, 1e3, 2, "mA");
+}
+
+/** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values */
+function group(name, quality, age_s, values) {
+  const look = QUALITIES[quality] ?? { word: quality, icon: "dash", tone: "" };
+  const age = age_s === null ? "" : `read ${fixed(age_s, age_s < 10 ? 1 : 0)} s before`;
+  const part = el(
+    "div",
+    { class: "environment-group", "data-quality": quality },
+    el("p", { class: "environment-name" }, el("strong", { text: name }), chip(look), el("span", { class: "quiet small", text: age })),
+    el("dl", { class: "readouts" }, ...values.map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })))),
+  );
+  return part;
+}
+
+/** @param {HTMLElement} root @param {any} row the newest one, or null */
+export function showEnvironment(root, row) {
+  root.hidden = row === null;
+  if (row === null) return;
+  const parts = [el("h2", { id: "environment-title", class: "sr-only", text: "Supply and climate" })];
+  if (row.supply_quality !== "absent") {
+    const state = row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
+    parts.push(
+      group("Supply", row.supply_quality, row.supply_age_s, [
+        ["Output", state],
+        ["Voltage", quantity(row.voltage_v, 1, 2, "V")],
+        ["Current", current(row.current_a)],
+        ["Charge", quantity(row.charge_coulomb, 1, 1, "C")],
+      ]),
+    );
+  }
+  if (row.climate_quality !== "absent") {
+    parts.push(
+      group("Climate", row.climate_quality, row.climate_age_s, [
+        ["Temperature", quantity(row.temperature_c, 1, 1, "°C")],
+        ["Relative humidity", quantity(row.relative_humidity, 100, 0, "%")],
+      ]),
+    );
+  }
+  parts.push(el("p", { class: "quiet small environment-age", text: `Set ${row.set_index}, hour ${hour(row.due_h)} · ${fixed(row.age_h, 1)} h old` }));
+  root.replaceChildren(...parts);
+}
