@@ -65,7 +65,6 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
         yield DemoRig(settings=settings)
         return
     from simulator.doubles.control import running_doubles
-
     from simulator.doubles.errors import DoublesError
     from simulator.doubles.library import client_environment
 

@@ -90,6 +90,7 @@ class ElectrochemicalDrive:
         self._charge = state.charge
         self._tripped = state.tripped
         self._intended_on = state.output_on
+        self._ordered_ns = now_ns
         self._booked_utc_ns = state.booked_utc_ns
         self._newest: SupplyReading | None = None
         self._window: list[SupplyReading] = []
@@ -236,6 +237,7 @@ class ElectrochemicalDrive:
         log.warning("output switched on by %s: %g V, at most %g A", author, voltage_v, limit_a)
         self._tripped, self._must_switch_off = None, False
         self._intended_on, self._limit_a, self._high_readings = True, limit_a, 0
+        self._ordered_ns = self._clock.mono_ns()
 
     def switch_off(self, author: str) -> None:
         """Switch the output off at a person's order; the interlock stays as it is.
@@ -308,7 +310,9 @@ class ElectrochemicalDrive:
             return ()
         now_ns = self._clock.mono_ns()
         quality, reading = self._supply_log.quality(now_ns), self._newest
-        off = bool(self._intended_on) and reading is not None and not reading.output_on
+        # A reading from before the order says nothing of how it was carried out.
+        told = reading is not None and reading.stamp.mono_ns >= self._ordered_ns
+        off = bool(self._intended_on) and reading is not None and told and not reading.output_on
         tolerance_a = self._parameters.readback_tolerance_a
         limited = (
             reading is not None and reading.output_on and reading.current_a >= self._limit_a - tolerance_a

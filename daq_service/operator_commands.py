@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 from daq_service.alarms import (
     RETIRING,
@@ -27,10 +27,34 @@ log = logging.getLogger(__name__)
 LISTEN_EVERY_NS = 200_000_000
 """A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 
-ORDERS = ("finish_now", "stop", "acknowledge_alarm", "hold", "release", "retire", "reinstate")
+ORDERS = (
+    "finish_now",
+    "stop",
+    "acknowledge_alarm",
+    "hold",
+    "release",
+    "retire",
+    "reinstate",
+    "supply_on",
+    "supply_off",
+)
 
 AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, Mapping[str, Any]]
+
+
+class SupplySwitch(Protocol):
+    """Who switches the corrosion drive; a refusal is a ValueError."""
+
+    def supply_on(
+        self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
+    ) -> str:
+        """Switch it on; voltage and limit as configured where not given."""
+        ...
+
+    def supply_off(self, author: str, hour: float) -> str:
+        """Switch it off."""
+        ...
 
 
 class Operator:
@@ -46,6 +70,8 @@ class Operator:
         Called with a position that may strike again.
     positions
         The solitary-wave transducers.
+    supply
+        None where the test has no supply.
     """
 
     def __init__(
@@ -58,6 +84,7 @@ class Operator:
         store: Callable[[Transaction], None],
         reinstated: Callable[[str], None],
         positions: Sequence[str],
+        supply: SupplySwitch | None = None,
     ) -> None:
         self._catalogue = catalogue
         self._clock = clock
@@ -66,6 +93,7 @@ class Operator:
         self._store = store
         self._reinstated = reinstated
         self._positions = positions
+        self._supply = supply
         self._listened_ns: int | None = None
         # Whatever ended the last recorder: a restart never ends a hold.
         self._held = catalogue.held() or ""
@@ -114,6 +142,8 @@ class Operator:
                 return self._retire(command, hour)
             case "reinstate":
                 return self._reinstate(command, hour)
+            case "supply_on" | "supply_off":
+                return self._switch_supply(command, hour)
             case other:
                 raise ValueError(f"unknown order {other!r}; there are {', '.join(ORDERS)}")
 
@@ -182,6 +212,19 @@ class Operator:
         self._store(transaction)
         self._reinstated(position)
         return f"{position} strikes again from the next set"
+
+    def _switch_supply(self, command: Mapping[str, Any], hour: float) -> str:
+        if self._supply is None:
+            raise ValueError("this test has no supply; configure [rig.supply]")
+        if command["kind"] == "supply_off":
+            return self._supply.supply_off(command["author"], hour)
+        arguments = command["arguments"]
+        return self._supply.supply_on(
+            command["author"],
+            hour,
+            voltage_v=arguments.get("voltage_v"),
+            current_limit_a=arguments.get("current_limit_a"),
+        )
 
     def _position(self, command: Mapping[str, Any]) -> str:
         position = str(command["arguments"].get("position", ""))

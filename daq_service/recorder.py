@@ -24,6 +24,7 @@ from daq_service.assessment import Assessment, SolitaryWaveAssessor
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import NS_PER_H, boot_id
 from daq_service.cost import Cost
+from daq_service.drive_watch import drive_watch
 from daq_service.errors import RigError
 from daq_service.heartbeat import Heartbeat
 from daq_service.live import LivePicture
@@ -86,6 +87,7 @@ class Recorder:
         done = catalogue.committed_sets()
         self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
         self._assessors = restored_assessors(settings, catalogue, folder)
+        self._drive = drive_watch(settings, rig, catalogue, self._alarms, self._commit)
         self._operator = Operator(
             catalogue,
             rig.clock,
@@ -94,6 +96,7 @@ class Recorder:
             store=self._commit,
             reinstated=self._reinstated,
             positions=settings.names_of("solitary_wave"),
+            supply=self._drive if rig.supply is not None else None,
         )
 
     def run(self, *, not_running_because: str) -> bool:
@@ -116,7 +119,9 @@ class Recorder:
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         finished = not self._stop.is_set()
-        self._say("schedule_done" if finished else "recorder_stopped", {"cost": self._cost.as_row()})
+        supply = "" if self._drive is None else self._drive.end()
+        farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
+        self._say("schedule_done" if finished else "recorder_stopped", farewell)
         return finished
 
     def linger(self) -> None:
@@ -217,6 +222,7 @@ class Recorder:
             missed=taken.missed_records(),
             outcomes=taken.superseded(),
             trouble=taken.told_trouble(),
+            environment={} if self._drive is None else self._drive.summary(),
             provenance=self._provenance,
         )
         stored = self._archive.store_set(record)
@@ -316,7 +322,7 @@ class Recorder:
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
         self._carry_alarm(_rig_condition(record.trouble, due), moment, transaction)
-        self._commit(transaction)
+        self._commit_set(due, moment, transaction)
 
     def _assess(
         self, position: str, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
@@ -339,8 +345,17 @@ class Recorder:
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         change = update(self._alarms.get((condition.position, condition.kind)), condition, moment)
         if change is not None:
+            if self._drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
+                # At once: through a hole the solution reaches what it should not, and the current with it.
+                self._drive.trip(condition.message, moment.due_h)
             transaction.add_alarm(change, moment)
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row["message"])
+
+    def _commit_set(self, due: DueSet, moment: Moment, transaction: Transaction) -> None:
+        """Store a set's rows, with what supply and climate probe said since the last one."""
+        if self._drive is not None:
+            self._drive.add_row(transaction, due, moment)
+        self._commit(transaction)
 
     def _commit(self, transaction: Transaction) -> None:
         """Store it; what later sets build on is taken over only after that."""
@@ -394,7 +409,7 @@ class Recorder:
                 self._carry_alarm(condition, moment, transaction)
         if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
             self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
-        self._commit(transaction)
+        self._commit_set(due, moment, transaction)
 
     def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
         moment = Moment(utc_ns=self._rig.clock.utc_ns(), due_h=due.due_h, set_index=due.set_index)
@@ -404,7 +419,7 @@ class Recorder:
             cause = retired.get(position) or causes[position]
             row = self._gap_row(due, position, retired=position in retired, cause=cause)
             transaction.add_position(row, [], Assessment(), moment)
-        self._commit(transaction)
+        self._commit_set(due, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
 
     def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> dict[str, Any]:
@@ -428,6 +443,8 @@ class Recorder:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._heartbeat.beat(self._doing)
         self._operator.listen(self._hour())
+        if self._drive is not None:
+            self._drive.tick(self._hour())
         return not self._stop.is_set()
 
     def _idle_in_a_set(self) -> bool:

@@ -96,6 +96,9 @@ class SupplyParameters:
     `current_limit_a`, or it is never reached while the supply keeps its limit."""
     interlock_readings: Annotated[int, Ge(1), Le(1000)] = 3
     """So many readings in a row at or above `interlock_current_a` trip it."""
+    off_at_end: bool = True
+    """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
+    leaves it as it is: the corrosion goes on, and only a person's order would switch it on again."""
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
 
