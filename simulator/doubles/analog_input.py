@@ -377,7 +377,7 @@ def create_voltage_channels(bench: Bench, client: str, arguments: Arguments) -> 
         task.channels.append(
             InputChannel(name=name, device=device, number=number, minimum_v=minimum_v, maximum_v=maximum_v)
         )
-    task.kind, task.state = "ai", TaskState.UNVERIFIED
+    task.kind, task.state, task.verified = "ai", TaskState.UNVERIFIED, False
     bench.last_channel[client] = ", ".join(channel.name for channel in task.channels[-len(physical) :])
     return {}
 

@@ -181,24 +181,6 @@ def get_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
     return _look_up(_TASK, _attribute(arguments, "Task"), bench, task)
 
 
-def nth_device(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetNthTaskDevice`, counted from 1."""
-    task = tasks.find(bench, client, arguments["task"])
-    return {"buffer": _nth(_device_names(task), arguments["index"], task)}
-
-
-def nth_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetNthTaskChannel`, counted from 1."""
-    task = tasks.find(bench, client, arguments["task"])
-    return {"buffer": _nth([c.name for c in _channels(task)], arguments["index"], task)}
-
-
-def _nth(names: list[str], index: int, task: Task) -> str:
-    if not 1 <= index <= len(names):
-        raise Status(INVALID_VALUE, f"Index: {index}, there are {len(names)}", task=task.name)
-    return names[index - 1]
-
-
 # Channels
 
 _INPUT_CHANNEL: Values = {
@@ -543,8 +525,6 @@ HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxy
         "DAQmxGetCalInfoAttribute": get_calibration,
         "DAQmxGetPhysicalChanAttribute": get_physical_channel,
         "DAQmxGetTaskAttribute": get_task,
-        "DAQmxGetNthTaskDevice": nth_device,
-        "DAQmxGetNthTaskChannel": nth_channel,
         "DAQmxGetChanAttribute": get_channel,
         "DAQmxSetChanAttribute": set_channel,
         "DAQmxGetTimingAttribute": get_timing,

@@ -352,6 +352,11 @@ class Brain:
                 if holder.client == "another process" and holder.task == owner:
                     self.bench.reservations.release(holder)
 
+    def wait_until_no_tasks(self, timeout_s: float) -> bool:
+        """Wait until every task is gone, as after a client's death; False at the deadline."""
+        with self.bench.changed:
+            return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
+
     def record(self) -> dict[str, Any]:
         """Everything the double noticed, as JSON takes it."""
         sessions = self.niscope.open_sessions()

@@ -66,6 +66,8 @@ def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
             brain.faults.release()
         case "wait_until_hanging":
             return brain.faults.wait_until_hanging(float(arguments["timeout_s"]))
+        case "wait_until_no_tasks":
+            return brain.wait_until_no_tasks(float(arguments["timeout_s"]))
         case "record":
             return brain.record()
         case "clear_record":

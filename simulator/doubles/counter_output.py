@@ -256,7 +256,7 @@ def create_pulse_channel(bench: Bench, client: str, arguments: Arguments) -> Ans
                 high_s=arguments["high_time"],
             )
         )
-    task.kind, task.state = "co", TaskState.UNVERIFIED
+    task.kind, task.state, task.verified = "co", TaskState.UNVERIFIED, False
     bench.last_channel[client] = ", ".join(channel.name for channel in task.channels[-len(counters) :])
     return {}
 

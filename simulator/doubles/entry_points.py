@@ -208,14 +208,6 @@ _DAQMX = (
     EntryPoint("DAQmxStopTask", (TASK,)),
     EntryPoint("DAQmxWaitUntilTaskDone", (TASK, value("time_to_wait", FLOAT64))),
     EntryPoint("DAQmxIsTaskDone", (TASK, out("is_task_done", UINT32))),
-    EntryPoint(
-        "DAQmxGetNthTaskDevice",
-        (TASK, value("index", UINT32), out_text("buffer", "buffer_size"), value("buffer_size")),
-    ),
-    EntryPoint(
-        "DAQmxGetNthTaskChannel",
-        (TASK, value("index", UINT32), out_text("buffer", "buffer_size"), value("buffer_size")),
-    ),
     # Channels
     EntryPoint(
         "DAQmxCreateAIVoltageChan",

@@ -34,7 +34,7 @@ EMPTY_COMPANIONS: Final[Mapping[str, tuple[str, ...]]] = {"niScope": ("libnitclk
 
 EMPTY_SOURCE: Final = "int double_without_functions;\n"
 
-FLAGS: Final = ("-shared", "-fPIC", "-O2", "-pthread")
+FLAGS: Final = ("-shared", "-fPIC", "-O1", "-pthread")
 
 COMPILE_TIMEOUT_S = 120.0
 

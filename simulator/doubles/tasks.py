@@ -92,6 +92,10 @@ class Task:
         State that stopping goes back to.
     lost
         Status that every call answers since the board was reset or removed, 0 while all is well.
+    begun
+        How often it was started.
+    verified
+        The present settings have passed; a task can be reserved and yet have new ones.
     """
 
     handle: int
@@ -105,6 +109,7 @@ class Task:
     run: Any = None
     lost: int = 0
     begun: int = 0
+    verified: bool = False
 
     @property
     def holder(self) -> Holder:
@@ -235,9 +240,10 @@ def advance(bench: Bench, task: Task, target: TaskState) -> None:
     if not task.kind or not task.channels:
         raise Status(NO_CHANNELS, task=task.name)
     kind = bench.kinds[task.kind]
-    if task.state < TaskState.VERIFIED <= target:
+    if target >= TaskState.VERIFIED and not task.verified:
         kind.verify(bench, task)
-        task.state = TaskState.VERIFIED
+        task.verified = True
+        task.state = max(task.state, TaskState.VERIFIED)
     if task.state < TaskState.RESERVED <= target:
         bench.reservations.take(kind.resources(bench, task), task.holder)
         task.state = TaskState.RESERVED
@@ -251,15 +257,13 @@ def changed(task: Task) -> None:
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
         task.state = TaskState.RESERVED
-    task.settings["changed"] = True
+    task.verified = False
 
 
 def start(bench: Bench, task: Task) -> None:
     """Run a task."""
     task.require_not_running()
     task.resume = max(task.state, TaskState.VERIFIED)
-    if task.settings.pop("changed", False) and task.state >= TaskState.VERIFIED:
-        bench.kinds[task.kind].verify(bench, task)
     before = task.state
     try:
         advance(bench, task, TaskState.COMMITTED)
@@ -316,8 +320,6 @@ def control(bench: Bench, task: Task, action: int) -> None:
         case Action.VERIFY | Action.COMMIT | Action.RESERVE:
             if task.state is TaskState.RUNNING:
                 return
-            if task.settings.pop("changed", False) and task.state >= TaskState.VERIFIED:
-                bench.kinds[task.kind].verify(bench, task)
             targets = {
                 Action.VERIFY: TaskState.VERIFIED,
                 Action.RESERVE: TaskState.RESERVED,

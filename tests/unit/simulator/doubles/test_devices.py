@@ -1,0 +1,193 @@
+"""Boards that are unplugged, come back under another name, are reset, calibrated and watched."""
+
+import pytest
+from doubles_bench import Caller, SteppedClock
+
+from simulator.doubles.brain import Brain
+from simulator.doubles.description import SIMULTANEOUS_16_BIT, default_description
+from simulator.doubles.statuses import Status
+
+SERIAL, BOARD = SIMULTANEOUS_16_BIT.serial_number, SIMULTANEOUS_16_BIT.name
+INPUT, COUNTER, LINE = f"{BOARD}/ai0", f"{BOARD}/ctr0", f"{SERIAL}/PFI12"
+SERIAL_NUMBER, DEVICE_NAMES, COEFFICIENTS = 0x632, 0x193B, 0x1930
+COMMIT, LOW, RESET_TIMER, CLEAR_EXPIRATION, EXPIRED = 3, 10214, 0, 1, 0x21A8
+
+
+@pytest.fixture
+def brain():
+    return Brain(default_description(), clock=SteppedClock(0))
+
+
+@pytest.fixture
+def me(brain):
+    return Caller(brain)
+
+
+def code_of(call, *arguments, **more):
+    with pytest.raises(Status) as caught:
+        call(*arguments, **more)
+    return caught.value.code
+
+
+def names(me):
+    return me("GetSystemInfoAttribute", attribute=DEVICE_NAMES)["value"]
+
+
+def test_the_first_call_after_unplugging_says_why_later_ones_that_it_is_over(brain, me):
+    task = me.digitizer(INPUT)
+    me("StartTask", task)
+    brain.unplug(SERIAL)
+    read = {"timeout": 1.0}
+    assert code_of(me, "ReadBinaryI16", task, **read) == -88710
+    assert code_of(me, "ReadBinaryI16", task, **read) == -88709
+    assert code_of(me, "StopTask", task) == -88709
+    assert brain.record()["reservations"] == {}
+    me("ClearTask", task)
+    assert brain.record()["tasks"] == []
+
+
+def test_a_coil_falls_when_its_board_is_unplugged(brain, me):
+    coil = me.coil(COUNTER, initial_delay=0.0, high_time=10.0)
+    me("StartTask", coil)
+    brain.bench.clock.time_ns = 30_000_000
+    brain.unplug(SERIAL)
+    brain.bench.clock.pass_s(60.0)
+    record = brain.record()
+    assert [(event["ns"], event["level"]) for event in record["lines"]] == [(0, 1), (30_000_000, 0)]
+
+
+def test_an_unplugged_board_is_not_listed_and_cannot_be_used(brain, me):
+    brain.unplug(SERIAL)
+    assert names(me) == "PXI1Slot2, PXI1Slot4, Dev1"
+    assert code_of(me, "GetDeviceAttribute", device_name=BOARD, attribute=SERIAL_NUMBER) == -201003
+    assert code_of(me, "ResetDevice", device_name=BOARD) == -200324
+    assert code_of(me, "SelfCal", device_name=BOARD) == -200324
+    task = me("CreateTask")["task"]
+    assert code_of(me, "CreateAIVoltageChan", task, physical_channel=INPUT) == -201003
+
+
+def test_a_board_comes_back_under_another_name_with_its_serial_number(brain, me):
+    brain.unplug(SERIAL)
+    brain.plug(SERIAL, "Dev7")
+    assert names(me) == "PXI1Slot2, Dev7, PXI1Slot4, Dev1"
+    assert me("GetDeviceAttribute", device_name="Dev7", attribute=SERIAL_NUMBER)["value"] == SERIAL
+    assert code_of(me, "GetDeviceAttribute", device_name=BOARD, attribute=SERIAL_NUMBER) == -201003
+    me("StartTask", me.digitizer("Dev7/ai0"))
+
+
+def test_a_board_nobody_knows_has_no_name(me):
+    assert code_of(me, "GetDeviceAttribute", device_name="Dev99", attribute=SERIAL_NUMBER) == -200220
+
+
+def test_other_boards_go_on(brain, me):
+    task = me.digitizer("PXI1Slot2/ai0")
+    me("StartTask", task)
+    brain.unplug(SERIAL)
+    assert me("IsTaskDone", task)["is_task_done"] == 0
+
+
+def test_a_reset_takes_the_board_from_everybody(brain, me):
+    other = Caller(brain)
+    coil = other.coil(COUNTER, initial_delay=0.0, high_time=10.0)
+    other("StartTask", coil)
+    brain.occupy(f"{BOARD}/ai", "someone's LabVIEW")
+    me("ResetDevice", device_name=BOARD)
+    record = brain.record()
+    assert record["reservations"] == {}
+    assert record["levels"][LINE] == 0
+    assert code_of(other, "StopTask", coil) == -88709
+    other("ClearTask", coil)
+
+
+# Calibration
+
+
+def test_self_calibration_changes_the_polynomial_and_its_date(brain, me):
+    task = me.digitizer(INPUT)
+    before = me("GetChanAttribute", task, attribute=COEFFICIENTS)["value"]
+    dated = me("GetSelfCalLastDateAndTime", device_name=BOARD)
+    assert dated == {"year": 2026, "month": 1, "day": 12, "hour": 9, "minute": 30}
+    me("SelfCal", device_name=BOARD)
+    after = me("GetChanAttribute", task, attribute=COEFFICIENTS)["value"]
+    assert after[0] - before[0] == pytest.approx(2e-4, rel=1e-9)
+    assert me("GetSelfCalLastDateAndTime", device_name=BOARD) != dated
+    assert me("GetExtCalLastDateAndTime", device_name=BOARD) == dated
+    assert me("GetCalInfoAttribute", device_name=BOARD, attribute=0x1864)["value"] == 38.5
+
+
+def test_self_calibration_waits_for_nobody(brain, me):
+    me.control(me.digitizer(INPUT, name="digitizer C"), COMMIT)
+    with pytest.raises(Status, match="digitizer C") as caught:
+        Caller(brain)("SelfCal", device_name=BOARD)
+    assert caught.value.code == -50103
+    # Another board is free.
+    me("SelfCal", device_name="PXI1Slot2")
+
+
+# Power-up states
+
+
+def test_power_up_states_are_kept_line_by_line(brain, me):
+    lines = f"{BOARD}/port2/line4\n{BOARD}/port2/line5"
+    me("SetDigitalPowerUpStates", device_name=BOARD, channel_names=lines, state=[LOW, 10310])
+    found = me("GetDigitalPowerUpStates", device_name=BOARD, channel_names=lines + f"\n{BOARD}/port1/line0")
+    assert found["state"] == [LOW, 10310, 10310]
+    wrong = {"device_name": BOARD, "channel_names": f"{BOARD}/port9/line0", "state": [LOW]}
+    assert code_of(me, "SetDigitalPowerUpStates", **wrong) == -200170
+
+
+# Watchdog
+
+
+def watchdog(me, timeout_s=0.5, board=BOARD):
+    task = me("CreateWatchdogTimerTaskEx", device_name=board, session_name="watchdog", timeout=timeout_s)[
+        "task"
+    ]
+    states = {"expir_state_array": [LOW], "array_size": 1}
+    me("CfgWatchdogCOExpirStates", task, channel_names=f"{board}/ctr0", **states)
+    me("StartTask", task)
+    return task
+
+
+def test_an_expired_watchdog_cuts_the_pulse_at_its_own_time(brain, me):
+    watch = watchdog(me)
+    coil = me.coil(COUNTER, initial_delay=0.0, high_time=10.0)
+    me("StartTask", coil)
+    brain.bench.clock.time_ns = 3_000_000_000
+    assert me("GetWatchdogAttribute", watch, attribute=EXPIRED)["value"] == 1
+    events = [(event["ns"], event["level"], event["cause"]) for event in brain.record()["lines"]]
+    assert events == [(0, 1, "pulse"), (500_000_000, 0, "watchdog")]
+
+
+def test_a_watchdog_that_is_reset_in_time_does_nothing(brain, me):
+    watch = watchdog(me)
+    for _ in range(5):
+        brain.bench.clock.pass_s(0.4)
+        me("ControlWatchdogTask", watch, action=RESET_TIMER)
+    assert me("GetWatchdogAttribute", watch, attribute=EXPIRED)["value"] == 0
+
+
+def test_after_expiry_nothing_pulses_until_it_is_cleared(brain, me):
+    watch = watchdog(me)
+    brain.bench.clock.pass_s(1.0)
+    coil = me.coil(COUNTER)
+    assert code_of(me, "StartTask", coil) == -201434
+    assert code_of(me, "ControlWatchdogTask", watch, action=RESET_TIMER) == -200644
+    me("ControlWatchdogTask", watch, action=CLEAR_EXPIRATION)
+    me("StartTask", coil)
+
+
+def test_boards_without_a_watchdog_say_so(me):
+    arguments = {"device_name": "PXI1Slot4", "session_name": "", "timeout": 1.0}
+    assert code_of(me, "CreateWatchdogTimerTaskEx", **arguments) == -200662
+
+
+def test_two_watchdogs_do_not_share_a_board(brain, me):
+    watchdog(me)
+    other = Caller(brain)
+    assert code_of(watchdog, other) == -50103
+
+
+def test_only_watchdog_tasks_are_controlled_as_such(me):
+    task = me.coil(COUNTER)
+    assert code_of(me, "ControlWatchdogTask", task, action=RESET_TIMER) == -200635
