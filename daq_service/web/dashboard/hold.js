@@ -13,7 +13,7 @@ export class Hold {
     this.reason = /** @type {HTMLInputElement} */ (byId("hold-reason"));
     this.banner = byId("held");
     this.releaseButton = /** @type {HTMLButtonElement} */ (byId("release"));
-    byId("held-icon").append(icon("hand"));
+    byId("held-icon").append(icon("pause"));
     this.button.addEventListener("click", () => this.ask());
     byId("hold-cancel").addEventListener("click", () => this.dialog.close());
     byId("hold-confirm").addEventListener("click", () => this.hold());
