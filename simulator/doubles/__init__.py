@@ -10,8 +10,8 @@ the twin's physics in wall time. In front of it stand doors through which unmodi
 
 Reading order: `entry_points`, `attributes` and `table`, `transport.c` and `c_source` (the C library),
 `wire`, `server`, `brain`; behind it `tasks` (states), `analog_input`, `counter_output`, `watchdog`,
-`routing`, `device_calls`, `attribute_access`; what evolves is `devices`, `reservations`, `lines`,
-`strikes`; what it consists of is `description` and `boards`. `control.running_doubles` starts one.
+`routing` and the entry points (`..._calls`, `..._attributes`); what evolves is `devices`, `reservations`,
+`lines`, `strikes`; what it consists of is `description` and `boards`. `control.running_doubles` starts one.
 
 A double proves how a driver talks to NI's API and what it does when calls fail. It cannot prove what
 only hardware has: comparators, routing, transfer rates, a real watchdog. See docs/reference/doubles.md.

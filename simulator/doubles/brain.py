@@ -17,11 +17,15 @@ from typing import Any, Literal
 
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles import (
+    analog_calls,
     analog_input,
-    attribute_access,
+    channel_attributes,
     counter_output,
+    device_attributes,
     device_calls,
     routing,
+    task_attributes,
+    task_calls,
     tasks,
     watchdog,
 )
@@ -33,7 +37,7 @@ from simulator.doubles.faults import Faults, lie
 from simulator.doubles.lines import LineRecord
 from simulator.doubles.niscope_brain import NiscopeBrain
 from simulator.doubles.reservations import Reservations
-from simulator.doubles.statuses import TEXTS, Status
+from simulator.doubles.statuses import Status
 from simulator.doubles.strikes import Strikes
 from simulator.doubles.table import TABLE
 from simulator.doubles.tasks import Answer, Arguments, Bench, Clock, WallClock
@@ -48,84 +52,17 @@ EXIT_ON_DEATH = 70
 """Exit code of a process that was told to die."""
 
 
-def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    return {}
-
-
-def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    code = arguments["error_code"]
-    return {"error_string": TEXTS.get(code, f"Status {code} is not one of the double's own.")}
-
-
-def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
-
-
-def _load_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    raise Status(-200077, f"No task {arguments['session_name']!r} is saved in NI MAX.")
-
-
-def _clear_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    task = bench.tasks.get(arguments["task"])
-    if task is not None and task.client == client and task.lost:
-        # Clearing is how a lost task is got rid of: it never fails for the loss.
-        del bench.tasks[task.handle]
-        return {}
-    tasks.clear(bench, tasks.find(bench, client, arguments["task"]))
-    return {}
-
-
-def _control_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    tasks.control(bench, tasks.find(bench, client, arguments["task"]), arguments["action"])
-    return {}
-
-
-def _start_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    tasks.start(bench, tasks.find(bench, client, arguments["task"]))
-    return {}
-
-
-def _stop_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    tasks.stop(bench, tasks.find(bench, client, arguments["task"]))
-    return {}
-
-
-def _is_task_done(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    task = tasks.find(bench, client, arguments["task"])
-    return {"is_task_done": int(tasks.is_done(bench, task))}
-
-
-def _wait_until_done(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    task = tasks.find(bench, client, arguments["task"])
-    timeout_s = arguments["time_to_wait"]
-    late = Status(-200560, f"Time to wait: {timeout_s} s", task=task.name)
-    tasks.wait(bench, task, timeout_s, late)
-    return {}
-
-
-def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    return {"value": bench.last_channel.get(client, "")}
-
-
 HANDLERS: Mapping[str, Handler] = MappingProxyType(
     {
-        "DAQmxSetRuntimeEnvironment": _set_runtime_environment,
-        "DAQmxGetErrorString": _error_string,
-        "DAQmxCreateTask": _create_task,
-        "DAQmxLoadTask": _load_task,
-        "DAQmxClearTask": _clear_task,
-        "DAQmxTaskControl": _control_task,
-        "DAQmxStartTask": _start_task,
-        "DAQmxStopTask": _stop_task,
-        "DAQmxIsTaskDone": _is_task_done,
-        "DAQmxWaitUntilTaskDone": _wait_until_done,
-        "DAQmxInternalGetLastCreatedChan": _last_created_channel,
-        **analog_input.HANDLERS,
+        **task_calls.HANDLERS,
+        **analog_calls.HANDLERS,
         **counter_output.HANDLERS,
         **routing.HANDLERS,
         **device_calls.HANDLERS,
         **watchdog.HANDLERS,
-        **attribute_access.HANDLERS,
+        **device_attributes.HANDLERS,
+        **channel_attributes.HANDLERS,
+        **task_attributes.HANDLERS,
     }
 )
 """Of NI-DAQmx, by C name."""
