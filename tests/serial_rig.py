@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,22 @@ from simulator.doubles.serial_link import pseudo_terminals_missing
 
 NO_TERMINALS = pseudo_terminals_missing()
 """Why there is nothing to test here; empty where there is."""
-REPLY_TIMEOUT_S = 0.15
-"""The doubles answer within a millisecond; this leaves a busy machine room and keeps silence short."""
+REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
+"""The doubles answer within a millisecond, on a busy machine later; nobody waits for what never comes, see
+`DeadlineClock`."""
 
-READ_TIMEOUT_S = 2.0
+
+class DeadlineClock:
+    """The machine's monotonic time, moved past every deadline when an answer is withheld."""
+
+    def __init__(self) -> None:
+        self._ahead_s = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() + self._ahead_s
+
+    def skip(self) -> None:
+        self._ahead_s += 100.0 * REPLY_TIMEOUT_S
 
 
 class TestClock:
@@ -60,26 +73,34 @@ class SerialRig:
         noise_v: float = 0.0,
         noise_a: float = 0.0,
         line: dict[str, Any] | None = None,
+        read_timeout_s: float = READ_TIMEOUT_S,
         **supply: Any,
     ) -> None:
         self.clock = TestClock()
+        self.deadlines = DeadlineClock()
         self.instruments = SerialInstruments(folder, supply=Supply(noise_v=noise_v, noise_a=noise_a))
+        for link in (self.instruments.supply_link, self.instruments.climate_link):
+            link.withheld = self.deadlines.skip
         line = {"reply_timeout_s": REPLY_TIMEOUT_S, **(line or {})}
         self.supply_parameters = SupplyParameters(
             line=SerialLineParameters(port=str(self.instruments.supply_link.path), **line),
             identity="SOLIMON,DC SUPPLY DOUBLE,SD0001",
+            read_timeout_s=read_timeout_s,
             **supply,
         )
         self.climate_parameters = ClimateParameters(
             line=SerialLineParameters(port=str(self.instruments.climate_link.path), **line),
             identity="SOLIMON,CLIMATE PROBE DOUBLE,CD0001",
+            read_timeout_s=read_timeout_s,
         )
         self.supply = self.new_supply()
-        self.climate = ScpiClimateProbe(self.climate_parameters, stamp=self.clock.stamp)
+        self.climate = ScpiClimateProbe(
+            self.climate_parameters, stamp=self.clock.stamp, monotonic_s=self.deadlines
+        )
 
     def new_supply(self) -> ScpiPowerSupply:
         """A second driver on the same port."""
-        return ScpiPowerSupply(self.supply_parameters, stamp=self.clock.stamp)
+        return ScpiPowerSupply(self.supply_parameters, stamp=self.clock.stamp, monotonic_s=self.deadlines)
 
     def __enter__(self) -> SerialRig:
         return self

@@ -25,9 +25,17 @@ class ScpiClimateProbe:
         Line, name and questions. Nothing is opened before the first call.
     stamp
         The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
+    monotonic_s
+        The machine's monotonic time, for deadlines.
     """
 
-    def __init__(self, parameters: ClimateParameters, *, stamp: Callable[[], Stamp]) -> None:
+    def __init__(
+        self,
+        parameters: ClimateParameters,
+        *,
+        stamp: Callable[[], Stamp],
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._parameters = parameters
         self._stamp = stamp
         self._line = SerialLine(
@@ -35,6 +43,7 @@ class ScpiClimateProbe:
             identity=parameters.identity,
             identity_query=parameters.identity_query,
             stamp=stamp,
+            monotonic_s=monotonic_s,
         )
 
     def identity(self) -> Mapping[str, str]:
@@ -45,7 +54,7 @@ class ScpiClimateProbe:
         BusyError, ConfigurationError, ConnectionLostError
             As for `read`.
         """
-        self._line.connect(time.monotonic() + self._parameters.read_timeout_s)
+        self._line.connect(self._line.monotonic_s() + self._parameters.read_timeout_s)
         return name_parts(self._line)
 
     def read(self, timeout_s: float) -> ClimateReading:
@@ -62,7 +71,7 @@ class ScpiClimateProbe:
         """
         if not timeout_s > 0.0:
             raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s = self._line.monotonic_s() + timeout_s
         parameters = self._parameters
         self._line.connect(deadline_s)
         stamp = self._stamp()

@@ -34,6 +34,9 @@ SHOWN_BYTES = 60
 ATTEMPTS_PER_OPENING = 3
 """An instrument that was silent so often in a row is looked for behind a port opened anew."""
 
+LINES_BEFORE_NAME = 32
+"""So many late answers are thrown away before the name; more is an instrument that talks by itself."""
+
 _ERROR_QUEUE_ENTRY = re.compile(r"[+-]?\d+\s*,")
 
 
@@ -46,6 +49,8 @@ class SerialLine:
         Regular expression that the answer to ``identity_query`` must begin with.
     stamp
         The caller's clock: its monotonic time spaces the attempts to open.
+    monotonic_s
+        The machine's monotonic time, in which deadlines are given.
     """
 
     def __init__(
@@ -55,7 +60,9 @@ class SerialLine:
         identity: str,
         stamp: Callable[[], Stamp],
         identity_query: str = "*IDN?",
+        monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
+        self.monotonic_s = monotonic_s
         self.parameters = parameters
         self._identity = re.compile(identity)
         self._identity_query = identity_query
@@ -142,11 +149,13 @@ class SerialLine:
 
     def _identify(self, deadline_s: float) -> str:
         """Ask who is there; what comes before the expected name is a late reply and thrown away."""
+        deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
         self._write(self._identity_query)
-        deadline_s = min(deadline_s, time.monotonic() + self.parameters.reply_timeout_s)
         strangers, garbage = [], []
         pending = bytearray()
-        while (raw := self._next_line(pending, deadline_s)) is not None:
+        for _ in range(LINES_BEFORE_NAME):
+            if (raw := self._next_line(pending, deadline_s)) is None:
+                break
             reply = _text(raw)
             if reply is not None and self._identity.match(reply):
                 return reply
@@ -205,14 +214,15 @@ class SerialLine:
             No answer in time, or one that is no text, too long or followed by another: the line finds
             its step again at the next `connect`.
         """
-        if time.monotonic() >= deadline_s:
+        now_s = self.monotonic_s()
+        if now_s >= deadline_s:
             raise ConnectionLostError(
                 f"{self._where()}: no time left to ask {question}; it is too slow for the timeout given"
             )
         self._write(question)
         reply_timeout_s = self.parameters.reply_timeout_s
         pending = bytearray()
-        raw = self._next_line(pending, min(deadline_s, time.monotonic() + reply_timeout_s))
+        raw = self._next_line(pending, min(deadline_s, now_s + reply_timeout_s))
         if raw is None:
             raise self._lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
@@ -299,11 +309,12 @@ class SerialLine:
                     f"sent more than {self.parameters.longest_reply_bytes} bytes without a terminator: "
                     f"{_shown(bytes(pending))}; check baud rate and terminator"
                 )
-            if time.monotonic() >= deadline_s:
-                return None
             with self._translated("be read"):
                 # A timeout of pyserial is a short read, here an empty one.
-                pending += port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
+                read = port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
+            if not read and self.monotonic_s() >= deadline_s:
+                return None
+            pending += read
 
     @contextlib.contextmanager
     def _translated(self, doing: str) -> Iterator[None]:

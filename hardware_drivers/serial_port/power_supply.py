@@ -34,12 +34,22 @@ class ScpiPowerSupply:
         Line, name, caps. Nothing is opened before the first call.
     stamp
         The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
+    monotonic_s
+        The machine's monotonic time, for deadlines.
     """
 
-    def __init__(self, parameters: SupplyParameters, *, stamp: Callable[[], Stamp]) -> None:
+    def __init__(
+        self,
+        parameters: SupplyParameters,
+        *,
+        stamp: Callable[[], Stamp],
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._parameters = parameters
         self._stamp = stamp
-        self._line = SerialLine(parameters.line, identity=parameters.identity, stamp=stamp)
+        self._line = SerialLine(
+            parameters.line, identity=parameters.identity, stamp=stamp, monotonic_s=monotonic_s
+        )
         self._tripped: tuple[str, ...] = ()
 
     @property
@@ -247,4 +257,4 @@ class ScpiPowerSupply:
     def _deadline_s(self, timeout_s: float) -> float:
         if not timeout_s > 0.0:
             raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
-        return time.monotonic() + timeout_s
+        return self._line.monotonic_s() + timeout_s

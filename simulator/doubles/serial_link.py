@@ -70,6 +70,9 @@ class SerialLink:
     answer
         The instrument: gets a command without its terminator, returns the answer or None. It is an
         attribute too, so that a test can come between.
+    withheld
+        Attribute, called whenever a question gets no whole answer: a test that gave its driver a clock of
+        its own moves that on, instead of waiting for the driver's deadline.
     """
 
     def __init__(self, path: Path, answer: Callable[[str], str | None]) -> None:
@@ -78,6 +81,7 @@ class SerialLink:
             raise SimulatorError(missing)
         self.path = path
         self.answer = answer
+        self.withheld: Callable[[], None] = lambda: None
         self._faults = LineFaults()
         self._terminal: tuple[int, int] | None = None
         self._received = b""
@@ -181,10 +185,13 @@ class SerialLink:
             answer = self.answer(command)
             if answer is not None:
                 self._reply(answer.encode("ascii") + b"\n")
+            elif command.endswith("?"):
+                self.withheld()
 
     def _reply(self, answer: bytes) -> None:
         faults = self._faults
         if faults.silent:
+            self.withheld()
             return
         if faults.garbage:
             self._faults = replace(faults, garbage=faults.garbage - 1)
@@ -192,10 +199,13 @@ class SerialLink:
         if faults.hold:
             self._faults = replace(self._faults, hold=faults.hold - 1)
             self._held.append(answer)
+            self.withheld()
         elif faults.slow_s > 0.0:
             self._due.append((time.monotonic() + faults.slow_s, answer))
         else:
             self._transmit(answer)
+            if not answer.endswith(b"\n"):
+                self.withheld()
 
     def _transmit(self, text: bytes) -> None:
         if self._terminal is not None:

@@ -8,7 +8,7 @@ from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import ClimateProbe
 from hardware_drivers.measurement import ClimateReading
 
-TIMEOUT_S = 1.0
+TIMEOUT_S = 10.0
 
 
 class ClimateProbeContract:

@@ -10,7 +10,7 @@ from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import PowerSupply
 from hardware_drivers.measurement import SupplyReading
 
-TIMEOUT_S = 1.0
+TIMEOUT_S = 10.0
 
 
 class PowerSupplyContract:

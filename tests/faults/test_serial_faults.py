@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 import serial
 from serial.tools.list_ports_common import ListPortInfo
-from serial_rig import NO_TERMINALS, REPLY_TIMEOUT_S, SerialRig
+from serial_rig import NO_TERMINALS, READ_TIMEOUT_S, SerialRig
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.serial_port import port as port_module
@@ -23,8 +23,7 @@ from simulator.doubles.serial_link import GARBAGE, SerialLink
 termios = pytest.importorskip("termios", reason="serial faults are tested on pseudo terminals")
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 
-TIMEOUT_S = 2.0
-"""Ample: no test waits for it, each loses at most one or two replies."""
+TIMEOUT_S = READ_TIMEOUT_S
 ORDERED = [(True, "command")]
 """The output's record after one order: nothing else ever switched it on."""
 
@@ -71,10 +70,8 @@ def test_a_supply_unplugged_while_it_is_asked_is_lost(energised):
     rig = energised
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
     link.answer = lambda command: link.unplug()
-    began_s = time.monotonic()
     with pytest.raises(ConnectionLostError, match="check its plug"):
         rig.supply.read(TIMEOUT_S)
-    assert time.monotonic() - began_s < TIMEOUT_S
     link.answer = answer
     link.plug()
     assert rig.supply.read(TIMEOUT_S).output_on
@@ -149,17 +146,24 @@ def test_making_safe_gets_through_one_fault(energised):
     assert rig.switched() == [*ORDERED, (False, "command")]
 
 
-def test_a_silent_supply_is_lost_in_time_and_its_port_is_opened_anew(energised, tmp_path):
+def test_a_silent_supply_is_lost_in_the_time_given(energised):
+    """The one test that waits: deadlines are those of the machine's own clock."""
+    rig = energised
+    rig.supply.close()
+    rig.instruments.supply_link.inject(silent=True)
+    began_s = time.monotonic()
+    with pytest.raises(ConnectionLostError, match=r"does not answer \*IDN\? within 0.1 s"):
+        supply_on(str(rig.instruments.supply_link.path), rig, reply_timeout_s=0.1).read(TIMEOUT_S)
+    waited_s = time.monotonic() - began_s
+    assert 0.1 <= waited_s < TIMEOUT_S / 10.0  # room for a busy machine
+
+
+def test_a_supply_that_stays_silent_is_looked_for_behind_its_port_anew(energised, tmp_path):
     rig = energised
     link = rig.instruments.supply_link
     link.inject(silent=True)
-    for _ in range(5):
-        began_s = time.monotonic()
-        with pytest.raises(ConnectionLostError, match=r"(does|did) not answer"):
-            rig.supply.read(TIMEOUT_S)
-        # One lost reply; a tick of the reply's deadline and a slow machine on top.
-        assert time.monotonic() - began_s < REPLY_TIMEOUT_S + 1.0
-        rig.clock.advance(60.0)
+    with pytest.raises(ConnectionLostError, match=r"(does|did) not answer"):
+        rig.supply.read(TIMEOUT_S)
     # Its path leads to another terminal now, and the old one never said that it is gone.
     with SerialLink(tmp_path / "moved", rig.instruments.supply.answer) as moved:
         link.path.unlink()
@@ -186,10 +190,10 @@ def test_a_port_that_is_gone_and_back_is_found_by_one_attempt(energised):
 
 def test_a_slow_supply_is_read_if_the_timeout_allows(energised):
     rig = energised
-    rig.instruments.supply_link.inject(slow_s=0.05)
+    rig.instruments.supply_link.inject(slow_s=0.01)
     assert rig.supply.read(TIMEOUT_S).voltage_v == 10.0
     with pytest.raises(ConnectionLostError, match=r"in time|no time left"):
-        rig.supply.read(0.07)
+        rig.supply.read(0.015)  # three answers take 0.03 s
     rig.instruments.supply_link.clear_faults()
     assert rig.supply.read(TIMEOUT_S).current_a == pytest.approx(8.5 / 40.0, abs=1e-6)  # printed digits
 
@@ -378,7 +382,11 @@ def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
 
     def garble_one(command):
         reply = answer(command)
-        return "@?" if reply is not None and next(answered) == garbled else reply
+        if reply is None or next(answered) != garbled:
+            return reply
+        if command == "*IDN?":
+            rig.deadlines.skip()  # the name may still come after what is not it
+        return "@?"
 
     link.answer = garble_one
     with pytest.raises((ConnectionLostError, ConfigurationError)):
@@ -605,7 +613,7 @@ def child():
 def test_the_doubles_run_on_their_own_and_take_orders(rig):
     with child() as (process, ready, order):
         assert ready["event"] == "ready"
-        supply = supply_on(ready["supply"], rig, reply_timeout_s=2.0)
+        supply = supply_on(ready["supply"], rig, reply_timeout_s=60.0)
         supply.energise(10.0, 1.0)
         assert order(do="unplug") == {"event": "done"}
         with pytest.raises(ConnectionLostError):
