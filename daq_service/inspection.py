@@ -130,6 +130,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         return
     click.echo(f"data      {folder}")
     click.echo(f"recorder  {facts['recorder']}")
+    if facts["held"]:
+        click.echo(f"on hold   {facts['held']}; nothing strikes until it is released")
     if facts["counts"] is None:
         click.echo("no data yet")
         return
@@ -151,12 +153,14 @@ def describe_status(folder: Path) -> dict[str, Any]:
             told = [row["kind"] for row in catalogue.events_after(0, {"service"}, limit=None)]
             return {
                 "recorder": FAREWELLS.get(told[-1] if told else "", _sign_of_life(folder)),
+                "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "positions": catalogue.positions_state(),
                 "alarms": catalogue.list_alarms(active=True),
             }
     except NoDataYetError:
-        return {"recorder": _sign_of_life(folder), "counts": None, "positions": {}, "alarms": []}
+        nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
+        return {"recorder": _sign_of_life(folder), **nothing}
 
 
 def _sign_of_life(folder: Path) -> str:

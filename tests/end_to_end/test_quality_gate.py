@@ -17,6 +17,7 @@ from analysis.features import ALL_FEATURE_NAMES
 from daq_service.archive import read_set, read_waveform, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.inspection import describe_status, print_status
 from daq_service.settings import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, BusyError, ConnectionLostError
 from hardware_drivers.instruments import Acquired, Clock, Rig
@@ -493,7 +494,9 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
     assert [state for _, state, _ in answers(tmp_path)] == ["done", "done"]
 
 
-def test_a_hold_outlives_a_restart_and_ends_by_a_release(tmp_path: Path) -> None:
+def test_a_hold_outlives_a_restart_and_ends_by_a_release(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     settings = small_settings(schedule={"end_h": 3.0})
     stop_at_2: list[Order] = [
         (0.9, "hold", {"note": "hands in the rig"}),
@@ -502,8 +505,9 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(tmp_path: Path) -> None
     ]
     assert not run(settings, tmp_path, rig=ordering_rig(tmp_path, stop_at_2))
     assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
-    with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.held() == "held by ann: hands in the rig"
+    assert describe_status(tmp_path)["held"] == "held by ann: hands in the rig"
+    print_status(config=None, data_dir=tmp_path, as_json=False)
+    assert "on hold   held by ann: hands in the rig" in capsys.readouterr().out
     orders: list[Order] = [(2.4, "release", {"note": "closed"}), (2.4, "release", {})]
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "B")
@@ -516,8 +520,7 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(tmp_path: Path) -> None
         ("done", "released"),
         ("refused", "the test is not on hold"),
     ]
-    with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.held() is None
+    assert describe_status(tmp_path)["held"] is None
 
 
 def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> None:
