@@ -1,0 +1,248 @@
+"""What no double can prove: this chassis, its comparator, routes, memory transfers and watchdog.
+
+Run with ``pytest -m hardware``; ``docs/how-to/day-one.md`` says what to wire and to switch off before. Most
+tests move nothing; those that lift strikers and those that need a wire say so in their reason for a skip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+
+import numpy as np
+import pytest
+from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
+
+from daq_service.doctor.boards import digital_name
+from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.daqmx.acquisition import commit_acquisition
+from hardware_drivers.daqmx.boards import find_boards, same_serial
+from hardware_drivers.daqmx.coil import commit_coil
+from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.survey import survey, trial_strike
+from hardware_drivers.errors import AcquisitionTimeoutError
+from hardware_drivers.measurement import ShotKey, Waveform
+
+TTL_LOW_V, TTL_HIGH_V = 0.8, 2.0
+"""Levels of TTL inputs, which the coil driver's input obeys."""
+READ_TIMEOUT_S = 5.0
+RECORDS = 300
+"""More than a set of ten strikes at three transducers, ten times over."""
+
+
+# Nothing moves --------------------------------------------------------------------------------------
+
+
+def test_the_boards_take_the_wiring_as_configured(parameters: DaqmxParameters) -> None:
+    failed = [finding for finding in survey(parameters).findings if finding.state == "fail"]
+    assert failed == []
+
+
+def test_the_coils_lines_power_up_low(parameters: DaqmxParameters) -> None:
+    """X Series keep a power-up state for each line; the others need the resistor of the wiring page."""
+    from nidaqmx.constants import PowerUpStates
+    from nidaqmx.system import System
+
+    if parameters.transport == "grpc":
+        pytest.skip("power-up states are read at the chassis itself")
+    lines = {
+        (same_serial(wiring.coil_serial), digital_name(wiring.output_terminal))
+        for wiring in parameters.transducers.values()
+    }
+    if not all(line for _, line in lines):
+        pytest.skip("a coil leaves its board at a terminal that has no digital line")
+    connection = Connection(parameters)
+    try:
+        boards = find_boards(connection, {serial for serial, _ in lines})
+        for serial, line in lines:
+            states = {
+                state.physical_channel.removeprefix(f"{boards[serial].name}/"): state.power_up_state
+                for state in System.local().get_digital_power_up_states(boards[serial].name)
+            }
+            # High impedance is low only with a pull-down, which no software can see.
+            assert states[line] in (PowerUpStates.LOW, PowerUpStates.TRISTATE), (serial, line)
+    finally:
+        connection.close()
+
+
+def test_records_at_the_asked_rate_come_whole_one_after_the_other(parameters: DaqmxParameters) -> None:
+    """Memory transfers at full rate: an overflow or a lost sample is an error of the read."""
+    rehearsal = replace(parameters, dry_run=True)
+    with open_daqmx(rehearsal) as rig:
+        for number in range(RECORDS):
+            position = list(parameters.transducers)[number * len(parameters.transducers) // RECORDS]
+            rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=number))
+            waveform = rig.digitizer.read(READ_TIMEOUT_S).waveform
+            assert waveform.counts.size == parameters.record_samples
+            assert waveform.sample_rate_hz == pytest.approx(parameters.sample_rate_hz, rel=1e-6)
+
+
+def test_noise_differs_from_record_to_record(parameters: DaqmxParameters) -> None:
+    """A buffer handed over twice would look like a quiet input."""
+    position = next(iter(parameters.transducers))
+    seen = []
+    with open_daqmx(replace(parameters, dry_run=True)) as rig:
+        for number in range(2):
+            rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=number))
+            seen.append(rig.digitizer.read(READ_TIMEOUT_S).waveform.counts)
+    assert not np.array_equal(*seen)
+
+
+def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters: DaqmxParameters) -> None:
+    with open_daqmx(replace(parameters, dry_run=True)) as rig:
+        done = rig.self_calibrating.self_calibrate()
+        position = next(iter(parameters.transducers))
+        rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=0))
+        acquired = rig.digitizer.read(READ_TIMEOUT_S)
+    assert set(done) == {same_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
+    told = str(acquired.settings["calibration_date"])
+    if not told:
+        pytest.skip(f"this board does not calibrate itself: {done}")
+    # The board's clock is that of the driver's computer; an hour allows for a remote chassis.
+    assert abs(datetime.fromisoformat(told).astimezone() - datetime.now().astimezone()) < timedelta(hours=1)
+    # An open or quiet input lies within a hundredth of its range.
+    assert abs(float(np.mean(acquired.waveform.volts()))) < 0.01 * acquired.waveform.calibration.range_v
+
+
+# Strikers move --------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("may_strike")
+def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: DaqmxParameters) -> None:
+    """The comparator's level against the ADC's: the driver refuses a record that does not pass it there."""
+    for position, wiring in parameters.transducers.items():
+        acquired = trial_strike(parameters, position, READ_TIMEOUT_S)
+        volts = acquired.waveform.volts()
+        before = volts[: acquired.waveform.pretrigger_samples // 2]
+        level_v = abs(parameters.trigger_level_v)
+        assert np.abs(before).max() < level_v, f"{position}: quiet before the wave"
+        assert np.abs(volts).max() > 2.0 * level_v, f"{position}: a wave, not noise at the level"
+        assert not acquired.waveform.clipped, f"{position}: within +-{wiring.range_v} V"
+
+
+# A wire from a coil's output to an input ------------------------------------------------------------
+
+
+def high_s(waveform: Waveform) -> float:
+    """Time the line is high in a record that has one pulse."""
+    high = np.flatnonzero(waveform.volts() > TTL_HIGH_V)
+    assert high.size, "the line never went high"
+    assert high[-1] - high[0] + 1 == high.size, "one pulse without a gap"
+    return float(high.size / waveform.sample_rate_hz)
+
+
+def pulsed(loopback: Loopback, parameters: DaqmxParameters) -> Waveform:
+    """Record of one pulse of the looped coil, through the driver's own instruments."""
+    with open_daqmx(parameters) as rig:
+        key = ShotKey(position=loopback.position, set_index=0, shot_index=0)
+        rig.digitizer.arm(key)
+        rig.striker.strike(key)
+        return rig.digitizer.read(READ_TIMEOUT_S).waveform
+
+
+def test_the_coil_is_on_for_exactly_its_pulse(loopback: Loopback) -> None:
+    waveform = pulsed(loopback, loopback.parameters)
+    volts = waveform.volts()
+    # Both ends fall between two samples; the counter runs on the clock that times the samples.
+    assert high_s(waveform) == pytest.approx(loopback.parameters.pulse_s, abs=2.0 / LOOPBACK_RATE_HZ)
+    assert np.abs(volts[: LOOPBACK_PRETRIGGER - 2]).max() < TTL_LOW_V, "low before"
+    after = volts[-round(0.5 * AFTER_S * LOOPBACK_RATE_HZ) :]
+    assert np.abs(after).max() < TTL_LOW_V, "low after"
+
+
+@pytest.mark.parametrize("level_v", [0.5, 1.0, 2.0])
+def test_the_comparator_triggers_at_levels_within_the_pulse(loopback: Loopback, level_v: float) -> None:
+    volts = pulsed(loopback, loopback.at_level(level_v)).volts()
+    assert volts[LOOPBACK_PRETRIGGER - 3] < level_v < volts[LOOPBACK_PRETRIGGER + 3]
+
+
+def test_the_comparator_does_not_trigger_above_the_pulse(loopback: Loopback) -> None:
+    with pytest.raises(AcquisitionTimeoutError):
+        pulsed(loopback, loopback.at_level(8.0))
+
+
+def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxParameters) -> None:
+    """Routes that a task gave up may stay connected: then two coils would pulse."""
+    serial = loopback.board.serial
+    others = [
+        name
+        for name, wiring in parameters.transducers.items()
+        if name != loopback.position and same_serial(wiring.coil_serial) == serial
+    ]
+    if not others:
+        pytest.skip("no other coil is driven by this board")
+    pulsed(loopback, loopback.parameters)  # the route under suspicion was used, then given up
+    for other in others:
+        alone = replace(parameters, watchdog=None)
+        coil = commit_coil(loopback.connection, alone, other, loopback.board)
+        try:
+            acquisition = commit_acquisition(
+                loopback.connection, loopback.parameters, loopback.position, loopback.board, triggered=False
+            )
+            try:
+                acquisition.start()
+                coil.pulse()
+                volts = acquisition.read(READ_TIMEOUT_S).volts()
+            finally:
+                acquisition.close()
+        finally:
+            coil.close()
+        assert np.abs(volts).max() < TTL_LOW_V, f"{loopback.position}'s line moved while {other} was struck"
+
+
+def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback: Loopback) -> None:
+    for committed in (True, False):
+        coil = commit_coil(loopback.connection, loopback.parameters, loopback.position, loopback.board)
+        if not committed:
+            coil.close()
+        try:
+            acquisition = commit_acquisition(
+                loopback.connection, loopback.parameters, loopback.position, loopback.board, triggered=False
+            )
+            try:
+                acquisition.start()
+                volts = acquisition.read(READ_TIMEOUT_S).volts()
+            finally:
+                acquisition.close()
+        finally:
+            if committed:
+                coil.close()
+        assert np.abs(volts).max() < TTL_LOW_V, "committed" if committed else "cleared"
+
+
+def test_the_watchdog_cuts_a_pulse_short(loopback: Loopback) -> None:
+    """Nobody feeds it: half-way through the pulse the board itself pulls the line low."""
+    from nidaqmx.constants import Level
+    from nidaqmx.types import DOExpirationState
+
+    parameters, board = loopback.parameters, loopback.board
+    line = digital_name(parameters.transducers[loopback.position].output_terminal)
+    if not line:
+        pytest.skip(
+            "this board's coils leave it at terminals without a digital line: it has no such watchdog"
+        )
+    timeout_s = parameters.initial_delay_s + 0.5 * parameters.pulse_s
+    watchdog = loopback.connection.watchdog(board.name, "watchdog", timeout_s)
+    try:
+        watchdog.cfg_watchdog_do_expir_states(
+            [DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)]
+        )
+        acquisition = commit_acquisition(
+            loopback.connection, parameters, loopback.position, board, triggered=True
+        )
+        coil = commit_coil(loopback.connection, parameters, loopback.position, board)
+        try:
+            acquisition.start()
+            watchdog.start()
+            coil.task.start()
+            width_s = high_s(acquisition.read(READ_TIMEOUT_S))
+            assert watchdog.expired
+            watchdog.clear_expiration()
+        finally:
+            coil.close()
+            acquisition.close()
+    finally:
+        watchdog.close()
+    # From the watchdog's start to the counter's is a call of the driver: milliseconds.
+    assert width_s == pytest.approx(0.5 * parameters.pulse_s, abs=0.25 * parameters.pulse_s)
