@@ -267,12 +267,12 @@ def start(bench: Bench, task: Task) -> None:
     before = task.state
     try:
         advance(bench, task, TaskState.COMMITTED)
+        bench.kinds[task.kind].start(bench, task, bench.settle())
     except Status:
+        # What was only reserved for this start is given back.
         if before < TaskState.RESERVED <= task.state:
-            bench.reservations.release(task.holder)
-            task.state = TaskState.VERIFIED
+            _unreserve(bench, task)
         raise
-    bench.kinds[task.kind].start(bench, task, bench.settle())
     task.state = TaskState.RUNNING
     bench.changed.notify_all()
 

@@ -94,6 +94,16 @@ def test_without_announcements_strikes_are_counted_into_sets(brain, me):
     assert keys == [*((0, index) for index in range(10)), (1, 0)]
 
 
+def test_a_strike_that_was_called_off_is_not_counted(brain, me):
+    coil = me.coil("PXI1Slot3/ctr0")
+    me("StartTask", coil)
+    with pytest.raises(Status, match="200010"):
+        me("StopTask", coil)
+    me("StartTask", coil)
+    (found,) = brain.record()["strikes"]
+    assert (found["set_index"], found["shot_index"]) == (0, 0)
+
+
 def test_an_announcement_holds_for_one_strike(brain, me):
     brain.announce(ShotKey(position="C", set_index=7, shot_index=2), 3.5)
     task = me.digitizer("PXI1Slot3/ai0")

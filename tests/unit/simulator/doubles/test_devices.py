@@ -172,6 +172,8 @@ def test_after_expiry_nothing_pulses_until_it_is_cleared(brain, me):
     brain.bench.clock.pass_s(1.0)
     coil = me.coil(COUNTER)
     assert code_of(me, "StartTask", coil) == -201434
+    # The refused start holds nothing: only the watchdog does.
+    assert set(brain.record()["reservations"]) == {f"{SERIAL}/watchdog"}
     assert code_of(me, "ControlWatchdogTask", watch, action=RESET_TIMER) == -200644
     me("ControlWatchdogTask", watch, action=CLEAR_EXPIRATION)
     me("StartTask", coil)
