@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import os
+import socket
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import pytest
@@ -63,7 +67,9 @@ def quick_description(*boards: BoardParameters, positions: str = "CD") -> Descri
     )
 
 
-def parameters_of(description: Description, doubles: RunningDoubles, **changes: object) -> DaqmxParameters:
+def parameters_of(
+    description: Description, doubles: RunningDoubles | None, **changes: object
+) -> DaqmxParameters:
     """Return the driver's side of the same wiring, by library unless the changes say otherwise."""
     by_serial = {one.serial_number: one for one in description.boards}
     wiring = {
@@ -133,17 +139,20 @@ def counts_of_the_twin(description: Description, parameters: DaqmxParameters, ke
         pretrigger_samples=parameters.pretrigger_samples,
         trigger_level_v=parameters.trigger_level_v,
     )
+    model = _model(wiring.chain, wiring.plate, wiring.corrosion)
     specimen = build_specimen(
         replace(description.twin, adc=adc),
-        transducers={
-            name: Transducer(chain=its.chain, model=ShotModel(its.chain, its.plate, its.corrosion))
-            for name, its in description.transducers.items()
-        },
+        transducers={key.position: Transducer(chain=wiring.chain, model=model)},
         probed_thickness_m={},
     )
     acquired = specimen.solitary_wave(key, HOUR_H)
     assert acquired is not None, "the twin's strike reaches the level"
     return acquired.waveform.counts
+
+
+@cache
+def _model(*parameters: Any) -> ShotModel:
+    return ShotModel(*parameters)
 
 
 def coil_pulses_s(record: Mapping[str, Any]) -> list[float]:
@@ -161,3 +170,47 @@ def coil_pulses_s(record: Mapping[str, Any]) -> list[float]:
 def functions_of(record: Mapping[str, Any]) -> list[str]:
     """Names of the calls in a double's record, in order."""
     return [call["function"].removeprefix("DAQmx") for call in record["calls"]]
+
+
+class Forwarder:
+    """A fixed address in front of a server that may be killed and started again elsewhere."""
+
+    def __init__(self, target: str) -> None:
+        self.target = target
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def __enter__(self) -> Forwarder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for end in (self._listener, *self._ends):
+            end.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                client, _ = self._listener.accept()
+                host, _, port = self.target.rpartition(":")
+                server = socket.create_connection((host, int(port)))
+            except OSError:
+                if self._listener.fileno() < 0:
+                    return
+                client.close()
+                continue
+            self._ends += [client, server]
+            for pair in ((client, server), (server, client)):
+                threading.Thread(target=self._pump, args=pair, daemon=True).start()
+
+    def _pump(self, source: socket.socket, sink: socket.socket) -> None:
+        try:
+            while chunk := source.recv(1 << 16):
+                sink.sendall(chunk)
+        except OSError:
+            pass  # either side went away: so does the other
+        finally:
+            for end in (source, sink):
+                with suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)

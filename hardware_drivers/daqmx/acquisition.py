@@ -198,6 +198,11 @@ def _committed(
     level_v = parameters.trigger_level_v
     if triggered:
         level_v = float(task.triggers.reference_trigger.anlg_edge_lvl)
+        if abs(level_v - parameters.trigger_level_v) > EDGE_FRACTION * wiring.range_v:
+            raise ConfigurationError(
+                f"trigger_level_v is {parameters.trigger_level_v} V; {board.label} would trigger at {level_v:g} "
+                "V; choose a level its comparator has"
+            )
     reader = AnalogUnscaledReader(task.in_stream)
     reader.verify_array_shape = False  # the shape is right by construction; checking costs a call a shot
     return Acquisition(

@@ -26,7 +26,7 @@ from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name, package_versions
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import owner_in, vendor_call
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
 
 log = logging.getLogger(__name__)
@@ -69,6 +69,7 @@ class Chassis:
         self._connection: Connection | None = None
         self._boards: dict[str, Board] = {}
         self._turn: Turn | None = None
+        self._broken = False
         self._rung = 0
         self._lost = 0
         self._shared = False
@@ -96,8 +97,7 @@ class Chassis:
 
     def turn(self, position: str) -> Turn:
         """Commit a transducer's tasks, after the next rung of recovery if something was lost."""
-        if self._rung:
-            self._recover()
+        self._recover()
         if self._turn is not None and self._turn.position == position:
             return self._turn
         self.end_turn()
@@ -181,16 +181,17 @@ class Chassis:
             yield
         except BaseException as error:
             self.end_turn()
-            if isinstance(error, BusyError):
-                self._shared = True
             if isinstance(error, ConnectionLostError):
                 self._lose(error)
+            elif isinstance(error, BusyError):
+                self._meet_owner(error)
             raise
 
     def _lose(self, error: ConnectionLostError) -> None:
         self._lost += 1
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
+        self._broken = True
         log.warning("connection lost (%d in a row), next: %s: %s", self._lost, LADDER[self._rung - 1], error)
         if tried == len(LADDER):
             raise ConnectionLostError(
@@ -198,25 +199,49 @@ class Chassis:
                 "shot tries the last one again"
             ) from error
 
+    def _meet_owner(self, error: BusyError) -> None:
+        """Tell somebody else, who is never disturbed, from a task of our own that would not go."""
+        # The driver's text names the task that was refused too, and that one is always ours.
+        owner = owner_in(str(error.__cause__))
+        if self._connection is None or not self._connection.is_ours(owner):
+            self._shared = True
+            return
+        lost = ConnectionLostError(f"{error}; that is a task of our own, which the driver did not clear")
+        self._lose(lost)
+        raise lost from error
+
     def recovered(self) -> None:
         """Start with the gentlest rung at the next loss: a sound record came."""
         self._rung = self._lost = 0
 
     def _recover(self) -> None:
+        """Climb one rung after a loss."""
+        if not self._broken:
+            return
         log.info("recovering: %s", LADDER[self._rung - 1])
         self.end_turn()
         if self._rung == 1:
             self.connection.clear_leftovers(ROLES)
         elif self._rung == 2:
             self._boards = find_boards(self.connection, self._serials())
-            if self._shared:
-                log.warning("not resetting: somebody else uses a board of ours too")
-                return
-            for board in self._boards.values():
-                with vendor_call(f"resetting {board.label}"):
-                    board.device.reset_device()
+            self._reset_boards()
         else:
             self._connect()
+        self._broken = False
+
+    def _reset_boards(self) -> None:
+        if self._shared:
+            log.warning("not resetting: somebody else uses a board of ours too")
+            return
+        for board in self._boards.values():
+            with vendor_call(f"resetting {board.label}"):
+                board.device.reset_device()
+        self._maybe_on = ("", 0.0)
+
+    @property
+    def coil_off_at(self) -> float:
+        """Monotonic time by which every coil is off whatever happened: now, or a pulse's own end."""
+        return max(time.monotonic(), self._maybe_on[1])
 
     def _connect(self) -> None:
         """Reach the driver afresh and find the boards under whatever names they have now."""
@@ -245,8 +270,7 @@ class Chassis:
     def self_calibrate(self) -> dict[str, str]:
         """Calibrate every digitizer board, read date, temperature and scaling again."""
         self.end_turn()
-        if self._rung:
-            self._recover()
+        self._recover()
         done = {}
         for serial in {same_serial(wiring.board_serial) for wiring in self.parameters.transducers.values()}:
             board = self._boards[serial]

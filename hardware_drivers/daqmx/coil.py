@@ -8,6 +8,7 @@ goes off.
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -57,11 +58,16 @@ class Coil:
         if self.watchdog is not None:
             with vendor_call(f"starting the watchdog of {self.position!r}"):
                 self.watchdog.start()
-        self.on_until = time.monotonic() + self.longest_s + DONE_MARGIN_S
-        with vendor_call(f"pulsing the coil of {self.position!r}"):
-            self.task.start()
-            self.task.wait_until_done(self.longest_s + DONE_MARGIN_S)
-            self.task.stop()
+        # Whatever fails from here on, the counter may have been started as late as now.
+        self.on_until = math.inf
+        try:
+            with vendor_call(f"pulsing the coil of {self.position!r}"):
+                self.task.start()
+                self.task.wait_until_done(self.longest_s + DONE_MARGIN_S)
+                self.task.stop()
+        except BaseException:
+            self.on_until = time.monotonic() + self.longest_s
+            raise
         self.on_until = 0.0
         if self.watchdog is not None:
             self._relax()

@@ -6,10 +6,13 @@ Nothing else creates a vendor object, so nothing else can leave one behind.
 from __future__ import annotations
 
 import logging
+import os
 import re
 import socket
+import uuid
 import warnings
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from typing import Any, TypeVar
 
@@ -21,8 +24,8 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-NAMES = 4
-"""Names a role goes through on a server: one that cannot be cleared does not stand in the way."""
+NAMES = 2
+"""Names a role takes in turn on a server: one that cannot be cleared does not stand in the way."""
 
 NAME_TAKEN = -200089
 
@@ -49,9 +52,11 @@ class Connection:
     def __init__(self, parameters: DaqmxParameters) -> None:
         self._parameters = parameters
         self._channel: Any = None
-        self._client = client_name(parameters)
-        self._created = 0
-        if parameters.transport == "grpc":
+        # In the library a name is seen by this process only; on a server a later process must know it.
+        remote = parameters.transport == "grpc"
+        self._client = client_name(parameters) if remote else f"process-{os.getpid()}"
+        self._created: Counter[str] = Counter()
+        if remote:
             self._channel = _open_channel(parameters)
 
     def close(self) -> None:
@@ -71,25 +76,35 @@ class Connection:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
         from nidaqmx import Task
 
-        name = self._next_name(role)
-        return self._create(Task, f"creating the task {name}", name, attach=False)
+        return self._create_new(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
     def watchdog(self, device: str, role: str, timeout_s: float) -> Any:
         """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
         from nidaqmx.system.watchdog import WatchdogTask
 
-        name = self._next_name(role)
         doing = f"creating the watchdog of {device}"
-        return self._create(WatchdogTask, doing, name, attach=False, device=device, timeout=timeout_s)
+        return self._create_new(
+            role, lambda name: self._create(WatchdogTask, doing, device, name, timeout_s, session=name)
+        )
 
-    def _next_name(self, role: str) -> str:
-        """Name of a new task: who owns it and what it is for; on a server one of the few found again."""
-        self._created += 1
-        number = self._created if self._channel is None else self._created % NAMES
-        return self._name(role, number)
+    def _create_new(self, role: str, create: Callable[[str], T]) -> T:
+        """Create a task under a name that a later process finds, or under any if those are taken."""
+        self._created[role] += 1
+        number = self._created[role] if self._channel is None else self._created[role] % NAMES
+        try:
+            return create(self._name(role, number))
+        except ConnectionLostError as error:
+            if not _name_is_taken(error):
+                raise
+            log.warning("a task of ours under its usual name is beyond reach; taking another name")
+            return create(self._name(role, uuid.uuid4().hex[:8]))
 
-    def _name(self, role: str, number: int) -> str:
-        return f"solimon-{self._client}-{role}-{number}"
+    def is_ours(self, owner: str) -> bool:
+        """Tell whether the owner of a resource is a task of ours, which the driver did not clear."""
+        return f"solimon-{self._client}-" in owner
+
+    def _name(self, role: str, mark: int | str) -> str:
+        return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftovers(self, roles: Sequence[str]) -> bool:
         """Clear tasks that an earlier, killed process of this client left on a gRPC server.
@@ -101,12 +116,13 @@ class Connection:
         Returns
         -------
         bool
-            False where tasks cannot be found by name: in the library.
+            True if none is left under these names; False where that cannot be known.
         """
         if self._channel is None:
             return False
         from nidaqmx import Task
 
+        reached = True
         for name in (self._name(role, number) for role in roles for number in range(NAMES)):
             doing = f"clearing what an earlier run may have left as {name}"
             try:
@@ -114,27 +130,21 @@ class Connection:
                 with vendor_call(doing):
                     task.close()
             except ConnectionLostError as error:
-                if getattr(error.__cause__, "error_code", 0) != NAME_TAKEN:
+                if not _name_is_taken(error):
                     raise
-                # The server has forgotten the session but not its task: we leave that name alone.
-                log.warning("%s: it cannot be reached any more", doing)
-        return True
+                # The server has forgotten the session but not its task: nobody can reach it.
+                log.warning("%s: it is beyond reach", doing)
+                reached = False
+        return reached
 
     def _create(
-        self,
-        kind: type[T],
-        doing: str,
-        name: str,
-        *,
-        attach: bool,
-        device: str | None = None,
-        timeout: float = 0.0,
+        self, kind: type[T], doing: str, *arguments: Any, session: str = "", attach: bool = False
     ) -> T:
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
+        name = session or arguments[0]
         options = None if self._channel is None else self._options(name, attach=attach)
-        arguments = (name,) if device is None else (device, name, timeout)
         with vendor_call(doing):
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
@@ -155,25 +165,29 @@ class Connection:
 
 
 def discard(task: Any, doing: str) -> bool:
-    """Give everything back and clear a task, whatever state it is in; True if all of it went well.
+    """Give everything back and clear a task, whatever state it is in; True if it was cleared.
 
-    Each step is tried even if the one before failed, so one refusal leaves at most an empty task, which
+    Clearing alone would do; giving back first means that a refusal to clear leaves an empty task, which
     holds nothing. A failure is logged: the error that led here is the news.
     """
     from nidaqmx.constants import TaskMode
 
-    calls = (lambda: task.control(TaskMode.TASK_ABORT), task.close)
-    well = True
+    cleared = False
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
-        for call in calls:
+        for step in (lambda: task.control(TaskMode.TASK_ABORT), task.close):
             try:
-                call()
+                step()
+                cleared = True
             except Exception:  # a half-built object fails after its task is cleared
                 log.debug("discarding a task after %s", doing, exc_info=True)
-                well = False
-    return well
+                cleared = False
+    return cleared
+
+
+def _name_is_taken(error: ConnectionLostError) -> bool:
+    return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
 def package_versions() -> dict[str, str]:

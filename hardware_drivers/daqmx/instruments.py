@@ -119,7 +119,7 @@ class DaqmxStriker:
             bench.armed = None  # its acquisition was ended with the coil
             raise
         finally:
-            bench.lands_at = time.monotonic() + parameters.fall_s + parameters.fall_margin_s
+            bench.lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
         """Switch off whatever coil may be on; what is armed is disarmed with it."""
