@@ -258,7 +258,7 @@ events = Table(
     Column("wall_utc_ns", BigInteger, nullable=False),  # when it was written
     Column(
         "topic", String, nullable=False
-    ),  # "sets", "features", "thickness", "verdicts", "alarms", "service"
+    ),  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "service"
     Column("kind", String, nullable=False),  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     Column("position", String),
     Column("set_index", Integer),

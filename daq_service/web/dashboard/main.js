@@ -167,7 +167,7 @@ function onEvent(topic, event) {
     if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) dirty.whole.add(event.position);
     dirty.positions.add(event.position);
   } else if (!["alarms", "service", "environment"].includes(topic)) everything();
-  else if (event.set_index !== null) for (const place of state.info.positions) dirty.positions.add(place.position);
+  else if (topic !== "environment" && event.set_index !== null) for (const place of state.info.positions) dirty.positions.add(place.position);
   schedule();
 }
 

@@ -604,6 +604,53 @@ def test_features_are_asked_for_by_hours_inclusive(filled):
     assert [row["set_index"] for row in filled.list_thickness("A", last_h=0.0)] == [0]
 
 
+def environment_row(index, **changes):
+    row = {
+        "set_index": index,
+        "due_h": float(index),
+        "supply_state": "on",
+        "supply_quality": "good",
+        "voltage_v": 10.0,
+        "current_a": NAN,
+        "climate_quality": "absent",
+    }
+    return row | changes
+
+
+def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, reader):
+    assert (reader.list_environment(), reader.last_environment()) == ([], None)
+    for index in range(4):
+        writer.commit_set(SetCommit(environment=[environment_row(index)]))
+    assert [row["set_index"] for row in reader.list_environment(first_h=1.0, last_h=2.0)] == [1, 2]
+    page = reader.list_environment(limit=2)
+    assert [row["set_index"] for row in reader.list_environment(after_id=page[-1]["id"])] == [2, 3]
+    last = reader.last_environment()
+    assert (last["set_index"], last["voltage_v"], last["current_a"]) == (3, 10.0, None)
+    with pytest.raises(CatalogueWriteError, match="such a row exists"):
+        writer.commit_set(SetCommit(environment=[environment_row(3)]))
+
+
+def told(kind, **payload):
+    return SetCommit(events=[event_row(kind, "service", payload=payload)])
+
+
+def test_a_hold_stands_until_its_release(writer, reader):
+    assert reader.held() is None
+    assert reader.last_told("hold", "release") is None
+    for commit, held in (
+        (told("hold", held="held by ann"), "held by ann"),
+        (told("recorder_started"), "held by ann"),
+        (told("release", held=""), None),
+        (told("hold", held="held by bob: door"), "held by bob: door"),
+    ):
+        writer.commit_set(commit)
+        assert reader.held() == held
+    assert reader.last_told("recorder_started", "release")["kind"] == "release"
+    # Words of other topics are no words of the service.
+    writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
+    assert reader.held() == "held by bob: door"
+
+
 def test_trends_come_as_columns(filled):
     assert filled.feature_columns("B", ["set_index", "tof_pp_s"], first_h=4.0) == {
         "set_index": [4, 5],
