@@ -306,7 +306,7 @@ class Brain:
             return {
                 "now_ns": now_ns,
                 "clients": sorted(self._clients),
-                "calls": [asdict(call) for call in self._calls],
+                "calls": [asdict(call) for call in tuple(self._calls)],
                 "lines": [
                     asdict(event) | {"position": wired.get(event.line)} for event in self.bench.lines.events
                 ],
@@ -325,7 +325,7 @@ class Brain:
                     name: asdict(holder) for name, holder in self.bench.reservations.held.items()
                 },
                 "sessions": [{"client": client, "resource": resource} for client, resource in sessions],
-                "leaked": [asdict(leak) for leak in self._leaked],
+                "leaked": [asdict(leak) for leak in tuple(self._leaked)],
                 "strikes": [
                     asdict(strike.key)
                     | {

@@ -19,7 +19,6 @@ class ControlServer(socketserver.ThreadingTCPServer):
     """Listens for `DoublesControl` on the loopback interface."""
 
     daemon_threads = True
-    allow_reuse_address = True
 
     def __init__(self, brain: Brain, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__((host, port), _Connection)

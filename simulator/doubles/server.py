@@ -19,7 +19,6 @@ class WireServer(socketserver.ThreadingTCPServer):
     """Listens for C libraries on the loopback interface."""
 
     daemon_threads = True
-    allow_reuse_address = True
 
     def __init__(self, brain: Brain, host: str = "127.0.0.1", port: int = 0) -> None:
         super().__init__((host, port), _Connection)
@@ -66,7 +65,7 @@ class _Connection(socketserver.BaseRequestHandler):
             try:
                 self._serve(connection, client)
             finally:
-                if asked == 0:
+                if asked != number:
                     # The process's first connection lives as long as the process.
                     self.server.leave(number)
         except (ConnectionError, wire.WireError) as error:

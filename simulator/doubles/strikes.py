@@ -153,11 +153,10 @@ class Strikes:
 
     def warm_up(self) -> None:
         """Compute one shot a position, so that no later one waits for a compiler or a plate."""
-        twin = self.specimen.twin
         for position in self.specimen.transducers:
             key = ShotKey(position=position, set_index=0, shot_index=0)
             try:
-                replace(self.specimen, twin=twin).solitary_wave(key, self._hour_h)
+                self.specimen.solitary_wave(key, self._hour_h)
             except (SimulatorError, ValueError):
                 # The same error answers the record that needs this position.
                 continue

@@ -428,3 +428,6 @@ def test_a_record_longer_than_the_twin_s_force_is_an_error_of_the_double():
     with pytest.raises(Status, match="The twin cannot compute this") as caught:
         me("WaitUntilTaskDone", task, time_to_wait=1.0)
     assert caught.value.code == -50150
+    with pytest.raises(Status, match="200010"):
+        me("StopTask", task)
+    assert brain.record()["tasks"][0]["state"] == "verified"

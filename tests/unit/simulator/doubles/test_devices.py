@@ -99,6 +99,15 @@ def test_a_reset_takes_the_board_from_everybody(brain, me):
     other("ClearTask", coil)
 
 
+def test_a_reset_takes_a_pin_low_that_a_cleared_task_left_high(brain, me):
+    coil = me.coil(COUNTER, idle_state=10192)
+    me.control(coil, COMMIT)
+    me("ClearTask", coil)
+    assert brain.record()["levels"][LINE] == 1
+    me("ResetDevice", device_name=BOARD)
+    assert brain.record()["levels"][LINE] == 0
+
+
 # Calibration
 
 

@@ -1,18 +1,23 @@
 """The unmodified `nidaqmx` package on the double of its C library."""
 
+import ctypes
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
 import textwrap
 import threading
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from doubles_bench import meet
 
-from simulator.doubles.control import running_doubles
+from simulator.doubles.control import RunningDoubles, running_doubles
+from simulator.doubles.library import SONAMES
 
 nidaqmx = pytest.importorskip("nidaqmx")
 from nidaqmx.constants import (  # noqa: E402
@@ -225,6 +230,49 @@ def test_threads_keep_their_own_last_error(meeting):
     assert "Device Specified: NoSuch" in str(found[0])
 
 
+# The C functions themselves
+
+
+def c_library(folder):
+    return ctypes.CDLL(str(folder / SONAMES["nidaqmx"]))
+
+
+def test_the_last_error_s_text_belongs_to_its_thread(meeting, double_library):
+    library, text = c_library(double_library), ctypes.create_string_buffer(2048)
+    assert library.DAQmxSelfTestDevice(b"NoSuch1") == -200220
+    thread = threading.Thread(target=library.DAQmxSelfTestDevice, args=(b"NoSuch2",))
+    thread.start()
+    thread.join(WAIT_S)
+    assert library.DAQmxGetExtendedErrorInfo(text, 2048) == 0
+    assert b"Device Specified: NoSuch1" in text.value
+
+
+@pytest.mark.parametrize(("room", "status", "written"), [(8, 0, 8), (3, -200234, 3), (0, 8, 0)])
+def test_an_array_never_runs_over_its_room(meeting, double_library, room, status, written):
+    library, ranges = c_library(double_library), (ctypes.c_double * 10)(*[77.0] * 10)
+    voltage_ranges = 0x2990
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", voltage_ranges, ranges, room) == status
+    assert list(ranges)[written:] == [77.0] * (10 - written)
+    assert 77.0 not in list(ranges)[:written]
+
+
+@pytest.mark.parametrize(
+    ("room", "status", "found"), [(10, 0, b"PXIe-6386"), (9, -200228, b"PXIe-638"), (0, 10, b"")]
+)
+def test_text_never_runs_over_its_room(meeting, double_library, room, status, found):
+    library, text = c_library(double_library), ctypes.create_string_buffer(b"\0" + b"x" * 14)
+    product_type = 0x631
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", product_type, text, room) == status
+    assert text.value == found
+    assert text.raw[max(room, 1) :].startswith(b"xxxx")
+
+
+def test_an_attribute_that_nobody_knows_writes_nothing(meeting, double_library):
+    library, number = c_library(double_library), ctypes.c_double(77.0)
+    assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", 0x7FFF, ctypes.byref(number)) == -200233
+    assert number.value == 77.0
+
+
 # Other processes
 
 CLIENT = """
@@ -334,3 +382,26 @@ def test_without_an_address_the_remedy_is_named(meeting, monkeypatch):
     monkeypatch.delenv("SOLIMON_DOUBLES")
     with pytest.raises(DaqError, match=r"python -m simulator\.doubles"):
         nidaqmx.Task()
+
+
+def test_the_page_s_example_runs(double_library, tmp_path, monkeypatch):
+    page = (Path(__file__).parents[4] / "docs" / "reference" / "doubles.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (tmp_path / "my_script.py").write_text(
+        "from nidaqmx.system import System\nassert len(System.local().devices.device_names) == 4\n",
+        encoding="utf-8",
+    )
+    monkeypatch.chdir(tmp_path)
+    # The page uses the user's cache; a test leaves it alone.
+    monkeypatch.setattr(
+        RunningDoubles.client_environment,
+        "__kwdefaults__",
+        {
+            "cache": double_library.parent,
+            "environment": None,
+        },
+    )
+    names: dict[str, Any] = {}
+    exec(compile(example, "doubles.md", "exec"), names)
+    functions = [call["function"] for call in names["record"]["calls"]]
+    assert "DAQmxGetSystemInfoAttribute" in functions

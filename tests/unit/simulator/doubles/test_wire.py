@@ -38,34 +38,36 @@ def attributes_of(entry):
     return [number for number, attribute in ATTRIBUTES.items() if attribute.family == family]
 
 
-CASES = [(entry, number) for entry in REMOTE for number in attributes_of(entry)]
+ENTRIES = pytest.mark.parametrize("entry", REMOTE, ids=lambda entry: entry.name)
 
 
 def same(first, second):
     return first.keys() == second.keys() and all(np.array_equal(first[name], second[name]) for name in first)
 
 
-@pytest.mark.parametrize(("entry", "attribute"), CASES, ids=lambda x: getattr(x, "name", x))
-def test_a_call_arrives_as_it_was_sent(entry, attribute):
-    arguments = {parameter.name: example(parameter) for parameter in wire.inputs(entry, attribute)}
-    if "attribute" in arguments:
-        arguments["attribute"] = attribute
-    found, decoded = wire.decode_call(wire.encode_call(entry, arguments))
-    assert found is entry
-    assert same(decoded, arguments)
+@ENTRIES
+def test_a_call_arrives_as_it_was_sent(entry):
+    for attribute in attributes_of(entry):
+        arguments = {parameter.name: example(parameter) for parameter in wire.inputs(entry, attribute)}
+        if "attribute" in arguments:
+            arguments["attribute"] = attribute
+        found, decoded = wire.decode_call(wire.encode_call(entry, arguments))
+        assert found is entry
+        assert same(decoded, arguments)
 
 
-@pytest.mark.parametrize(("entry", "attribute"), CASES, ids=lambda x: getattr(x, "name", x))
-def test_an_answer_arrives_as_it_was_given(entry, attribute):
-    arguments = {"attribute": attribute}
-    values = {parameter.name: example(parameter) for parameter in wire.outputs(entry, attribute)}
-    body = wire.encode_answer(entry, arguments, -200088, "The task is invalid.", values)
-    status, text, decoded = wire.decode_answer(entry, arguments, body)
-    assert (status, text) == (-200088, "The task is invalid.")
-    assert same(decoded, values)
+@ENTRIES
+def test_an_answer_arrives_as_it_was_given(entry):
+    for attribute in attributes_of(entry):
+        arguments = {"attribute": attribute}
+        values = {parameter.name: example(parameter) for parameter in wire.outputs(entry, attribute)}
+        body = wire.encode_answer(entry, arguments, -200088, "The task is invalid.", values)
+        status, text, decoded = wire.decode_answer(entry, arguments, body)
+        assert (status, text) == (-200088, "The task is invalid.")
+        assert same(decoded, values)
 
 
-@pytest.mark.parametrize("entry", REMOTE, ids=lambda entry: entry.name)
+@ENTRIES
 def test_an_answer_without_values_says_so(entry):
     body = wire.encode_answer(entry, {}, -1, "", {})
     assert wire.decode_answer(entry, {}, body) == (-1, "", {})
