@@ -61,9 +61,10 @@ def test_every_link_and_path_leads_somewhere(page: Path) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_and_option_exists(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
-    for line in re.findall(
-        r"solimon ([a-z-]+(?: [^`\n]*)?)", " ".join(re.findall(r"`(solimon[^`]*)`", text))
-    ):
+    lines = re.findall(r"`(?:[A-Z_]+=\S+ )*solimon ([a-z-]+[^`]*)`", text)
+    for block in blocks(page, "sh"):
+        lines += re.findall(r"\bsolimon ([a-z-]+.*)$", block, flags=re.MULTILINE)
+    for line in lines:
         name, *words = line.split()
         command = cli.get_command(click.Context(cli), name)
         assert command is not None, line

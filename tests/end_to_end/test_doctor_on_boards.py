@@ -2,9 +2,11 @@
 
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -40,6 +42,7 @@ DESCRIPTION = replace(
     quick_description(board(), replace(SLOW, name="Dev9"), positions="BCD"), twin=NOISY, shots_per_set=2
 )
 LIMIT_S = 60.0
+SAFETY_PAGE = Path(__file__).parents[2] / "docs/how-to/be-safe.md"
 
 
 @pytest.fixture(scope="module")
@@ -297,6 +300,21 @@ def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDouble
         assert [row["state"] for row in catalogue.list_sets(limit=None)] == ["done"] * 6
         started = list(catalogue.events_after(0, {"service"}, limit=None))
         assert [row["payload"]["dry_run"] for row in started if row["kind"] == "recorder_started"] == [True]
+
+
+def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles) -> None:
+    from nidaqmx.constants import PowerUpStates
+    from nidaqmx.system import System
+
+    (script,) = re.findall(r"```python\n(.*?)```", SAFETY_PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    name = SIMULTANEOUS_16_BIT.name
+    exec(textwrap.dedent(script).replace("PXI1Slot2", name), {})
+    states = {
+        state.physical_channel: state.power_up_state
+        for state in System.local().get_digital_power_up_states(name)
+    }
+    low = {line for line, state in states.items() if state == PowerUpStates.LOW}
+    assert low == {f"{name}/port2/line{number}" for number in (4, 5, 6)}, "the coils' lines and no other"
 
 
 def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
