@@ -6,6 +6,7 @@ Exit codes: 0 done, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130 inte
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,15 @@ DATA_DIR = click.option(
     help="Data folder; default: the configuration's.",
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
+POSITION = click.option("--position", required=True, help="The transducer's position, for example B.")
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
+
+
+def order_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Options of an order to a running recorder."""
+    command = JSON(command)
+    command = click.option("--author", help="Who gives the order; default: this user.")(command)
+    return click.option("--note", default="", help="Why.")(command)
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -142,6 +151,67 @@ def status(**options: Any) -> None:
     from daq_service.inspection import print_status
 
     print_status(**options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@order_options
+def hold(**options: Any) -> None:
+    """Strike no more until `release`: somebody works at the rig. Sets that fall due are missed."""
+    _give_order("hold", **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@order_options
+def release(**options: Any) -> None:
+    """End a hold: the next due set is taken."""
+    _give_order("release", **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@POSITION
+@order_options
+def retire(position: str, **options: Any) -> None:
+    """Let a transducer strike no more, until `reinstate`."""
+    _give_order("retire", arguments={"position": position}, **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@POSITION
+@order_options
+def reinstate(position: str, **options: Any) -> None:
+    """Let a retired transducer strike again, from the next set on."""
+    _give_order("reinstate", arguments={"position": position}, **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--on/--off", "on", default=None, help="Switch the corrosion drive on or off.")
+@click.option("--voltage-v", type=float, help="With --on: voltage in V; default: the configuration's.")
+@click.option("--current-limit-a", type=float, help="With --on: limit in A; default: the configuration's.")
+@order_options
+def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: Any) -> None:
+    """Switch the corrosion drive of a running test; nothing else ever switches it on."""
+    if on is None:
+        raise click.UsageError("say --on or --off")
+    if not on and (voltage_v is not None or current_limit_a is not None):
+        raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
+    values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}
+    _give_order("supply_on" if on else "supply_off", arguments=values if on else {}, **options)
+
+
+def _give_order(kind: str, **options: Any) -> None:
+    from daq_service.orders import give_order
+
+    sys.exit(give_order(kind, **options))
 
 
 @cli.command()

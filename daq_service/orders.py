@@ -1,4 +1,4 @@
-"""``hold``, ``release``, ``retire``, ``reinstate``: orders without a browser.
+"""``hold``, ``release``, ``retire``, ``reinstate``, ``supply``: orders without a browser.
 
 A row of ``commands`` is written and the recorder's answer awaited; the recorder alone decides. An order
 that is not answered in time stays: a recorder that was busy or is started again carries it out.
@@ -9,7 +9,9 @@ from __future__ import annotations
 import getpass
 import json
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import click
@@ -34,7 +36,7 @@ def give_order(
     note: str,
     author: str | None,
     as_json: bool,
-    position: str | None = None,
+    arguments: Mapping[str, str | float | None] = MappingProxyType({}),
     within_s: float = ANSWER_WITHIN_S,
 ) -> int:
     """Write an order, wait for its answer and print it.
@@ -45,8 +47,8 @@ def give_order(
     ----------
     author
         None: the name of this user.
-    position
-        For ``retire`` and ``reinstate``.
+    arguments
+        What the kind needs beside the note; None is left out.
 
     Raises
     ------
@@ -60,8 +62,8 @@ def give_order(
     folder = data_folder(load_settings(config), config, data_dir)
     with open_catalogue(folder) as catalogue:
         _check_somebody_listens(folder, catalogue)
-        arguments = {"note": note} | ({} if position is None else {"position": position})
-        order_id = catalogue.add_command((author or _user())[:LONGEST_AUTHOR], kind, arguments)
+        given = {name: value for name, value in arguments.items() if value is not None}
+        order_id = catalogue.add_command((author or _user())[:LONGEST_AUTHOR], kind, {"note": note} | given)
         row = _answered(catalogue, order_id, within_s)
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")

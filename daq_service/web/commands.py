@@ -50,6 +50,15 @@ class TransducerArguments(BaseModel):
     note: str = Field(default="", max_length=2000)
 
 
+class SupplyArguments(BaseModel):
+    """Voltage and current limit; null: as configured. Beyond the configured caps the recorder refuses."""
+
+    model_config = _STRICT
+    voltage_v: float | None = Field(default=None, gt=0.0, le=60.0)
+    current_limit_a: float | None = Field(default=None, gt=0.0, le=100.0)
+    note: str = Field(default="", max_length=2000)
+
+
 class FinishNow(BaseModel):
     """Stop pacing: the rest of the simulated test runs as fast as it goes."""
 
@@ -113,6 +122,24 @@ class Reinstate(BaseModel):
     arguments: TransducerArguments
 
 
+class SupplyOn(BaseModel):
+    """Switch the corrosion drive on; only a person's order ever does."""
+
+    model_config = _STRICT
+    kind: Literal["supply_on"]
+    author: Author
+    arguments: SupplyArguments = SupplyArguments()
+
+
+class SupplyOff(BaseModel):
+    """Switch the corrosion drive off."""
+
+    model_config = _STRICT
+    kind: Literal["supply_off"]
+    author: Author = "operator"
+    arguments: NoteArguments = NoteArguments()
+
+
 class Acknowledgement(BaseModel):
     """Body of an acknowledgement."""
 
@@ -122,7 +149,8 @@ class Acknowledgement(BaseModel):
 
 
 Command = Annotated[
-    FinishNow | Stop | AcknowledgeAlarm | Hold | Release | Retire | Reinstate, Field(discriminator="kind")
+    FinishNow | Stop | AcknowledgeAlarm | Hold | Release | Retire | Reinstate | SupplyOn | SupplyOff,
+    Field(discriminator="kind"),
 ]
 ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
 
@@ -145,6 +173,8 @@ def create_command(command: Command, context: ContextOf, request: Request) -> Re
         _check_hold(context, command)
     if isinstance(command, Retire | Reinstate):
         _check_transducer(context, command)
+    if isinstance(command, SupplyOn | SupplyOff) and context.settings.rig.supply is None:
+        raise conflict("This test has no supply.", "Configure [rig.supply] and start the test anew.")
     return _written(context, command.author, command.kind, command.arguments.model_dump())
 
 

@@ -37,7 +37,13 @@ def states(folder: Path) -> Counter[str]:
 
 def order(folder: Path, kind: str, note: str = "", position: str | None = None) -> int:
     return give_order(
-        kind, config=None, data_dir=folder, note=note, author="ann", as_json=False, position=position
+        kind,
+        config=None,
+        data_dir=folder,
+        note=note,
+        author="ann",
+        as_json=False,
+        arguments={"position": position} if position else {},
     )
 
 

@@ -67,7 +67,7 @@ def test_an_order_is_written_and_its_answer_printed(filled, capsys):
 
 def test_a_position_goes_with_the_order_and_json_is_one_object(filled, capsys):
     with a_recorder_that(filled, "done", "B strikes no more"):
-        give(filled, "retire", position="B", note="coil is hot", as_json=True)
+        give(filled, "retire", arguments={"position": "B"}, note="coil is hot", as_json=True)
     assert json.loads(capsys.readouterr().out) == {
         "id": 1,
         "kind": "retire",
@@ -84,7 +84,7 @@ def test_a_refusal_is_an_error_with_the_recorders_reason(filled, capsys, as_json
         a_recorder_that(filled, "refused", "B is not retired"),
         pytest.raises(UsageError, match="refused to reinstate: B is not retired") as refusal,
     ):
-        give(filled, "reinstate", position="B", as_json=as_json)
+        give(filled, "reinstate", arguments={"position": "B"}, as_json=as_json)
     assert refusal.value.exit_code == 2
     said = capsys.readouterr().out
     assert (json.loads(said)["state"] if as_json else said) == ("refused" if as_json else "")

@@ -302,6 +302,11 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ({"kind": "retire"}, "/retire/arguments"),
         ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
         ({"kind": "reinstate", "arguments": {"position": 1}}, "/reinstate/arguments/position"),
+        ({"kind": "supply_on"}, "/supply_on/author"),
+        (
+            {"kind": "supply_on", "author": "Ada", "arguments": {"voltage_v": 61}},
+            "/supply_on/arguments/voltage_v",
+        ),
         (
             {"kind": "acknowledge_alarm", "arguments": {"alarm_id": "one"}},
             "/acknowledge_alarm/arguments/alarm_id",
@@ -361,6 +366,26 @@ def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(l
     assert kinds == [
         ("retire", {"position": "B", "note": "coil is hot"}),
         ("reinstate", {"position": "B", "note": ""}),
+    ]
+
+
+SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL"}
+
+
+def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, lab):
+    _, api = lab
+    assert "no supply" in problem(ordered(api, "supply_on"), 409, "conflict")["detail"]
+    (tmp_path / "with").mkdir()
+    filled = FilledFolder(tmp_path / "with", Settings(rig={"supply": SUPPLY}))
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path / "with") as service, service.client() as api:
+        assert ordered(api, "supply_on", voltage_v=5.0).status_code == 202
+        assert ordered(api, "supply_off").status_code == 202
+        kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    filled.close()
+    assert kinds == [
+        ("supply_on", {"voltage_v": 5.0, "current_limit_a": None, "note": ""}),
+        ("supply_off", {"note": ""}),
     ]
 
 
