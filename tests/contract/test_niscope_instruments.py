@@ -193,6 +193,27 @@ def test_no_wait_is_longer_than_configured():
         unit.acquire(rig.key(), 600.0)
 
 
+@pytest.mark.parametrize(("source", "terminal"), [("external", "VAL_EXTERNAL"), ("pfi_1", "VAL_PFI_1")])
+def test_time_zero_is_the_firing_pulse_however_late_it_comes_after_the_sync(source, terminal):
+    described = rig.description(sync_terminal=terminal, sync_to_firing_s=3e-6)
+    wired = rig.parameters(trigger_source=source, firing_delay_s=3e-6)
+    with rig.met_brain(described) as brain, open_niscope(wired) as unit:
+        brain.announce(rig.key(), rig.HOUR_H)
+        echo = unit.acquire(rig.key(), rig.TIMEOUT_S)
+    codes = rig.codes_of_the_twin(described, rig.key())
+    np.testing.assert_array_equal(echo.waveform.counts, 64 * codes.astype(np.int32))
+    assert echo.settings["first_sample_s"] == 3e-6
+
+
+def test_a_trigger_that_was_not_taken_over_is_noticed_before_a_record(brain):
+    brain.faults.inject("niScope_ConfigureTriggerEdge", "lie")
+    with (
+        pytest.raises(ConnectionLostError, match="waits for a trigger at 'VAL_IMMEDIATE'"),
+        open_niscope(rig.parameters()),
+    ):
+        pytest.fail("it opened")
+
+
 def test_somebody_else_s_board_is_named_and_left_alone(brain):
     brain.occupy(rig.RESOURCE, "InstrumentStudio of pc-7")
     with (
@@ -238,7 +259,8 @@ def test_self_calibration_is_dated_and_the_next_record_is_set_up_anew(unit, brai
     assert list(done) == ["01C5A1F0"]
     assert done["01C5A1F0"].endswith(", 41.50 C")
     assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["calibration_date"] in done["01C5A1F0"]
-    assert "niScope_CalSelfCalibrate" in rig.functions_of(brain.record())
+    called = rig.functions_of(brain.record())
+    assert "niScope_Commit" in called[called.index("niScope_CalSelfCalibrate") :]
 
 
 def test_a_board_that_was_unplugged_is_found_again_under_another_name():

@@ -1,0 +1,122 @@
+"""What the driver makes of an acquisition that claims success but cannot be one."""
+
+import math
+from contextlib import nullcontext
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.niscope.averaging import Codes
+from hardware_drivers.niscope.parameters import ProbeWiring
+from hardware_drivers.niscope.session import Setup, fetch
+
+RECORDS, SAMPLES = 4, 64
+GAIN_V = 2.0 / 65_536
+WIRING = ProbeWiring(resource="PXI1Slot5", firing_delay_s=2e-6)
+SETUP = Setup(
+    sample_rate_hz=100e6,
+    record_samples=SAMPLES,
+    records=RECORDS,
+    range_v=1.0,
+    offset_v=0.0,
+    resolution_bits=14,
+    sample_bits=16,
+    calibration_date="2026-05-04",
+    calibration_temperature_c=41.5,
+)
+
+
+class Session:
+    """An acquisition that hands over what it is told to."""
+
+    def __init__(self, **changes):
+        self.changes = changes
+        self.channels = {"0": self}
+
+    def initiate(self):
+        return nullcontext()
+
+    def fetch_into(self, buffer, timeout):
+        assert timeout == 1.5
+        written = buffer.reshape(RECORDS, SAMPLES)
+        for index in range(self.changes.get("written", RECORDS)):
+            written[index] = 4 * index + np.arange(SAMPLES)
+        return [self._waveform(index, written[index]) for index in range(self.changes.get("told", RECORDS))]
+
+    def _waveform(self, index, samples):
+        info = {
+            "relative_initial_x": 2e-6,
+            "absolute_initial_x": 10.0 + 1e-3 * index,
+            "x_increment": 1e-8,
+            "gain": GAIN_V,
+            "offset": 1e-3,
+            "samples": samples,
+        }
+        if index == RECORDS - 1:
+            info |= {name: self.changes[name] for name in info if name in self.changes}
+        return SimpleNamespace(**info)
+
+
+def test_a_sound_acquisition_is_handed_on():
+    fetched = fetch(Session(), SETUP, WIRING, 1.5)
+    assert fetched.records.dtype == np.int16
+    assert fetched.records.shape == (RECORDS, SAMPLES)
+    np.testing.assert_array_equal(fetched.records[2], 8 + np.arange(SAMPLES))
+    assert (fetched.gain_v, fetched.offset_v) == (GAIN_V, 1e-3)
+    assert fetched.codes == Codes(width_bits=16, step=4)
+    np.testing.assert_array_equal(fetched.first_sample_s, np.full(RECORDS, 2e-6))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"samples": np.zeros(SAMPLES - 1)}, "asked for 4 records of 64 samples"),
+        ({"told": RECORDS - 1}, "asked for 4 records of 64 samples"),
+        ({"written": RECORDS - 1}, "left the buffer as it was"),
+        ({"written": 0}, "left the buffer as it was"),
+        ({"x_increment": 1.01e-8}, "samples are"),
+        ({"x_increment": math.nan}, "samples are"),
+        ({"relative_initial_x": 0.0}, r"a record starts 0\.0 s after its trigger"),
+        ({"relative_initial_x": math.nan}, "a record starts nan s after its trigger"),
+        ({"absolute_initial_x": 10.002}, "handed over twice"),
+        ({"absolute_initial_x": 9.0}, "handed over twice"),
+        ({"gain": 2.0 * GAIN_V}, "gain and offset differ"),
+        ({"offset": math.inf}, "gain and offset differ"),
+    ],
+)
+def test_what_contradicts_itself_is_no_record(changes, said):
+    with pytest.raises(ConnectionLostError, match=said):
+        fetch(Session(**changes), SETUP, WIRING, 1.5)
+
+
+@pytest.mark.parametrize(("name", "value"), [("gain", math.nan), ("gain", 1e-3), ("offset", math.nan)])
+def test_a_scaling_that_makes_no_sense_is_no_scaling(monkeypatch, name, value):
+    sound = Session._waveform
+
+    def every(self, index, samples):
+        waveform = sound(self, index, samples)
+        setattr(waveform, name, value)
+        return waveform
+
+    monkeypatch.setattr(Session, "_waveform", every)
+    with pytest.raises(ConnectionLostError):
+        fetch(Session(), SETUP, WIRING, 1.5)
+
+
+def test_a_trigger_within_a_sample_or_two_is_the_firing_pulse():
+    early = Session(relative_initial_x=2e-6 - 1.5e-8)
+    assert fetch(early, SETUP, WIRING, 1.5).first_sample_s[-1] == 2e-6 - 1.5e-8
+
+
+def test_boards_without_time_stamps_report_zero(monkeypatch):
+    sound = Session._waveform
+
+    def unstamped(self, index, samples):
+        waveform = sound(self, index, samples)
+        waveform.absolute_initial_x = 0.0
+        return waveform
+
+    monkeypatch.setattr(Session, "_waveform", unstamped)
+    assert fetch(Session(), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
