@@ -19,6 +19,9 @@ OLDEST_DRIVER = (20, 1)
 SERVER_TIMEOUT_S = 3.0
 """A gRPC server that does not take a connection in this time is not there."""
 
+LARGEST_DUTY = 0.25
+"""More on-time than this is what small electromagnets are usually not rated for (assumption: see yours)."""
+
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
 
 
@@ -119,12 +122,14 @@ class Survey(Protocol):
         ...
 
 
-def board_checks(parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey]) -> list[Check]:
+def board_checks(
+    parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey], *, shot_interval_s: float
+) -> list[Check]:
     """Look at driver, boards and every transducer's wiring."""
-    checks = []
+    checks = [_duty(parameters.pulse_s, shot_interval_s)]
     if parameters.transport == "grpc":
         checks.append(_server(parameters.grpc_address))
-        if checks[0].state == "fail":
+        if checks[-1].state == "fail":
             return checks
     found = survey(parameters)
     if found.driver_version:
@@ -134,6 +139,21 @@ def board_checks(parameters: DaqmxParameters, survey: Callable[[DaqmxParameters]
     if parameters.watchdog is not None:
         checks.append(_watchdog(parameters, parameters.watchdog))
     return checks
+
+
+def _duty(pulse_s: float, shot_interval_s: float) -> Check:
+    """Part of the time that a coil is on while its transducer is struck."""
+    part = pulse_s / shot_interval_s
+    return Check(
+        area="rig",
+        name="coils: duty cycle",
+        state="ok" if part <= LARGEST_DUTY else "warn",
+        found=f"{part:.1%}: on for {pulse_s:g} s of {shot_interval_s:g} s (at most {LARGEST_DUTY:.0%})",
+        remedy=""
+        if part <= LARGEST_DUTY
+        else "shorten pulse_s or lengthen shot_interval_s, or measure that your coils stay cool",
+        values={"duty": part, "pulse_s": pulse_s},
+    )
 
 
 def _server(address: str) -> Check:

@@ -94,7 +94,7 @@ def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Ite
         from hardware_drivers.daqmx.survey import survey
 
         progress(f"NI-DAQmx boards, {len(rig.daqmx.transducers)} transducers; nothing strikes")
-        yield from board_checks(rig.daqmx, survey)
+        yield from board_checks(rig.daqmx, survey, shot_interval_s=settings.schedule.shot_interval_s)
     else:
         yield _needs_package("boards")
     if rig.kind == "daqmx" and rig.niscope is not None:

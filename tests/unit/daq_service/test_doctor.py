@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 from small_experiment import run, small_settings
 
-from daq_service.doctor.boards import digital_name
+from daq_service.doctor.boards import board_checks, digital_name
 from daq_service.doctor.check import Check, exit_code
 from daq_service.doctor.command import run_doctor
 from daq_service.doctor.machine import ask_system, machine_checks
@@ -21,6 +22,7 @@ from daq_service.doctor.storage import held_folder, storage_checks
 from daq_service.errors import UsageError
 from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.settings import RigSettings, Settings, config_file, load_settings
+from hardware_drivers.daqmx.survey import BoardFacts, Finding
 
 LABORATORY = load_settings(config_file("laboratory.toml")).rig
 
@@ -258,6 +260,70 @@ def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> 
     with held_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
+
+
+# Boards, with what the driver would find ------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A survey made up: `hardware_drivers.daqmx.survey.survey` on doubles is tested elsewhere."""
+
+    findings: tuple[Finding, ...] = ()
+    driver_version: str = "24.8.0"
+    boards: tuple[BoardFacts, ...] = ()
+    noise_rms_v: dict[str, float] = field(default_factory=dict)
+
+
+def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
+    assert LABORATORY.daqmx is not None
+    return by_name(board_checks(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s))
+
+
+@pytest.mark.parametrize(
+    ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
+)
+def test_the_driver_s_version_is_compared_by_numbers(version: str, state: str) -> None:
+    found = looked(Found(driver_version=version))["driver: version"]
+    assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
+
+
+def test_a_driver_that_was_not_reached_has_no_version() -> None:
+    assert "driver: version" not in looked(Found(driver_version=""))
+
+
+def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
+    broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
+    checks = looked(
+        Found(
+            findings=(
+                Finding(subject="board 01C16021", **broken),
+                Finding(subject="board FFFFFFFF", **broken),
+            )
+        )
+    )
+    assert checks["board 01C16021: answers"].state == "warn"
+    assert checks["board FFFFFFFF: answers"].state == "fail"
+    assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
+
+
+def test_what_a_board_agreed_to_is_told_with_units() -> None:
+    said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
+    assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
+        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it"
+    )
+
+
+def test_noise_goes_into_the_values() -> None:
+    said = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
+    found = looked(Found(findings=(said,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
+    assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
+
+
+@pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
+def test_a_coil_that_is_on_too_often_is_worth_a_word(interval_s: float, state: str) -> None:
+    found = looked(Found(), shot_interval_s=interval_s)["coils: duty cycle"]
+    assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
 
 # The command on the twin ----------------------------------------------------------------------------
