@@ -16,6 +16,7 @@ from simulator.doubles.routing import short_name
 from simulator.doubles.statuses import (
     ATTRIBUTE_NOT_IN_THIS_TASK,
     ATTRIBUTE_NOT_SUPPORTED,
+    CHANNEL_NOT_IN_TASK,
     INVALID_VALUE,
     Status,
 )
@@ -77,7 +78,7 @@ def _named_channel(task: Task, name: str) -> Any:
     for channel in channels:
         if wanted in ("", channel.name.casefold(), channel.physical_name.casefold()):
             return channel
-    raise Status(INVALID_VALUE, f"Channel Name: {name} is not in the task.", task=task.name)
+    raise Status(CHANNEL_NOT_IN_TASK, f"Channel Name: {name}", task=task.name)
 
 
 def get_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:

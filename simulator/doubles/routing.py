@@ -12,6 +12,7 @@ from simulator.doubles.statuses import (
     INVALID_SOURCE_TERMINAL,
     INVALID_VALUE,
     ROUTE_IN_USE,
+    TERMINAL_IN_USE,
     Status,
 )
 from simulator.doubles.tasks import Answer, Arguments, Bench, Task, TaskState
@@ -122,7 +123,7 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
     if not _known(bench, terminal):
         raise Status(INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
     if terminal in bench.routes:
-        raise Status(ROUTE_IN_USE, f"Destination Terminal: {arguments['output_terminal']}")
+        raise Status(TERMINAL_IN_USE, f"Terminal: {arguments['output_terminal']}")
     name, _, pin = terminal.partition("/")
     device = bench.devices.find(name)
     for output in device.kind.counter_terminals:

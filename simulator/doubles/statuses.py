@@ -40,9 +40,11 @@ NOT_AN_INPUT_TASK: Final = -200460
 TOO_MANY_PRETRIGGER_SAMPLES: Final = -200213
 INVALID_TRIGGER_SOURCE: Final = -200265
 DEVICES_CANNOT_BE_SYNCHRONISED: Final = -201426
-DIFFERENT_CHANNEL_TYPES: Final = -200525
+DIFFERENT_CHANNEL_TYPES: Final = -200559
+CHANNEL_NOT_IN_TASK: Final = -200486
+TASK_NOT_SAVED: Final = -200485
+TERMINAL_IN_USE: Final = -89127
 NO_SUCH_ATTRIBUTE: Final = -200233
-ATTRIBUTE_NOT_READABLE: Final = -200232
 ATTRIBUTE_NOT_SETTABLE: Final = -200231
 ATTRIBUTE_NOT_SUPPORTED: Final = -200197
 ATTRIBUTE_NOT_IN_THIS_TASK: Final = -200452
@@ -90,8 +92,10 @@ TEXTS: Mapping[int, str] = MappingProxyType(
         INVALID_TRIGGER_SOURCE: "The source of the analog trigger is not a channel of the task.",
         DEVICES_CANNOT_BE_SYNCHRONISED: "The devices of the task cannot be synchronised with each other.",
         DIFFERENT_CHANNEL_TYPES: "Input and output channels cannot share a task.",
+        CHANNEL_NOT_IN_TASK: "The channel is not in the task.",
+        TASK_NOT_SAVED: "No task of this name is saved in NI MAX.",
+        TERMINAL_IN_USE: "The terminal is part of a route and cannot be let go.",
         NO_SUCH_ATTRIBUTE: "The attribute is not known.",
-        ATTRIBUTE_NOT_READABLE: "The attribute cannot be read.",
         ATTRIBUTE_NOT_SETTABLE: "The attribute cannot be set.",
         ATTRIBUTE_NOT_SUPPORTED: "The attribute is not supported by this device.",
         ATTRIBUTE_NOT_IN_THIS_TASK: "The attribute has no meaning for this task.",

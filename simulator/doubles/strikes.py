@@ -5,6 +5,7 @@ A strike belongs to a shot: the one that was announced for its position, or else
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from dataclasses import dataclass, replace
@@ -20,6 +21,8 @@ from simulator.keyed_random import Purpose, generator
 from simulator.scenario import AdcParameters
 from simulator.specimen import Specimen, Transducer, build_specimen
 from simulator.transduction import counts_of, noise_volts
+
+log = logging.getLogger(__name__)
 
 FALL_ACCELERATION_M_PER_S2 = 9.81
 STRIKES_KEPT = 256
@@ -157,9 +160,9 @@ class Strikes:
             key = ShotKey(position=position, set_index=0, shot_index=0)
             try:
                 self.specimen.solitary_wave(key, self._hour_h)
-            except (SimulatorError, ValueError):
+            except (SimulatorError, ValueError) as error:
                 # The same error answers the record that needs this position.
-                continue
+                log.warning("the twin cannot compute position %s: %s", position, error)
 
 
 def _specimen(description: Description) -> Specimen:

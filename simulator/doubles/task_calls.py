@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from simulator.doubles import tasks
-from simulator.doubles.statuses import INVALID_VALUE, NOT_DONE_IN_TIME, TEXTS, Status
+from simulator.doubles.statuses import NOT_DONE_IN_TIME, TASK_NOT_SAVED, TEXTS, Status
 from simulator.doubles.tasks import Answer, Arguments, Bench
 
 
@@ -24,7 +24,7 @@ def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
 
 def _load_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    raise Status(INVALID_VALUE, f"No task {arguments['session_name']!r} is saved in NI MAX.")
+    raise Status(TASK_NOT_SAVED, task=arguments["session_name"])
 
 
 def _clear_task(bench: Bench, client: str, arguments: Arguments) -> Answer:

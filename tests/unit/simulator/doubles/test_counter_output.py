@@ -176,6 +176,19 @@ def test_without_the_route_nothing_starts(brain, me):
     assert me("IsTaskDone", coil)["is_task_done"] == 0
 
 
+def test_a_terminal_is_let_go_unless_a_route_needs_it(brain, me):
+    coil = me.coil(COUNTER, idle_state=HIGH)
+    me.control(coil, 3)
+    me("ClearTask", coil)
+    assert brain.record()["levels"][LINE] == 1
+    me("TristateOutputTerm", output_terminal="/PXI1Slot3/PFI12")
+    assert brain.record()["levels"][LINE] == 0
+    route = {"source_terminal": "/PXI1Slot3/PFI0", "destination_terminal": "/PXI1Slot3/PFI12"}
+    me("ConnectTerms", **route, signal_modifiers=0)
+    with pytest.raises(Status, match="-89127"):
+        me("TristateOutputTerm", output_terminal="/PXI1Slot3/PFI12")
+
+
 @pytest.mark.parametrize(
     ("ends", "code"),
     [

@@ -12,6 +12,7 @@ from simulator.doubles.attributes import ATTRIBUTES
 from simulator.doubles.brain import HANDLERS
 from simulator.doubles.c_source import library_source
 from simulator.doubles.entry_points import ENTRY_POINTS, Role, Tail
+from simulator.doubles.statuses import TEXTS
 from simulator.doubles.table import TABLE
 
 nidaqmx = pytest.importorskip("nidaqmx")
@@ -177,3 +178,11 @@ def test_a_variadic_entry_ends_with_the_attribute():
         if entry.tail in (Tail.GET_ATTRIBUTE, Tail.SET_ATTRIBUTE):
             assert entry.parameters[-1].name == "attribute"
         assert not any("..." in inspect.cleandoc(parameter.name) for parameter in entry.parameters)
+
+
+@pytest.mark.parametrize("code", TEXTS)
+def test_statuses_are_ni_s_numbers_with_texts_for_any_locale(code):
+    from nidaqmx.error_codes import DAQmxErrors, DAQmxWarnings
+
+    assert code in {member.value for member in (DAQmxErrors if code < 0 else DAQmxWarnings)}
+    assert TEXTS[code].isascii()

@@ -140,7 +140,7 @@ def test_a_task_without_channels_does_nothing(brain, me, function):
 
 def test_input_and_output_do_not_share_a_task(brain, me):
     task = me.digitizer(INPUT)
-    refused(-200525, me, "CreateCOPulseChanTime", task, counter=COUNTER)
+    refused(-200559, me, "CreateCOPulseChanTime", task, counter=COUNTER)
 
 
 def test_two_channels_of_one_name_are_refused(brain, me):
@@ -168,6 +168,15 @@ def test_a_range_of_channels_is_spelled_out(brain, me):
     names = me("GetTaskAttribute", task, attribute=0x1273)["value"]
     assert names == f"{BOARD}/ai0, {BOARD}/ai1, {BOARD}/ai2, {BOARD}/ai5"
     assert me("InternalGetLastCreatedChan")["value"] == names
+
+
+def test_what_is_not_there_is_not_in_the_task(brain, me):
+    task = me.digitizer(INPUT)
+    refused(-200486, me, "GetChanAttribute", task, channel=f"{BOARD}/ai3", attribute=0x17DD)
+    refused(-200233, me, "GetChanAttribute", task, attribute=0x1344)
+    refused(-200197, me, "GetChanAttribute", task, attribute=0x18BA)
+    refused(-200231, me, "SetTimingAttribute", task, attribute=0x22C8, value=1.0)
+    refused(-200485, me, "LoadTask", session_name="saved in NI MAX")
 
 
 # Reservations
