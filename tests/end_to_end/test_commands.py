@@ -286,6 +286,48 @@ def test_an_operators_stop_is_kept_by_the_supervisor(tmp_path: Path) -> None:
     assert "started again" not in log
 
 
+def test_orders_come_from_another_terminal(tmp_path: Path) -> None:
+    def order(*arguments: str) -> tuple[int, str]:
+        done = solimon(*arguments, "--data-dir", str(tmp_path))
+        return done.returncode, done.stdout + done.stderr
+
+    with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
+        wait_for(lambda: sets_done(tmp_path) >= 1, "the first set")
+        code, said = order("hold", "--note", "door open", "--author", "ann", "--json")
+        assert code == 0
+        answer = json.loads(said)
+        assert (answer["kind"], answer["author"], answer["arguments"], answer["state"]) == (
+            "hold",
+            "ann",
+            {"note": "door open"},
+            "done",
+        )
+        assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
+        code, said = order("hold")
+        assert code == 2
+        assert "already on hold: held by ann: door open" in said
+        assert order("retire", "--position", "C", "--note", "coil is hot") == (0, "C strikes no more\n")
+        assert order("retire", "--position", "Z")[0] == 2
+        assert order("reinstate", "--position", "C")[0] == 0
+        assert order("release")[0] == 0
+        stored = sets_done(tmp_path)
+        wait_for(lambda: sets_done(tmp_path) > stored, "a set after the release")
+
+
+@posix_only
+def test_an_order_that_nobody_hears_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
+    folder, _ = two_hours
+    beat = folder / "heartbeat.json"
+    before = beat.read_text(encoding="utf-8")
+    beat.unlink()
+    try:
+        done = solimon("hold", "--data-dir", str(folder))
+    finally:
+        beat.write_text(before, encoding="utf-8")
+    assert done.returncode == 5
+    assert "no recorder runs" in done.stderr
+
+
 def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     config = tmp_path / "test.toml"
     config.write_text(
