@@ -213,14 +213,12 @@ def test_a_strike_on_boards_that_somebody_else_holds_is_refused(
 def test_another_broken_instrument_forbids_no_strike(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = configuration(tmp_path, doubles)
-    values = json.loads(config.read_text(encoding="utf-8"))
-    line = {"port": str(tmp_path / "no-such-port")}
-    values["rig"]["supply"] = {"line": line, "identity": "MAKER,MODEL,SERIAL"}
-    config.write_text(json.dumps(values), encoding="utf-8")
+    wired = parameters_of(DESCRIPTION, doubles).transducers
+    absent = replace(wired["B"], board_serial="0BADC0DE")
+    config = configuration(tmp_path, doubles, transducers={**wired, "B": absent})
     code, checks, report = doctor(capsys, config, tmp_path / "data", strike="D")
     assert code == 3
-    assert checks["supply: identity"]["state"] == "fail"
+    assert checks["board 0BADC0DE: present"]["state"] == "fail"
     assert report["strike"]["features"]["isw_amplitude_v"] > 0.25
     assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"]
 
