@@ -113,8 +113,10 @@ def test_without_a_recorder_nothing_is_written(filled, why):
     assert filled.catalogue.pending_commands() == []
 
 
-def test_a_recorder_that_lingers_after_its_last_set_still_listens(filled):
-    filled.say("schedule_done", filled.due[0].due_utc_ns)
+@pytest.mark.parametrize("told", [["schedule_done"], ["recorder_stopped", "recorder_started"]])
+def test_a_recorder_that_lingers_or_was_started_again_listens(filled, told):
+    for kind in told:
+        filled.say(kind, filled.due[0].due_utc_ns)
     with a_recorder_that(filled, "done", "done"):
         assert give(filled, "hold") == 0
 
