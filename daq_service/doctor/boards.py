@@ -11,7 +11,7 @@ import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Protocol
 
-from daq_service.doctor.check import Check, State, Value
+from daq_service.doctor.check import HELD, Check, State, Value
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
 
 OLDEST_DRIVER = (20, 1)
@@ -21,6 +21,9 @@ SERVER_TIMEOUT_S = 3.0
 
 LARGEST_DUTY = 0.25
 """More on-time than this is what small electromagnets are usually not rated for (assumption: see yours)."""
+
+OWNED = "; owner: "
+"""How the driver's errors name who holds a board (`hardware_drivers.daqmx.translation`)."""
 
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
 
@@ -189,6 +192,7 @@ def _driver(text: str) -> Check:
 
 def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: Iterable[str]) -> Check:
     state, remedy = finding.state, finding.remedy
+    owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
     kind, _, which = finding.subject.partition(" ")
     if state == "fail" and kind == "board" and finding.check == "answers" and which not in ours:
         wanted = {int(wiring.board_serial, 16) for wiring in parameters.transducers.values()}
@@ -205,8 +209,11 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: It
             values = {"noise_rms_v": found.noise_rms_v.get(which), "trigger_level_v": level_v}
     if kind == "board":
         values = _facts(next((board for board in found.boards if board.serial == which), None))
+    if owned:
+        remedy = HELD
     return Check(
-        area="rig",
+        # Whoever holds the boards stands where a recorder does.
+        area="recorder" if owned else "rig",
         name=f"{finding.subject}: {finding.check}",
         state=state,
         found=detail,

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from daq_service.errors import EXIT_OK, BusyError, RigError, StorageError, UsageError
+from daq_service import errors
+from hardware_drivers.errors import BusyError, InstrumentError
 
 State = Literal["ok", "warn", "fail", "skipped"]
 Area = Literal["software", "folder", "machine", "recorder", "rig"]
@@ -15,12 +16,14 @@ Value = float | str | bool | None
 
 EXIT_CODES: Mapping[Area, int] = {
     # In this order: the first area that failed gives the exit code.
-    "recorder": BusyError.exit_code,
-    "rig": RigError.exit_code,
-    "machine": RigError.exit_code,
-    "folder": StorageError.exit_code,
-    "software": UsageError.exit_code,
+    "recorder": errors.BusyError.exit_code,
+    "rig": errors.RigError.exit_code,
+    "machine": errors.RigError.exit_code,
+    "folder": errors.StorageError.exit_code,
+    "software": errors.UsageError.exit_code,
 }
+
+HELD = "end the program that holds it, or wait until that ends; nothing of it was touched"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,18 +57,21 @@ class Check:
 def exit_code(checks: Sequence[Check]) -> int:
     """Exit code of a checkup: 0 where nothing failed."""
     failed = {check.area for check in checks if check.state == "fail"}
-    return next((code for area, code in EXIT_CODES.items() if area in failed), EXIT_OK)
+    return next((code for area, code in EXIT_CODES.items() if area in failed), errors.EXIT_OK)
 
 
-def failure(area: Area, name: str, error: Exception, otherwise: str) -> Check:
-    """Check that ended in an error; messages of this project end in their remedy.
+def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
+    """Check of an instrument that ended in an error; messages of this project end in their remedy.
 
     Parameters
     ----------
     otherwise
         Remedy where the message has none.
     """
+    if isinstance(error, BusyError):
+        # Whoever holds an instrument stands where a recorder does.
+        return Check(area="recorder", name=name, state="fail", found=str(error), remedy=HELD)
     problem, _, remedy = str(error).rpartition("; ")
     if not problem:
         problem, remedy = str(error), otherwise
-    return Check(area=area, name=name, state="fail", found=problem, remedy=remedy)
+    return Check(area="rig", name=name, state="fail", found=problem, remedy=remedy)

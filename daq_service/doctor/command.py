@@ -17,7 +17,7 @@ from daq_service.doctor.check import Check, exit_code
 from daq_service.doctor.machine import machine_checks
 from daq_service.doctor.other_instruments import climate_checks, probe_checks, supply_checks
 from daq_service.doctor.software import software_checks
-from daq_service.doctor.storage import held_folder, storage_checks
+from daq_service.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.doctor.trial import Trial, require_position, strike_once
 from daq_service.errors import BusyError
 from daq_service.run import data_folder
@@ -32,25 +32,30 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
     folder = data_folder(settings, config, data_dir)
     if strike is not None:
         require_position(settings, strike)
-    checks: list[Check] = []
+    owner = owner_of(folder)
+    if strike is not None:
+        _refuse_while_owned(owner)
+    checks = list(checkup(settings, folder, owner, _progress))
     trial: Trial | None = None
-    with held_folder(folder) as owner:
-        if owner and strike is not None:
-            raise BusyError(f"--strike is refused: {owner}")
-        for check in checkup(settings, folder, owner, _progress):
-            checks.append(check)
-        if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
-            checks.append(_no_strike(strike))
-        elif strike is not None:
-            _progress(f"one test strike at {strike}")
+    if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
+        checks.append(_no_strike(strike))
+    elif strike is not None:
+        _progress(f"one test strike at {strike}")
+        with held_folder(folder) as owner:
+            _refuse_while_owned(owner)
             trial = strike_once(settings, strike)
-            checks += trial.checks
+        checks += trial.checks
     code = exit_code(checks)
     if as_json:
         click.echo(json.dumps(_plain(_report(settings, folder, checks, trial, code)), allow_nan=False))
     else:
         _print_table(checks, trial)
     return code
+
+
+def _refuse_while_owned(owner: str) -> None:
+    if owner:
+        raise BusyError(f"--strike is refused: {owner}")
 
 
 def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:

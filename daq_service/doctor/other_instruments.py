@@ -21,6 +21,7 @@ from hardware_drivers.niscope.parameters import NiscopeParameters
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
 
 CABLE = "check power, cable and the name in the configuration"
+RUNTIME = "see docs/how-to/install-the-ni-driver.md; then power, seating and resource in [rig.niscope.probes]"
 SAFE_PART = 0.9
 """An echo beyond this part of the range is about to be clipped when the coupling gets better."""
 
@@ -47,7 +48,7 @@ def probe_checks(parameters: NiscopeParameters) -> Iterator[Check]:
                 key = ShotKey(position=position, set_index=0, shot_index=0)
                 yield from _record(position, unit.acquire(key, parameters.call_timeout_s))
         except InstrumentError as error:
-            yield failure("rig", name, error, CABLE)
+            yield failure(name, error, RUNTIME)
 
 
 def _record(position: str, echo: Echo) -> Iterator[Check]:
@@ -117,7 +118,7 @@ def supply_checks(parameters: SupplyParameters) -> Iterator[Check]:
                 },
             )
         except InstrumentError as error:
-            yield failure("rig", name, error, CABLE)
+            yield failure(name, error, CABLE)
 
 
 def climate_checks(parameters: ClimateParameters) -> Iterator[Check]:
@@ -144,7 +145,7 @@ def climate_checks(parameters: ClimateParameters) -> Iterator[Check]:
                 },
             )
         except InstrumentError as error:
-            yield failure("rig", name, error, CABLE)
+            yield failure(name, error, CABLE)
 
 
 def _stamp() -> Stamp:

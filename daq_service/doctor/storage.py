@@ -26,7 +26,7 @@ COMFORTABLE = 2.0
 
 @contextmanager
 def held_folder(folder: Path) -> Iterator[str]:
-    """Hold the recorder's lock while looking, so that no recorder starts meanwhile.
+    """Hold the recorder's lock, so that no recorder starts meanwhile.
 
     Yields
     ------
@@ -41,9 +41,22 @@ def held_folder(folder: Path) -> Iterator[str]:
                 stack.enter_context(own_data_folder(folder))
             except BusyError as error:
                 owner = str(error)
-            except OSError:
-                pass  # the lock cannot be opened for writing: the check of the folder tells
+            except OSError as error:
+                owner = (
+                    f"a recorder may own {folder}: its lock cannot be opened ({error.strerror}); look as the "
+                    "user that runs the recorder"
+                )
         yield owner
+
+
+def owner_of(folder: Path) -> str:
+    """Who holds the recorder's lock, without keeping it.
+
+    A recorder that is started again just now must not find it taken: its supervisor would end the test.
+    Boards that are being looked at it waits for.
+    """
+    with held_folder(folder) as owner:
+        return owner
 
 
 def storage_checks(settings: Settings, folder: Path) -> list[Check]:

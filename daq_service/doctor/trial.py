@@ -11,14 +11,14 @@ from typing import Any
 from analysis.features import ShotFeatures
 from daq_service.acquisition import MissedShot, SetPlan, take_set
 from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
-from daq_service.doctor.check import Area, Check, Value, failure
+from daq_service.doctor.check import Check, Value, failure
 from daq_service.errors import UsageError
 from daq_service.rig import open_rig
 from daq_service.schedule import DueSet
 from daq_service.settings import Settings
 from daq_service.taken_set import features_of
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.errors import BusyError, InstrumentError
+from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import Shot
 
 REMEDIES: Mapping[str, str] = {
@@ -104,9 +104,7 @@ def strike_once(settings: Settings, position: str) -> Trial:
         with open_rig(settings, clock, clock.utc_ns()) as rig:
             taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
     except InstrumentError as error:
-        # Whoever holds the boards stands where a recorder does: exit code 5.
-        area: Area = "recorder" if isinstance(error, BusyError) else "rig"
-        refused = failure(area, f"strike {position}: record", error, "mend what failed above, then strike")
+        refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
         return Trial(position=position, checks=(refused,))
     took_s = time.monotonic() - started_s
     (measurement,) = taken

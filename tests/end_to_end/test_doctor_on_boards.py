@@ -196,17 +196,21 @@ def test_boards_of_a_running_recorder_are_left_alone(
     assert doubles.control.record()["calls"] == []
 
 
-def test_a_strike_on_boards_that_somebody_else_holds_is_refused(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("strike", ["C", None])
+def test_boards_that_somebody_else_holds_are_told_and_not_struck(
+    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str], strike: str | None
 ) -> None:
     config = configuration(tmp_path, doubles)
     doubles.control.occupy(f"{SIMULTANEOUS_16_BIT.name}/ai", "LabVIEW")
     try:
-        code, checks, _ = doctor(capsys, config, tmp_path / "data", strike="C")
+        code, checks, _ = doctor(capsys, config, tmp_path / "data", strike=strike)
     finally:
         doubles.control.vacate("LabVIEW")
     assert code == 5
-    assert checks["strike C: record"]["state"] == "fail"
+    assert "LabVIEW" in checks["transducer C: trigger"]["found"]
+    assert checks["transducer C: trigger"]["remedy"].startswith("end the program that holds it")
+    if strike is not None:
+        assert "LabVIEW" in checks["strike C: record"]["found"]
     assert coil_pulses_s(doubles.control.record()) == []
 
 

@@ -18,9 +18,10 @@ from daq_service.doctor.check import Check, exit_code
 from daq_service.doctor.command import run_doctor
 from daq_service.doctor.machine import ask_system, machine_checks
 from daq_service.doctor.software import software_checks
-from daq_service.doctor.storage import held_folder, storage_checks
+from daq_service.doctor.storage import held_folder, owner_of, storage_checks
+from daq_service.doctor.trial import Trial
 from daq_service.errors import UsageError
-from daq_service.folder import own_data_folder, prepare_data_folder
+from daq_service.folder import prepare_data_folder
 from daq_service.settings import RigSettings, Settings, config_file, load_settings
 from hardware_drivers.daqmx.survey import BoardFacts, Finding
 
@@ -240,20 +241,69 @@ def test_the_disk_is_compared_with_the_plan(
 # Owner ----------------------------------------------------------------------------------------------
 
 
-def test_no_recorder_starts_while_the_doctor_looks(tmp_path: Path) -> None:
-    prepare_data_folder(tmp_path)
-    with own_data_folder(tmp_path):
-        pass  # a recorder was here
-    script = (
-        "import sys; from pathlib import Path; from daq_service.folder import own_data_folder\n"
-        "with own_data_folder(Path(sys.argv[1])): pass"
+START = (
+    "import sys; from pathlib import Path; from daq_service.folder import own_data_folder\n"
+    "with own_data_folder(Path(sys.argv[1])): pass"
+)
+
+
+def started(folder: Path) -> subprocess.CompletedProcess[str]:
+    """A recorder that takes its folder and leaves."""
+    return subprocess.run(
+        [sys.executable, "-c", START, str(folder)], capture_output=True, text=True, check=False
     )
-    attempt = [sys.executable, "-c", script, str(tmp_path)]
-    with held_folder(tmp_path) as owner:
-        assert owner == ""
-        refused = subprocess.run(attempt, capture_output=True, text=True, check=False)
-        assert "another recorder owns" in refused.stderr
-    assert subprocess.run(attempt, check=False).returncode == 0
+
+
+def test_no_recorder_starts_while_the_doctor_strikes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "data"
+    prepare_data_folder(folder)
+    assert started(folder).returncode == 0, "a recorder was here"
+    seen = []
+
+    def striking(settings: Settings, position: str) -> Trial:
+        seen.append(started(folder))
+        return Trial(position=position, checks=())
+
+    monkeypatch.setattr("daq_service.doctor.command.strike_once", striking)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
+    capsys.readouterr()
+    assert "another recorder owns" in seen[0].stderr
+    assert started(folder).returncode == 0
+
+
+def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folder_free(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused, it would end with a final exit code and its supervisor would end the test."""
+    folder = tmp_path / "data"
+    prepare_data_folder(folder)
+    assert started(folder).returncode == 0, "a recorder was here"
+    seen = []
+
+    def looking(*arguments: object) -> list[Check]:
+        seen.append(started(folder).returncode)
+        return []
+
+    monkeypatch.setattr("daq_service.doctor.command.rig_checks", looking)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=None, as_json=True)
+    capsys.readouterr()
+    assert seen == [0]
+
+
+def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another user's recorder: its boards must not be touched."""
+    prepare_data_folder(tmp_path)
+    (tmp_path / "recorder.lock").touch()
+
+    def forbidden(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("daq_service.doctor.storage.own_data_folder", forbidden)
+    assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
 
 
 def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> None:
