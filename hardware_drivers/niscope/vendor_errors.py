@@ -56,14 +56,19 @@ CLASS_OF_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
 )
 """Class of each code of NI-SCOPE; every other negative code is a `ConfigurationError`."""
 
+_KERNEL_GONE = (
+    *(-50101, -50150, -50151, -50152, -50202, -50300, -50303),  # not available, software, firmware, hardware
+    *(-50400, -50401, -50404, -50405, -50410, -50412, -50413, -50550),  # transfers, bus, synchronisation
+    *(-50800, -50801, -50802, -50803, -50804, -50808),  # bus reset, connection, device state, USB
+    *(-88705, -88708, -88709, -88710, -88717, -89130),  # not found, not in the pool, aborted, absent
+    *(-200010, -200019, -200088, -200279, -200324, -200361, -201003),  # overflow, invalid task, absent
+)
+
 CLASS_OF_KERNEL_CODE: Mapping[int, type[InstrumentError]] = MappingProxyType(
     {
         **dict.fromkeys((-200284, -200560), AcquisitionTimeoutError),
-        **dict.fromkeys((-50103, -200022, -89137), BusyError),
-        **dict.fromkeys(
-            (-88710, -88709, -88708, -200324, -201003, -50401, -50405, -50550), ConnectionLostError
-        ),
-        **dict.fromkeys((-200088, -200279, -200361, -200010, -200019), ConnectionLostError),
+        **dict.fromkeys((-50103, -50106, -89137, -200022, -201105, -201352), BusyError),
+        **dict.fromkeys(_KERNEL_GONE, ConnectionLostError),
     }
 )
 """Class of a code of the kernel below NI-SCOPE, wrapped in the text or handed through."""
