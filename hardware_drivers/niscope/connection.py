@@ -166,7 +166,7 @@ class BoardConnection:
         try:
             with vendor_calls(self._niscope, f"asking {name!r} who it is"):
                 board = describe(self._session, name)
-                if self._serial_number and board.serial_number != self._serial_number:
+                if self._serial_number and _plain(board.serial_number) != _plain(self._serial_number):
                     raise BoardAbsentError(
                         f"{name!r} is a {board.product} with serial number {board.serial_number!r}, not "
                         f"{self._serial_number!r}"
@@ -177,3 +177,8 @@ class BoardConnection:
             self.close()
             raise
         return board
+
+
+def _plain(serial_number: str) -> str:
+    """Take off what differs between a label and a driver: case and leading zeros."""
+    return serial_number.strip().lstrip("0").casefold()

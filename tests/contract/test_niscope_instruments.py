@@ -227,6 +227,12 @@ def test_somebody_else_s_board_is_named_and_left_alone(brain):
         unit.acquire(rig.key(), rig.TIMEOUT_S)
 
 
+@pytest.mark.parametrize("label", ["01C5A1F0", "1c5a1f0", " 01c5a1f0 ", ""])
+def test_a_serial_number_is_read_as_labels_print_it(brain, label):
+    with open_niscope(rig.parameters(serial_number=label)) as unit:
+        assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["board_serial"] == "01C5A1F0"
+
+
 def test_a_board_has_one_owner(unit):
     with pytest.raises(BusyError), open_niscope(rig.parameters()):
         pytest.fail("it opened")

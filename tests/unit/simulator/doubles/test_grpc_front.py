@@ -4,11 +4,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
+from simulator.doubles.brain import Brain
+from simulator.doubles.description import SIMULTANEOUS_16_BIT, Description
 from simulator.doubles.entry_points import ENTRY_POINTS, HANDLE, Role, Tail
 from simulator.doubles.statuses import Status
 
@@ -290,6 +293,46 @@ def test_the_tasks_of_a_killed_client_stay(script):
             attach = named(channel, SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION)
             nidaqmx.Task("striker", grpc_options=attach).stop()
         assert script.asked("DAQmxStopTask") == [{"task": 101}]
+    finally:
+        front.close()
+
+
+CLIENT_WITH_A_RECORD = """
+import sys, grpc, nidaqmx
+from nidaqmx import GrpcSessionOptions
+from nidaqmx.constants import AcquisitionType, TaskMode
+channel = grpc.insecure_channel(sys.argv[1])
+task = nidaqmx.Task("record", grpc_options=GrpcSessionOptions(channel, "record"))
+task.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai0", min_val=-5.0, max_val=5.0)
+task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
+task.control(TaskMode.TASK_COMMIT)
+print("committed", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_what_a_killed_client_held_stays_held_until_somebody_attaches_and_clears():
+    brain = Brain(Description(boards=(SIMULTANEOUS_16_BIT,)))
+    front = GrpcFront(partial(brain.call, brain.open_client("grpc", "server")))
+    command = [sys.executable, "-c", CLIENT_WITH_A_RECORD, front.address]
+    try:
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
+            assert child.stdout.readline() == "committed\n"
+            child.kill()
+        assert [task["task"] for task in brain.record()["tasks"]] == ["record"]
+        assert brain.record()["reservations"]
+        with grpc.insecure_channel(front.address) as channel:
+            with nidaqmx.Task(grpc_options=GrpcSessionOptions(channel, "")) as other:
+                other.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai1")
+                other.timing.cfg_samp_clk_timing(1e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=100)
+                with pytest.raises(DaqError) as raised:
+                    other.control(TaskMode.TASK_RESERVE)
+                assert raised.value.error_code == -200022
+            attach = SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION
+            options = GrpcSessionOptions(channel, "record", initialization_behavior=attach)
+            nidaqmx.Task("record", grpc_options=options).close()
+        assert brain.record()["tasks"] == []
+        assert brain.record()["reservations"] == {}
     finally:
         front.close()
 
