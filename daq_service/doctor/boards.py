@@ -22,7 +22,7 @@ SERVER_TIMEOUT_S = 3.0
 LARGEST_DUTY = 0.25
 """More on-time than this is what small electromagnets are usually not rated for (assumption: see yours)."""
 
-OWNED = "; owner: "
+OWNED = "owner: "
 """How the driver's errors name who holds a board (`hardware_drivers.daqmx.translation`)."""
 
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
@@ -210,7 +210,7 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: It
     if kind == "board":
         values = _facts(next((board for board in found.boards if board.serial == which), None))
     if owned:
-        remedy = HELD
+        detail, remedy = f"{detail}; {remedy}", HELD  # the owner may stand in either
     return Check(
         # Whoever holds the boards stands where a recorder does.
         area="recorder" if owned else "rig",

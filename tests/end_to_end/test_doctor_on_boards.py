@@ -30,6 +30,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.doctor.command import run_doctor
 from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.settings import Settings, config_file, load_settings
+from hardware_drivers.daqmx.client_lock import ClientLock
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW, Description
 from simulator.doubles.library import why_unavailable
 from simulator.doubles.process import RunningDoubles, running_doubles
@@ -377,6 +378,13 @@ def test_a_server_is_reached_and_one_that_is_gone_is_told_at_once(
     assert checks["gRPC server"]["state"] == "ok"
     assert "by grpc" in checks["driver: reachable"]["found"]
     assert coil_pulses_s(doubles.control.record()) == []
+    lock = ClientLock(boards.grpc_address, boards.grpc_client_name)
+    try:
+        code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
+    finally:
+        lock.release()
+    assert code == 5, "another recorder of this computer, with another data folder"
+    assert f"process {os.getpid()}" in checks["driver: reachable"]["found"]
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # and nobody listens
         changes["grpc_address"] = f"127.0.0.1:{taken.getsockname()[1]}"
