@@ -9,19 +9,14 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import math
-import struct
 import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.description import ProbeWiring
-from simulator.doubles.niscope_entry_points import WAVEFORM_INFO
-from simulator.doubles.niscope_records import RecordShape, single_records
+from simulator.doubles.niscope_pulsers import NextEcho, Pulsers
 from simulator.doubles.niscope_scopes import ScopeParameters
 from simulator.doubles.niscope_session import (
     CONFIGURATION,
@@ -53,12 +48,8 @@ from simulator.doubles.niscope_statuses import (
 )
 from simulator.doubles.statuses import Status
 from simulator.specimen import Specimen
-from simulator.transduction import counts_of
 
 SELF_CALIBRATION = 1
-
-NextEcho = Callable[[str], tuple[ShotKey, float]]
-"""Which shot and hour the next acquisition at a position is."""
 
 
 class NiscopeBrain:
@@ -68,8 +59,6 @@ class NiscopeBrain:
     ----------
     next_echo
         Asked once an acquisition, when its records are due.
-    changed
-        Guards everything and wakes who waits; a waiting fetch lets it go.
     monotonic_s
         Clock of the pulsers.
     """
@@ -80,24 +69,17 @@ class NiscopeBrain:
         probes: Mapping[str, ProbeWiring],
         specimen: Specimen,
         next_echo: NextEcho,
-        changed: threading.Condition | None = None,
         monotonic_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._boards = {board.name: board for board in boards}
         self._unplugged: dict[int, ScopeParameters] = {}
-        # A probe's cable stays with its board, whatever the board is called.
-        self._wired_to = {
-            position: self._boards[probe.resource].serial_number for position, probe in probes.items()
-        }
-        self._probes = dict(probes)
-        self._specimen = specimen
-        self._next_echo = next_echo
+        self._pulsers = Pulsers(probes, boards, specimen, next_echo)
         self._monotonic_s = monotonic_s
         self._sessions: dict[int, Session] = {}
         self._foreign_owners: dict[str, str] = {}
         self._self_calibrated: dict[int, datetime.date] = {}
         self._next_handle = 1
-        self._changed = changed or threading.Condition()
+        self._changed = threading.Condition()
 
     # What a test or the control channel asks for
 
@@ -236,40 +218,10 @@ class NiscopeBrain:
     def _initiate(self, session: Session, _: Arguments) -> Answer:
         require_idle(session)
         self._require_present(session)
-        enabled = [name for name, channel in session.channels.items() if channel.enabled]
-        if not enabled:
+        if not any(channel.enabled for channel in session.channels.values()):
             raise ScopeStatus(CHANNEL_NOT_ENABLED)
-        shape = RecordShape(
-            sample_rate_hz=session.rate_hz,
-            samples=session.samples,
-            records=session.records,
-            trigger_delay_s=session.trigger_delay_s,
-        )
-        position = self._triggering_position(session, enabled)
-        now_s, first_s, done_s = self._monotonic_s(), math.inf, math.inf
-        if position:
-            period_s = 1.0 / self._probes[position].repetition_hz
-            # The pulser runs on its own: the next whole number of periods.
-            first_s = (math.floor(now_s / period_s) + 1) * period_s
-            record_s = session.trigger_delay_s + session.samples / session.rate_hz
-            done_s = first_s + (session.records - 1) * period_s + record_s
-        session.acquisition = Acquisition(
-            done_s=done_s,
-            position=position,
-            shape=shape,
-            first_firing_s=first_s,
-        )
+        session.acquisition = self._pulsers.begin(session, self._monotonic_s())
         return {}
-
-    def _triggering_position(self, session: Session, enabled: list[str]) -> str:
-        """Position of the probe whose sync is the configured trigger, empty if none is."""
-        for position, probe in self._probes.items():
-            wired = self._wired_to[position] == session.board.serial_number and probe.channel in enabled
-            digital = session.trigger_source.startswith("VAL_PFI")
-            crossed = digital or 0.0 < session.trigger_level_v < probe.sync_v
-            if wired and probe.switched_on and probe.sync_terminal == session.trigger_source and crossed:
-                return position
-        return ""
 
     def _acquisition_status(self, session: Session, _: Arguments) -> Answer:
         running = session.acquisition
@@ -298,43 +250,25 @@ class NiscopeBrain:
         channels = channels_of(session, arguments)
         if not all(channel.enabled for _, channel in channels):
             raise ScopeStatus(CHANNEL_NOT_ENABLED)
-        wanted, waveforms = arguments["num_samples"], self._waveform_count(session, arguments)["num_wfms"]
+        wanted, count = arguments["num_samples"], self._waveform_count(session, arguments)["num_wfms"]
         if wanted < 0 or session.fetch[FETCH_RELATIVE_TO] != PRETRIGGER or session.fetch[FETCH_OFFSET] != 0:
             raise ScopeStatus(INVALID_FETCH_PARAMETERS)
-        samples: list[NDArray[Any]] = []
-        infos: list[bytes] = []
-        overload = False
-        first_record = session.fetch[FETCH_RECORD]
-        for index in range(waveforms):
-            record, (name, channel) = first_record + index // len(channels), channels[index % len(channels)]
-            calibration = session.board.calibration(0.5 * channel.range_pp_v, channel.offset_v)
-            codes = self._codes(session, running, name, calibration)[record, :wanted]
-            low, high = calibration.full_scale_counts
-            overload |= bool(codes.min(initial=0) <= low or codes.max(initial=0) >= high)
-            padded = codes * session.board.padding
-            offset_v, gain_v = calibration.coefficients_v
-            gain_v /= session.board.padding
-            # Waveforms lie `num_samples` apart in the caller's buffer; what is not acquired is not there.
-            samples.append(np.pad(padded, (0, wanted - codes.size)) if index < waveforms - 1 else padded)
-            stamp_s = running.first_firing_s + record / self._probes[running.position].repetition_hz
-            infos.append(
-                struct.pack(
-                    WAVEFORM_INFO,
-                    stamp_s + running.shape.trigger_delay_s,
-                    running.shape.trigger_delay_s,
-                    1.0 / running.shape.sample_rate_hz,
-                    codes.size,
-                    float(offset_v),
-                    float(gain_v),
-                    0.0,
-                    0.0,
-                )
+        first = session.fetch[FETCH_RECORD] * len(channels)
+        fetched = [
+            self._pulsers.waveform(
+                session, running, index // len(channels), channels[index % len(channels)], wanted
             )
+            for index in range(first, first + count)
+        ]
+        # Waveforms lie `num_samples` apart in the caller's buffer.
+        waveform = np.zeros((count, wanted), dtype=np.int32)
+        for row, one in zip(waveform, fetched, strict=True):
+            row[: one.samples.size] = one.samples
         answer = {
-            "waveform": np.concatenate(samples) if samples else np.zeros(0, dtype=np.int32),
-            "wfm_info": np.frombuffer(b"".join(infos), dtype=np.uint8),
+            "waveform": waveform.reshape(-1),
+            "wfm_info": np.frombuffer(b"".join(one.info for one in fetched), dtype=np.uint8),
         }
-        if overload:
+        if any(one.overloaded for one in fetched):
             raise ScopeStatus(ADC_OVERLOAD_WARNING, values=answer)
         return answer
 
@@ -353,19 +287,6 @@ class NiscopeBrain:
                 if now_s >= deadline_s:
                     raise ScopeStatus(MAX_TIME_EXCEEDED, f"Timeout: {timeout_s} s")
                 self._changed.wait(min(running.done_s, deadline_s) - now_s)
-
-    def _codes(
-        self, session: Session, running: Acquisition, channel: str, calibration: Calibration
-    ) -> NDArray[np.int32]:
-        """Codes of all records of a channel: the probe's own, or a grounded input's."""
-        probe = self._probes[running.position]
-        if probe.channel != channel:
-            quiet = counts_of(np.zeros((running.shape.records, running.shape.samples)), calibration)
-            return quiet.astype(np.int32)
-        if running.codes is None:
-            key, hour_h = self._next_echo(running.position)
-            running.codes = single_records(self._specimen, probe, running.shape, calibration, key, hour_h)
-        return running.codes
 
     # Calibration
 
