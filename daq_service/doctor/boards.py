@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import socket
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 from daq_service.doctor.check import HELD, Check, State, Value
@@ -76,11 +76,6 @@ class BoardFacts(Protocol):
         ...
 
     @property
-    def ours(self) -> bool:
-        """True if the configuration names it."""
-        ...
-
-    @property
     def max_rate_hz(self) -> float:
         """Of one channel."""
         ...
@@ -137,8 +132,7 @@ def board_checks(
     found = survey(parameters)
     if found.driver_version:
         checks.append(_driver(found.driver_version))
-    ours = {board.serial for board in found.boards if board.ours}
-    checks += [_told(finding, found, parameters, ours) for finding in found.findings]
+    checks += [_told(finding, found, parameters) for finding in found.findings]
     if parameters.watchdog is not None:
         checks.append(_watchdog(parameters, parameters.watchdog))
     return checks
@@ -190,15 +184,12 @@ def _driver(text: str) -> Check:
     )
 
 
-def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: Iterable[str]) -> Check:
+def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Check:
     state, remedy = finding.state, finding.remedy
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
     kind, _, which = finding.subject.partition(" ")
-    if state == "fail" and kind == "board" and finding.check == "answers" and which not in ours:
-        wanted = {int(wiring.board_serial, 16) for wiring in parameters.transducers.values()}
-        wanted |= {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values()}
-        if int(which, 16) not in wanted:
-            state = "warn"  # somebody else's board
+    if state == "fail" and kind == "board" and int(which, 16) not in _wanted(parameters):
+        state = "warn"  # somebody else's board
     values: dict[str, Value] = {}
     detail = finding.detail
     if kind == "transducer":
@@ -220,6 +211,12 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters, ours: It
         remedy="" if state == "ok" else remedy or LOOK_UP,
         values=values,
     )
+
+
+def _wanted(parameters: DaqmxParameters) -> set[int]:
+    """Collect the serial numbers of our boards."""
+    wirings = parameters.transducers.values()
+    return {int(serial, 16) for wiring in wirings for serial in (wiring.board_serial, wiring.coil_serial)}
 
 
 def _facts(board: BoardFacts | None) -> dict[str, Value]:
