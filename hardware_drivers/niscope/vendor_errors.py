@@ -131,6 +131,8 @@ def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentE
 def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
     """Translate what the calls inside raise and keep what the driver warns of.
 
+    The warnings filter of the process is changed meanwhile: the driver is used by one thread.
+
     Raises
     ------
     InstrumentError

@@ -10,7 +10,7 @@ import pytest
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes
 from hardware_drivers.niscope.parameters import ProbeWiring
-from hardware_drivers.niscope.session import Setup, fetch
+from hardware_drivers.niscope.session import Setup, _calibration_date, fetch
 
 RECORDS, SAMPLES = 4, 64
 GAIN_V = 2.0 / 65_536
@@ -81,7 +81,6 @@ def test_a_sound_acquisition_is_handed_on():
         ({"relative_initial_x": 0.0}, r"a record starts 0\.0 s after its trigger"),
         ({"relative_initial_x": math.nan}, "a record starts nan s after its trigger"),
         ({"absolute_initial_x": 10.002}, "handed over twice"),
-        ({"absolute_initial_x": 9.0}, "handed over twice"),
         ({"gain": 2.0 * GAIN_V}, "gain and offset differ"),
         ({"offset": math.inf}, "gain and offset differ"),
     ],
@@ -108,6 +107,17 @@ def test_a_scaling_that_makes_no_sense_is_no_scaling(monkeypatch, name, value):
 def test_a_trigger_within_a_sample_or_two_is_the_firing_pulse():
     early = Session(relative_initial_x=2e-6 - 1.5e-8)
     assert fetch(early, SETUP, WIRING, 1.5).first_sample_s[-1] == 2e-6 - 1.5e-8
+
+
+def test_a_time_stamp_that_rolled_over_is_no_fault():
+    assert fetch(Session(absolute_initial_x=1e-6), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
+
+
+def test_a_board_that_never_calibrated_itself_has_no_date():
+    def no_date():
+        raise ValueError("year 0 is out of range")
+
+    assert _calibration_date(SimpleNamespace(get_self_cal_last_date_and_time=no_date)) == ""
 
 
 def test_boards_without_time_stamps_report_zero(monkeypatch):
