@@ -200,7 +200,7 @@ def _committed(
         level_v = float(task.triggers.reference_trigger.anlg_edge_lvl)
         if abs(level_v - parameters.trigger_level_v) > EDGE_FRACTION * wiring.range_v:
             raise ConfigurationError(
-                f"trigger_level_v is {parameters.trigger_level_v} V; {board.label} would trigger at {level_v:g} "
+                f"trigger_level_v is {parameters.trigger_level_v} V; {board.label} triggers at {level_v:g} "
                 "V; choose a level its comparator has"
             )
     reader = AnalogUnscaledReader(task.in_stream)

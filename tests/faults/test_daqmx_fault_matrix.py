@@ -1,0 +1,445 @@
+"""A fault at each driver call in turn: error, hang, lie, death, by library and by gRPC.
+
+The list of calls is the double's own record of a shot without faults, so a call that is added to the
+driver is covered without editing a test. After every fault: each error raised is one of the four classes
+and the right one, each record is the twin's bit for bit, the coil is low and no pulse was longer than
+asked, nothing is held, and the next shot is taken; after a configuration error the rig ends cleanly and
+a new one takes the next shot.
+
+The default run takes every call by library, and over gRPC the first call of every entry point; the rest is
+`slow`. In the library nothing ends a call that hangs: there the client is a process of its own that is killed, as
+the supervisor would, and the next process takes the shot.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from daqmx_brains import RunningBrain, in_a_process, running_brain
+from daqmx_rig import (
+    HOUR_H,
+    QUICK_PULSE_S,
+    Forwarder,
+    board,
+    coil_pulses_s,
+    counts_of_the_twin,
+    meet,
+    parameters_of,
+    quick_description,
+    take,
+    why_no,
+)
+
+from hardware_drivers.daqmx import DaqmxParameters, open_daqmx
+from hardware_drivers.daqmx.chassis import LADDER
+from hardware_drivers.daqmx.instruments import DaqmxInstruments
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles.errors import DoublesProcessError
+
+DESCRIPTION = quick_description(board(), positions="C")
+READ_TIMEOUT_S = 0.3
+PHASES = ("opening", "arming", "striking", "reading", "calibrating", "closing")
+
+LOST, BUSY, CONFIGURATION, MISSED = -88710, -50103, -200077, -200284
+CLASS_OF = {
+    LOST: ConnectionLostError,
+    BUSY: BusyError,
+    CONFIGURATION: ConfigurationError,
+    MISSED: AcquisitionTimeoutError,
+}
+CANNOT_BE_CLEARED = {"DAQmxCreateTask", "DAQmxClearTask"}
+"""A lie about a new task's handle, a refusal to clear: an empty task stays in the driver, holding nothing."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """One distinct call of the fault-free shot: where it is made, which entry point, what about."""
+
+    phase: str
+    function: str
+    attribute: str
+
+    @property
+    def name(self) -> str:
+        return f"{self.function}:{self.attribute}" if self.attribute else self.function
+
+
+@dataclass
+class Laboratory:
+    """A double, the driver's parameters for it, and how to put another double in its place."""
+
+    brain: RunningBrain
+    parameters: DaqmxParameters
+    forwarder: Forwarder | None
+    stack: ExitStack
+    patch: pytest.MonkeyPatch
+
+    def is_alive(self) -> bool:
+        try:
+            self.brain.control.wait_until_hanging(0.0)
+        except DoublesProcessError:
+            return False
+        return True
+
+    def replace_dead_brain(self) -> None:
+        if self.is_alive():
+            return
+        self.brain = self.stack.enter_context(running_brain(DESCRIPTION))
+        self.meet()
+
+    def meet(self) -> None:
+        if self.forwarder is None:
+            meet(self.brain, self.patch)
+        else:
+            self.forwarder.target = self.brain.grpc
+
+
+@dataclass
+class Outcome:
+    """What came of a line of shots."""
+
+    errors: list[InstrumentError] = field(default_factory=list)
+    records: list[tuple[ShotKey, Acquired]] = field(default_factory=list)
+
+
+@pytest.fixture(params=["library", "grpc"], scope="module")
+def laboratory(request):
+    if reason := why_no(request.param):
+        pytest.skip(reason)
+    with ExitStack() as stack:
+        brain = stack.enter_context(running_brain(DESCRIPTION))
+        forwarder = None
+        changes = {}
+        if request.param == "grpc":
+            forwarder = stack.enter_context(Forwarder(brain.grpc))
+            changes = {"transport": "grpc", "grpc_address": forwarder.address, "call_timeout_s": 0.4}
+        made = Laboratory(
+            brain=brain,
+            parameters=parameters_of(DESCRIPTION, brain, fall_margin_s=5e-3, **changes),
+            forwarder=forwarder,
+            stack=stack,
+            patch=stack.enter_context(pytest.MonkeyPatch.context()),
+        )
+        made.meet()
+        yield made
+
+
+@pytest.fixture(scope="module")
+def calls(laboratory) -> list[Call]:
+    """Every distinct call of a fault-free line, by the phase it is made in."""
+    control = laboratory.brain.control
+    found = []
+
+    def note(phase: str) -> None:
+        for call in control.record()["calls"]:
+            entry = Call(phase, call["function"], call["attribute"])
+            if entry not in found:
+                found.append(entry)
+        control.clear_record()
+
+    control.clear_record()
+    ended = iter(PHASES)
+    outcome = line(laboratory, before=lambda phase: None if phase == "opening" else note(next(ended)))
+    note("closing")
+    assert not outcome.errors
+    assert {call.phase for call in found} == set(PHASES)
+    # As a local entry of the C library this one never reaches the double; and it is called once a process.
+    return [call for call in found if call.function != "DAQmxSetRuntimeEnvironment"]
+
+
+def line(laboratory: Laboratory, before=lambda _: None) -> Outcome:
+    """Open, take a shot, self-calibrate, close; an error leaves the rig safe and the line goes on."""
+    outcome = Outcome()
+    stack = ExitStack()
+    before("opening")
+    try:
+        rig = stack.enter_context(open_daqmx(laboratory.parameters))
+    except InstrumentError as error:
+        outcome.errors.append(error)
+        return outcome
+    try:
+        _go_on(rig, laboratory, outcome, before)
+    finally:
+        before("closing")
+        stack.close()
+    return outcome
+
+
+def _go_on(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, before) -> None:
+    key = ShotKey(position="C", set_index=2, shot_index=0)
+    try:
+        laboratory.replace_dead_brain()
+        laboratory.brain.control.announce(key, HOUR_H)
+        before("arming")
+        rig.digitizer.arm(key)
+        before("striking")
+        rig.striker.strike(key)
+        before("reading")
+        outcome.records.append((key, rig.digitizer.read(READ_TIMEOUT_S)))
+    except InstrumentError as error:
+        outcome.errors.append(error)
+        make_safe(rig, outcome)
+    before("calibrating")
+    try:
+        rig.self_calibrating.self_calibrate()
+    except InstrumentError as error:
+        outcome.errors.append(error)
+    if not any(isinstance(error, ConfigurationError) for error in outcome.errors):
+        take_next(rig, laboratory, outcome)
+
+
+def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
+    """As a rig does: coil first, then the digitizer."""
+    try:
+        rig.striker.make_safe()
+    except InstrumentError as error:
+        outcome.errors.append(error)
+    finally:
+        rig.digitizer.disarm()
+
+
+def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome) -> None:
+    """Take the next shot; whatever the fault was, the ladder's rungs and one busy turn are enough."""
+    for shot in range(1, len(LADDER) + 3):
+        key = ShotKey(position="C", set_index=2, shot_index=shot)
+        try:
+            laboratory.replace_dead_brain()
+            outcome.records.append((key, take(rig, laboratory.brain, key, read_timeout_s=READ_TIMEOUT_S)))
+        except InstrumentError as error:
+            outcome.errors.append(error)
+            make_safe(rig, outcome)
+            if isinstance(error, ConfigurationError):
+                return
+        else:
+            return
+    raise AssertionError(f"no shot was taken after the fault: {outcome.errors}")
+
+
+def faulty_line(laboratory: Laboratory, call: Call, kind: str, code: int | None) -> Outcome:
+    """Take a line of shots with one fault in it."""
+
+    def before(phase: str) -> None:
+        laboratory.replace_dead_brain()
+        if phase == call.phase:
+            laboratory.brain.control.inject(call.name, kind, code=code)
+
+    return line(laboratory, before)
+
+
+def complaints(
+    laboratory: Laboratory, call: Call, outcome: Outcome, allowed: tuple[type, ...]
+) -> Iterator[str]:
+    """Everything that is wrong after a fault."""
+    for error in outcome.errors:
+        if not isinstance(error, allowed):
+            yield f"{type(error).__name__} is the wrong class: {error}"
+    for key, acquired in outcome.records:
+        expected = counts_of_the_twin(DESCRIPTION, laboratory.parameters, key)
+        if not np.array_equal(acquired.waveform.counts, expected):
+            yield f"the record of {key} is not the twin's"
+        if not np.array_equal(acquired.waveform.calibration.coefficients_v, polynomial_v()):
+            yield f"the scaling of {key} is not the board's"
+        if (acquired.waveform.sample_rate_hz, acquired.waveform.pretrigger_samples) != (10e6, 1000):
+            yield f"rate or pre-trigger of {key} is wrong"
+    record = laboratory.brain.control.record()
+    if record["reservations"]:
+        yield f"still held: {record['reservations']}"
+    if record["tasks"] and call.function not in CANNOT_BE_CLEARED:
+        yield f"left behind: {record['tasks']}"
+    if any(task["state"] not in ("unverified", "verified") for task in record["tasks"]):
+        yield f"left behind holding something: {record['tasks']}"
+    try:
+        pulses_s = coil_pulses_s(record)
+    except AssertionError as error:
+        yield str(error)
+    else:
+        if not all(0.0 < pulse_s <= QUICK_PULSE_S for pulse_s in pulses_s):
+            yield f"pulses of {pulses_s} s"
+
+
+def polynomial_v():
+    mine = DESCRIPTION.boards[0]
+    adc = mine.adc(
+        range_v=5.0,
+        sample_rate_hz=10e6,
+        record_samples=13_600,
+        pretrigger_samples=1_000,
+        trigger_level_v=0.25,
+    )
+    from simulator.transduction import adc_calibration
+
+    return adc_calibration(adc).coefficients_v
+
+
+def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
+    """A new rig takes the line without a single error, and leaves nothing."""
+    control = laboratory.brain.control
+    control.clear_faults()
+    control.release_hangs()
+    control.clear_record()
+    outcome = line(laboratory)
+    if outcome.errors:
+        yield f"the next run failed: {outcome.errors}"
+    yield from (f"the next run: {text}" for text in complaints(laboratory, call, outcome, ()))
+    # What the driver would not clear would gather over the cases.
+    if laboratory.brain.control.record()["tasks"]:
+        laboratory.brain.process.kill()
+        laboratory.replace_dead_brain()
+
+
+def each_in_turn(
+    laboratory: Laboratory, chosen: list[Call], kind: str, allowed, code: int | None = None
+) -> None:
+    wrong = []
+    for call in chosen:
+        laboratory.brain.control.clear_record()
+        texts = []
+        try:
+            outcome = faulty_line(laboratory, call, kind, code)
+            laboratory.replace_dead_brain()
+            laboratory.brain.control.release_hangs()
+            if (
+                kind == "error"
+                and code in (LOST, MISSED)
+                and any(isinstance(error, ConfigurationError) for error in outcome.errors)
+            ):
+                texts.append(f"a clean stop is only right for a configuration error: {outcome.errors}")
+            if kind != "hang":
+                texts += complaints(laboratory, call, outcome, allowed)
+            texts += next_run_is_sound(laboratory, call)
+        except Exception as error:  # noqa: BLE001 # whatever else came through is the finding
+            texts.append(f"{type(error).__name__} came through: {error}")
+            laboratory.brain.process.kill()
+            laboratory.replace_dead_brain()
+        wrong += [f"{kind} at {call.name} while {call.phase}: {text}" for text in texts]
+    gc.collect()  # a task that was lost warns when it is collected: now, not in another test
+    assert not wrong, "\n".join(wrong)
+
+
+def one_of_each(calls: list[Call]) -> list[Call]:
+    """The first call of every entry point."""
+    first = {}
+    for call in calls:
+        first.setdefault(call.function, call)
+    return list(first.values())
+
+
+ANY_OF_THEM = (ConnectionLostError, AcquisitionTimeoutError, ConfigurationError)
+
+
+def test_the_list_is_the_drivers(calls):
+    functions = {call.function for call in calls}
+    assert {"DAQmxCreateTask", "DAQmxStartTask", "DAQmxReadBinaryI16", "DAQmxSelfCal"} <= functions
+    assert len(calls) > 60
+
+
+def by_default(laboratory: Laboratory, calls: list[Call]) -> list[Call]:
+    """Choose every call by library; over gRPC, some ten times slower, the first of every entry point."""
+    return calls if laboratory.forwarder is None else one_of_each(calls)
+
+
+def test_an_error_at_each_call(laboratory, calls):
+    each_in_turn(laboratory, by_default(laboratory, calls), "error", ConnectionLostError, LOST)
+
+
+def test_a_lie_at_each_call(laboratory, calls):
+    each_in_turn(laboratory, by_default(laboratory, calls), "lie", ANY_OF_THEM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("laboratory", ["grpc"], indirect=True)
+def test_an_error_and_a_lie_at_each_call_over_grpc(laboratory, calls):
+    each_in_turn(laboratory, calls, "error", ConnectionLostError, LOST)
+    each_in_turn(laboratory, calls, "lie", ANY_OF_THEM)
+
+
+@pytest.mark.parametrize("laboratory", ["library"], indirect=True)
+@pytest.mark.parametrize("code", [BUSY, CONFIGURATION, MISSED])
+def test_an_error_of_each_class_at_each_call(laboratory, calls, code):
+    each_in_turn(laboratory, calls, "error", CLASS_OF[code], code)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("laboratory", ["grpc"], indirect=True)
+@pytest.mark.parametrize("code", [BUSY, CONFIGURATION, MISSED])
+def test_an_error_of_each_class_at_each_entry_point_over_grpc(laboratory, calls, code):
+    each_in_turn(laboratory, one_of_each(calls), "error", CLASS_OF[code], code)
+
+
+def test_a_death_at_each_entry_point(laboratory, calls):
+    each_in_turn(laboratory, one_of_each(calls), "death", ConnectionLostError)
+
+
+@pytest.mark.slow
+def test_a_death_at_each_call(laboratory, calls):
+    each_in_turn(laboratory, calls, "death", ConnectionLostError)
+
+
+def test_a_hang_at_each_entry_point(laboratory, calls):
+    hang_each(laboratory, one_of_each(calls))
+
+
+@pytest.mark.slow
+def test_a_hang_at_each_call(laboratory, calls):
+    hang_each(laboratory, calls)
+
+
+def hang_each(laboratory: Laboratory, chosen: list[Call]) -> None:
+    if laboratory.forwarder is not None:
+        each_in_turn(laboratory, chosen, "hang", ConnectionLostError)
+        return
+    wrong = []
+    for call in chosen:
+        wrong += [
+            f"hang at {call.name} while {call.phase}: {text}" for text in hung_and_killed(laboratory, call)
+        ]
+    assert not wrong, "\n".join(wrong)
+
+
+def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
+    """Let a client of its own process hang, kill it, and see what the double noticed."""
+    control = laboratory.brain.control
+    control.clear_record()
+    client = in_a_process(hang, laboratory.brain.wire, control.address, laboratory.parameters, call)
+    if not control.wait_until_hanging(10.0):
+        yield "the call did not hang"
+    client.kill()
+    client.join()
+    # The double learns of the death as NI's driver does, from the system: a moment later.
+    for _ in range(10_000):
+        record = control.record()
+        if not record["tasks"] and not record["reservations"]:
+            break
+    yield from complaints(laboratory, call, Outcome(), ())
+    yield from next_run_is_sound(laboratory, call)
+
+
+def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> None:
+    """Child: take the line with a call in it that never returns."""
+    from simulator.doubles.control import DoublesControl
+
+    with pytest.MonkeyPatch.context() as patch, DoublesControl(control) as connected:
+        brain = RunningBrain(wire=wire, grpc="", control=connected, process=None)
+        meet(brain, patch)
+        laboratory = Laboratory(
+            brain=brain, parameters=replace(parameters), forwarder=None, stack=ExitStack(), patch=patch
+        )
+
+        def before(phase: str) -> None:
+            if phase == call.phase:
+                connected.inject(call.name, "hang")
+
+        line(laboratory, before)
