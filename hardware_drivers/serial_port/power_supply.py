@@ -119,8 +119,11 @@ class ScpiPowerSupply:
         """
         self._require_within_caps(voltage_v, current_limit_a)
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
-        self._connect(deadline_s, at_once=True)
-        self._require_no_protection_tripped(deadline_s)
+        try:
+            self._connect(deadline_s, at_once=True)
+            self._require_no_protection_tripped(deadline_s)
+        except InstrumentError as error:
+            raise type(error)(f"{error}; the output was left as it was") from error
         try:
             self._switch_off(deadline_s)
             self._drain_errors(deadline_s)  # what was wrong before is not this order's fault
@@ -234,7 +237,7 @@ class ScpiPowerSupply:
         if self._tripped:
             raise ConfigurationError(
                 f"{self._line.name} has tripped ({', '.join(self._tripped)}); find the cause, clear the "
-                "protection at the instrument, then order again. The output was not switched"
+                "protection at the instrument, then order again"
             )
 
     def _ask_protections(self, deadline_s: float) -> tuple[str, ...]:

@@ -254,6 +254,15 @@ def test_a_flag_that_is_no_flag_is_refused(energised):
         rig.supply.read(TIMEOUT_S)
 
 
+def test_an_instrument_that_never_stops_talking_is_given_up(energised):
+    rig = energised
+    rig.supply.close()
+    answer = rig.instruments.supply.answer
+    rig.instruments.supply_link.answer = lambda said: "\n".join(["+1.0E+00"] * 100) + answer(said)
+    with pytest.raises(ConnectionLostError, match=r"answered b'\+1\.0E\+00"):
+        rig.supply.read(TIMEOUT_S)
+
+
 # Who is there --------------------------------------------------------------------------------------
 
 
@@ -263,7 +272,7 @@ def test_another_instrument_is_refused_and_sent_nothing_but_the_question(rig):
         with pytest.raises(ConfigurationError, match=r"'OTHER,THING,7,2.0'"):
             attempt()
         rig.clock.advance(60.0)
-    with pytest.raises(ConfigurationError, match="connect the right instrument"):
+    with pytest.raises(ConfigurationError, match=r"connect the right instrument.*left as it was"):
         rig.supply.energise(10.0, 1.0)
     with pytest.raises(ConnectionLostError, match="could not be switched off"):
         rig.supply.make_safe()
