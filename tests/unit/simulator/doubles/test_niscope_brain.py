@@ -2,6 +2,7 @@
 
 import struct
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -101,14 +102,15 @@ def infos(answer):
     return list(struct.iter_unpack(WAVEFORM_INFO, answer["wfm_info"].tobytes()))
 
 
-def make_brain(*, noise=False, echo=None, board=None, probe=None, told=None):
+def make_brain(*, noise=False, echo=None, board=None, probe=None, monotonic_s=time.monotonic):
     twin = TwinParameters(noise=NoiseParameters(enabled=noise), echo=echo or EchoParameters())
     specimen = build_specimen(twin, transducers={}, probed_thickness_m={"A": 6.35e-3})
     brain = NiscopeBrain(
         (board or ScopeParameters(),),
         {"A": probe or PROBE},
         specimen,
-        told or (lambda _position: (KEY, HOUR_H)),
+        lambda _position: (KEY, HOUR_H),
+        monotonic_s,
     )
     return brain, specimen
 
@@ -291,21 +293,72 @@ def test_an_unknown_resource_is_refused(scope):
         scope.open("PXI1Slot9")
 
 
+class Clock:
+    """A pulser's clock that the test sets."""
+
+    now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
 @pytest.mark.parametrize(
-    "wrong",
-    [{"level_v": 6.0}, {"level_v": 0.0}, {"source": "VAL_PFI_0"}, {"source": "0"}],
-    ids=lambda wrong: next(iter(wrong)),
+    ("configured", "triggers"),
+    [
+        ({}, True),
+        ({"level_v": 4.9}, True),
+        ({"level_v": 5.0}, False),
+        ({"level_v": 0.0}, False),
+        ({"source": "VAL_PFI_0"}, False),
+        ({"source": "0"}, False),
+    ],
+    ids=str,
 )
-def test_a_trigger_that_the_sync_never_crosses_times_out(scope, wrong):
-    scope.configure(**wrong)
+def test_only_a_trigger_that_the_sync_crosses_is_one(clock, configured, triggers):
+    scope = Scope(make_brain(monotonic_s=clock)[0]).open().configure(**configured)
     scope("InitiateAcquisition")
+    clock.now_s = 3600.0
+    if triggers:
+        assert scope.fetch(timeout_s=0.0)[0].any()
+        return
     with refused(MAX_TIME_EXCEEDED):
         scope.fetch(timeout_s=0.0)
 
 
-def test_a_pulser_that_is_off_never_triggers():
-    scope = Scope(make_brain(probe=replace(PROBE, switched_on=False))[0]).open().configure()
+def test_a_digital_sync_needs_no_level(clock):
+    probe = replace(PROBE, sync_terminal="VAL_PFI_1")
+    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
+    scope("ConfigureTriggerDigital", trigger_source="VAL_PFI_1", slope=1, holdoff=0.0, delay=0.0)
     scope("InitiateAcquisition")
+    clock.now_s = 3600.0
+    assert scope.fetch(timeout_s=0.0)[0].any()
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 5e-6])
+def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
+    scope = Scope(make_brain(monotonic_s=clock)[0]).open().configure(delay_s=delay_s)
+    scope("InitiateAcquisition")
+    # Firings at 1, 2 ... 16 ms; the last record ends 20.48 us (and its delay) later.
+    done_s = 16e-3 + delay_s + SAMPLES / 100e6
+    clock.now_s = done_s - 1e-7
+    assert scope("AcquisitionStatus")["acquisition_status"] == 0
+    with refused(MAX_TIME_EXCEEDED):
+        scope.fetch(timeout_s=0.0)
+    clock.now_s = done_s + 1e-7
+    assert scope("AcquisitionStatus")["acquisition_status"] == 1
+    assert len(scope.fetch(timeout_s=0.0)[1]) == RECORDS
+
+
+def test_a_pulser_that_is_off_never_triggers(clock):
+    probe = replace(PROBE, switched_on=False)
+    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
+    scope("InitiateAcquisition")
+    clock.now_s = 3600.0
     with refused(MAX_TIME_EXCEEDED):
         scope.fetch(timeout_s=0.0)
 
