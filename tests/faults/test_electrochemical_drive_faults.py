@@ -127,6 +127,20 @@ def test_another_instrument_at_the_port_is_lost_and_hears_no_order(rig):
     assert set(rig.heard()[before:]) == {"*IDN?"}
 
 
+def test_a_port_that_another_program_took_is_lost_and_says_to_whom(rig):
+    rig.supply.close()
+    thief = rig.new_supply()
+    thief.read(1.0)
+    rig.run(40.0)
+    assert rig.active() == {"supply_lost"}
+    message = next(c.message for c in rig.drive.conditions() if c.name == "supply_lost")
+    assert f"{rig.instruments.supply_link.path} is in use by" in message
+    thief.close()
+    rig.run(60.0)
+    assert rig.active() == set()
+    assert rig.drive.output() == "on"
+
+
 def test_a_restarted_recorder_finds_the_supply_as_it_was(rig):
     row, written_ns = rig.drive.summary(), rig.clock.utc_ns()
     rig.supply.close()
