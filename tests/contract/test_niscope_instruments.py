@@ -190,7 +190,7 @@ def test_no_wait_is_longer_than_configured():
         open_niscope(short) as unit,
         pytest.raises(AcquisitionTimeoutError, match=r"Timeout: 0\.01 s"),
     ):
-        unit.acquire(rig.key(), 600.0)
+        unit.acquire(rig.key(), 20.0)
 
 
 @pytest.mark.parametrize(("source", "terminal"), [("external", "VAL_EXTERNAL"), ("pfi_1", "VAL_PFI_1")])

@@ -14,7 +14,7 @@ from hardware_drivers.errors import (
     ConnectionLostError,
     InstrumentError,
 )
-from hardware_drivers.niscope.session import vendor_package
+from hardware_drivers.niscope.session import open_session, vendor_package
 from hardware_drivers.niscope.vendor_errors import (
     CLASS_OF_CODE,
     CLASS_OF_KERNEL_CODE,
@@ -112,8 +112,19 @@ def test_a_missing_runtime_says_what_to_install(monkeypatch):
         raise nitclk.errors.DriverNotInstalledError
 
     monkeypatch.setattr(nitclk, "SessionReference", not_there)
-    with pytest.raises(ConfigurationError, match="Install NI-SCOPE again with all of its parts"):
+    with pytest.raises(ConfigurationError, match="NI-TClk(.|\n)*Install NI-SCOPE with all of its parts"):
         vendor_package()
+
+
+def test_a_runtime_that_is_missing_beside_ni_tclk_says_so_too(monkeypatch):
+    def not_there(_session, _resource):
+        raise niscope.errors.DriverNotInstalledError
+
+    monkeypatch.setattr(niscope.Session, "__init__", not_there)
+    with pytest.raises(
+        ConfigurationError, match="opening 'PXI1Slot5': the NI-SCOPE runtime is not installed"
+    ):
+        open_session(niscope, "PXI1Slot5")
 
 
 def documented():
