@@ -51,8 +51,8 @@ def vendor_package() -> ModuleType:
         nitclk.SessionReference(0)
     except nitclk.errors.Error as error:
         raise ConfigurationError(
-            f"the NI-SCOPE runtime, or its part NI-TClk, cannot be loaded: {error} Install NI-SCOPE with all of "
-            "its parts"
+            f"the NI-SCOPE runtime, or its part NI-TClk, cannot be loaded: {error} Install NI-SCOPE with all "
+            "of its parts"
         ) from error
     return niscope  # type: ignore[no-any-return]
 

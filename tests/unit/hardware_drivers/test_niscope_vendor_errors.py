@@ -112,7 +112,7 @@ def test_a_missing_runtime_says_what_to_install(monkeypatch):
         raise nitclk.errors.DriverNotInstalledError
 
     monkeypatch.setattr(nitclk, "SessionReference", not_there)
-    with pytest.raises(ConfigurationError, match="NI-TClk(.|\n)*Install NI-SCOPE with all of its parts"):
+    with pytest.raises(ConfigurationError, match=r"NI-TClk(.|\n)*Install NI-SCOPE with all of its parts"):
         vendor_package()
 
 
