@@ -7,8 +7,8 @@ asked, nothing is held, and the next shot is taken; after a configuration error 
 a new one takes the next shot.
 
 The default run takes every call by library, and over gRPC the first call of every entry point; the rest is
-`slow`. In the library nothing ends a call that hangs: there the client is a process of its own that is killed, as
-the supervisor would, and the next process takes the shot.
+`slow`. In the library nothing ends a call that hangs: there the client is a process of its own that is
+killed, as the supervisor would, and the next process takes the shot.
 """
 
 from __future__ import annotations

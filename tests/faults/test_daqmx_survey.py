@@ -1,0 +1,155 @@
+"""What `solimon doctor` learns of the boards: every answer with its state, and nothing strikes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from daqmx_rig import (
+    QUICK_TWIN,
+    board,
+    coil_pulses_s,
+    functions_of,
+    meet,
+    parameters_of,
+    quick_description,
+    why_no,
+)
+
+from hardware_drivers.daqmx.survey import survey, trial_strike
+from hardware_drivers.errors import BusyError
+from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW
+from simulator.doubles.process import running_doubles
+from simulator.scenario import NoiseParameters
+
+NOISE_V = 0.02
+DESCRIPTION = replace(
+    quick_description(board(), SLOW),
+    twin=replace(QUICK_TWIN, noise=NoiseParameters(rms_v=NOISE_V, slow_rms_v=0.0)),
+)
+SERIAL = SIMULTANEOUS_16_BIT.serial_number
+
+
+@pytest.fixture(scope="module")
+def doubles():
+    with running_doubles(DESCRIPTION) as running:
+        yield running
+
+
+@pytest.fixture(params=["library", "grpc"])
+def parameters(request, doubles, monkeypatch):
+    if reason := why_no(request.param):
+        pytest.skip(reason)
+    if request.param == "library":
+        meet(doubles, monkeypatch)
+    doubles.control.clear_record()
+    yield parameters_of(DESCRIPTION, doubles, transport=request.param)
+    doubles.control.clear_faults()
+    record = doubles.control.record()
+    assert record["tasks"] == []
+    assert record["reservations"] == {}
+
+
+def findings(found, state):
+    return [finding for finding in found.findings if finding.state == state]
+
+
+def test_a_sound_rig_is_ok_and_nothing_strikes(doubles, parameters):
+    found = survey(parameters)
+    assert findings(found, "fail") == findings(found, "warn") == []
+    assert found.state == "ok"
+    assert found.driver_version == "24.8.0"
+    (ours,) = (facts for facts in found.boards if facts.ours)
+    assert (ours.serial, ours.product, ours.name) == (f"{SERIAL:08X}", "PXIe-6386", "PXI1Slot3")
+    assert ours.max_rate_hz == pytest.approx(100e6 / 7)
+    assert (-5.0, 5.0) in ours.ranges_v
+    assert f"/{ours.name}/PFI12" in ours.terminals
+    assert ours.calibration_temperature_c == ours.temperature_c == SIMULTANEOUS_16_BIT.temperature_c
+    assert len(found.boards) == 2
+    # 13,600 samples: the spread is known to 0.6 %, five times that is allowed.
+    assert found.noise_rms_v == pytest.approx({"C": NOISE_V, "D": NOISE_V}, rel=0.03)
+    record = doubles.control.record()
+    assert record["lines"] == []
+    # The two records of noise; no counter.
+    assert functions_of(record).count("StartTask") == 2
+
+
+def test_a_dry_run_is_surveyed_with_its_trigger(doubles, parameters):
+    found = survey(replace(parameters, dry_run=True))
+    assert found.state == "ok"
+    assert "CfgAnlgEdgeRefTrig" in functions_of(doubles.control.record())
+
+
+def test_noise_near_the_trigger_level_is_a_warning(parameters):
+    found = survey(replace(parameters, trigger_level_v=0.06))
+    assert {(finding.subject, finding.check) for finding in findings(found, "warn")} == {
+        ("transducer C", "noise"),
+        ("transducer D", "noise"),
+    }
+    assert all("raise trigger_level_v" in finding.remedy for finding in findings(found, "warn"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "check", "told"),
+    [
+        ({"board_serial": f"{SLOW.serial_number:08X}", "striker_serial": f"{SERIAL:08X}"},
+         "board can do it", "at most 250000 Hz"),
+        ({"input": "ai9"}, "trigger", "ai9"),
+        ({"output_terminal": "PFI16"}, "coil's terminal", "does not exist"),
+        ({"counter": "ctr7"}, "coil's counter", "ctr7"),
+    ],
+)  # fmt: skip
+def test_wrong_wiring_fails_where_it_is_wrong_and_the_rest_is_looked_at(parameters, changes, check, told):
+    wrong = replace(parameters.transducers["C"], **changes)
+    found = survey(replace(parameters, transducers={"C": wrong, "D": parameters.transducers["D"]}))
+    failed = findings(found, "fail")
+    assert {finding.subject for finding in failed} == {"transducer C"}
+    (finding,) = (finding for finding in failed if finding.check == check)
+    assert told in finding.detail
+    assert all(finding.remedy for finding in failed)
+    assert "D" in found.noise_rms_v
+
+
+def test_a_board_that_is_not_there_is_told_with_a_remedy(doubles, parameters):
+    doubles.control.unplug(SERIAL)
+    try:
+        found = survey(parameters)
+    finally:
+        doubles.control.plug(SERIAL, SIMULTANEOUS_16_BIT.name)
+    assert found.state == "fail"
+    (finding,) = findings(found, "fail")
+    assert finding.subject == f"board {SERIAL:08X}"
+    assert "power" in finding.remedy
+
+
+def test_a_board_in_use_names_its_owner(doubles, parameters):
+    doubles.control.occupy(f"{SERIAL}/ai", "LabVIEW on BENCH-7")
+    try:
+        found = survey(parameters)
+    finally:
+        doubles.control.vacate("LabVIEW on BENCH-7")
+    texts = [f"{finding.detail}; {finding.remedy}" for finding in findings(found, "fail")]
+    assert len(texts) == 4  # trigger and input of both transducers
+    assert all("owner: " in text and "LabVIEW on BENCH-7" in text for text in texts)
+
+
+def test_a_driver_that_does_not_answer_is_a_finding(doubles, parameters):
+    doubles.control.inject("DAQmxGetSystemInfoAttribute", "error", code=-88907, times=0)
+    found = survey(parameters)
+    assert found.state == "fail"
+    (finding,) = found.findings
+    assert (finding.subject, finding.check) == ("driver", "reachable")
+    assert "-88907" in finding.detail
+
+
+def test_a_trial_strike_goes_the_way_of_a_shot(doubles, parameters):
+    acquired = trial_strike(parameters, "D")
+    assert acquired.waveform.pretrigger_samples == parameters.pretrigger_samples
+    assert acquired.settings["input"] == "ai1"
+    assert coil_pulses_s(doubles.control.record()) == [parameters.pulse_s]
+    doubles.control.occupy(f"{SERIAL}/ctr1", "LabVIEW on BENCH-7")
+    try:
+        with pytest.raises(BusyError, match="LabVIEW"):
+            trial_strike(parameters, "D")
+    finally:
+        doubles.control.vacate("LabVIEW on BENCH-7")
