@@ -107,10 +107,11 @@ def carry_out(run: Run) -> Outcome:
             baseline_vectors.append([row[name] for name in (*FEATURE_NAMES, "isw_amplitude_v")])
         if assessment.baseline is not None:
             n_baseline = assessment.baseline["n_sets"]
-        if first_alarm_h is None and any(condition.present for condition in assessment.conditions):
+        raised = {condition.kind for condition in assessment.conditions if condition.present}
+        if first_alarm_h is None and raised & {"wall_change", "hole"}:
             first_alarm_h = due.due_h
             depth_at_alarm = specimen.walls[run.position].at(hour).depth_fraction
-        if assessment.retire:
+        if "hole" in raised:
             break
     judged = [row for row in verdicts.values() if row["outlier"] is not None]
     table = np.array(baseline_vectors)

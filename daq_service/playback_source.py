@@ -58,6 +58,7 @@ class ArchivedShots:
             )
         self._due_utc_ns = [_due_utc_ns(path) for path in self._files.values()]
         self._damaged: dict[int, str] = {}
+        self._missed: set[ShotKey] = set()
         first = self._first_readable(folder)
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
@@ -87,6 +88,11 @@ class ArchivedShots:
                 f"{self._damaged[key.set_index]}"
             )
         return found
+
+    def was_missed(self, key: ShotKey) -> bool:
+        """Whether the shot was tried and left no record."""
+        self._shots.records_of_set(key.set_index)
+        return key in self._missed
 
     def next_moment(self, after_utc_ns: int) -> int | None:
         """First recorded time after a time: the start of a set, or the stamp of a record."""
@@ -123,6 +129,7 @@ class ArchivedShots:
             return ()
         except ArchiveError as error:
             raise ConfigurationError(f"the recording cannot be read: {error}") from error
+        self._missed |= {item.key for item in record.missed}
         self._moments[set_index] = sorted(
             {record.started_utc_ns, *(item.stamp.utc_ns for item in record.records)}
         )
@@ -216,5 +223,15 @@ def playback_rig(
         striker=instruments.striker,
         digitizer=instruments.digitizer,
         pulse_echo=instruments.pulse_echo,
+        has_shot=lambda key: _was_tried(source, key),
         identity=identity,
     )
+
+
+def _was_tried(source: Recorded, key: ShotKey) -> bool:
+    """Whether the recording knows of a shot: its record, or in an archive that it was missed."""
+    try:
+        found = source.find(key) is not None
+    except AcquisitionTimeoutError:
+        return False  # damaged: what is left of its set does not say
+    return found or (isinstance(source, ArchivedShots) and source.was_missed(key))

@@ -34,7 +34,14 @@ from daq_service.provenance import provenance
 from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
 from daq_service.settings import Settings
-from daq_service.taken_set import TakenSet, features_of, n_missed, n_restrikes, n_tried
+from daq_service.taken_set import (
+    TakenSet,
+    features_of,
+    features_of_a_rehearsal,
+    n_missed,
+    n_restrikes,
+    n_tried,
+)
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Shot
@@ -180,7 +187,7 @@ class Recorder:
             first_sequence=self._next_sequence,
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
-            wants_restrike=taken.wants_restrike,
+            wants_restrike=lambda measurement: self._wants_restrike(taken, measurement),
             may_strike=lambda position: position not in self._retired(),
         )
         try:
@@ -196,13 +203,23 @@ class Recorder:
         taken.ended_ns = self._rig.clock.utc_ns()
         return taken
 
+    def _wants_restrike(self, taken: TakenSet, measurement: Shot | MissedShot) -> bool:
+        """Ask the quality gate, unless this is a recording that has no further attempt."""
+        has_shot = self._rig.has_shot
+        if has_shot is not None and not has_shot(
+            replace(measurement.key, attempt=measurement.key.attempt + 1)
+        ):
+            return False
+        return taken.wants_restrike(measurement)
+
     def _keep(self, measurement: Measurement, taken: TakenSet, due: DueSet) -> None:
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
             return
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
-                taken.features[measurement.sequence] = features_of(measurement)
+                look = features_of_a_rehearsal if self._rig.dry_run else features_of
+                taken.features[measurement.sequence] = look(measurement)
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 

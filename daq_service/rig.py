@@ -95,7 +95,8 @@ def _daqmx(settings: Settings, clock: Clock) -> Iterator[Rig]:
     assert settings.rig.daqmx is not None, "the settings ask for it"
     with ExitStack() as stack:
         boards = stack.enter_context(open_daqmx(settings.rig.daqmx))
-        identity = dict(boards.identity)
+        dry_run = settings.rig.daqmx.dry_run
+        identity = {**boards.identity, **({"dry_run": "yes"} if dry_run else {})}
         calibrating: list[SelfCalibrating] = [boards.self_calibrating]
         pulse_echo = None
         if settings.rig.niscope is not None:
@@ -111,7 +112,7 @@ def _daqmx(settings: Settings, clock: Clock) -> Iterator[Rig]:
             digitizer=boards.digitizer,
             pulse_echo=pulse_echo,
             self_calibrating=_Together(calibrating),
-            dry_run=settings.rig.daqmx.dry_run,
+            dry_run=dry_run,
             identity=identity,
         )
 
@@ -175,9 +176,8 @@ def _with_serial_instruments(rig: Rig, settings: Settings, stack: ExitStack) -> 
 @contextmanager
 def _announced(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
     """Tell the doubles before each shot which one comes and at what hour: they know no experiment."""
-    from simulator.doubles.control import DoublesControl
-
     from simulator.corrosion import held_hour_h
+    from simulator.doubles.control import DoublesControl
 
     address = os.environ.get(CONTROL_VARIABLE)
     if not address:

@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from analysis.features import ShotFeatures, extract_features
 from analysis.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
 from daq_service.acquisition import Measurement, MissedShot
@@ -16,6 +18,8 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 log = logging.getLogger(__name__)
 
+DRY_RUN = "dry_run"
+"""Flag of a record of a rehearsal: noise at the input, since no coil was energised."""
 NOT_ANALYSED = "not_analysed"
 """Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
 
@@ -118,6 +122,12 @@ def features_of(shot: Shot) -> ShotFeatures:
     except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
         log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
         return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
+
+
+def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:
+    """All that noise tells: its rms about its mean."""
+    noise_rms_v = float(np.std(shot.waveform.volts()))
+    return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)
 
 
 def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int, str]:

@@ -211,6 +211,8 @@ class Rig:
         ``simulated``, ``daqmx``, ``playback``: what the reader of a number should know of its origin.
     dry_run
         A rehearsal: everything is set up, but no coil is ever energised and records show noise.
+    has_shot
+        Whether a recording holds a shot: only those are struck again. None: any shot can be taken.
     identity
         Serial numbers, driver versions and the like, stored with every set.
     """
@@ -224,6 +226,7 @@ class Rig:
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
     dry_run: bool = False
+    has_shot: Callable[[ShotKey], bool] | None = None
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:

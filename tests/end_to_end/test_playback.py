@@ -220,3 +220,20 @@ def test_the_python_of_the_page_tells_hour_0(recording, capsys):
     (text,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
     exec(text, {"path": set_files(recording)[3]})
     assert int(capsys.readouterr().out) == parse_utc("2024-01-01T00:00:00Z")
+
+
+def test_a_recording_made_without_the_quality_gate_is_struck_no_second_time(tmp_path):
+    """A re-strike that no recording holds would count as missed and move every strike after it."""
+
+    def missing(key: Any, acquired: Any) -> Any:
+        if (key.position, key.set_index, key.shot_index) == ("B", 2, 1):
+            raise AcquisitionTimeoutError("no trigger")
+        return acquired
+
+    old, new = tmp_path / "old", tmp_path / "new"
+    settings = small_settings(schedule={"end_h": SHORT_H}, quality={"restrikes_per_set": 0})
+    assert run(settings, old, rig=disturbed_rig(missing))
+    assert run(played_back(old, SHORT_H), new)
+    assert_same_sets(new, old)
+    row = next(row for row in rows_of(new)["sets"] if (row["position"], row["set_index"]) == ("B", 2))
+    assert (row["n_taken"], row["n_missed"], row["n_restrikes"]) == (2, 1, 0)
