@@ -39,8 +39,20 @@ HASHED_OUT: Mapping[str, Any] = {
         "stall_timeout_s": True,
         "daqmx": {"grpc_address", "grpc_client_name", "call_timeout_s"},
         "niscope": {"call_timeout_s"},
-        "supply": {"line", "log_interval_s"},
-        "climate": {"line", "log_interval_s"},
+        "supply": {
+            "line",
+            "log_interval_s",
+            "read_timeout_s",
+            "setup_commands",
+            "protection_queries",
+            "readback_tolerance_v",
+            "readback_tolerance_a",
+            "interlock_current_a",
+            "interlock_readings",
+            "interlock_lost_after_s",
+            "off_at_end",
+        },
+        "climate": {"line", "log_interval_s", "read_timeout_s"},
     },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""

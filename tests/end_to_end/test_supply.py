@@ -172,6 +172,26 @@ def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
     assert "no reflected wave" in tripped[4]
 
 
+def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 1.5 * SECOND_H}}
+    settings = settings_with(
+        instruments,
+        9,
+        off_at_end=False,
+        twin={"thinning": thinning, "update_interval_s": 1.0},
+        alarms={"hole_shots": 2},
+    )
+    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4)
+    assert switchings(instruments) == [(True, "command"), (False, "command")]
+    # Somebody presses the key at the supply while no recorder runs.
+    instruments.supply_link.do(lambda: instruments.supply.press_output_key(True))
+    assert run(settings, folder)
+    assert [on for on, _ in switchings(instruments)] == [True, False, True, False]
+    assert not instruments.supply.on
+    assert environment(folder)[-1]["supply_tripped"] is not None
+
+
 def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
     instruments: SerialInstruments, tmp_path: Path
 ) -> None:
