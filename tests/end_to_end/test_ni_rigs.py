@@ -14,6 +14,7 @@ import pytest
 from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.demo_rig import DemoRig, running_rig
+from daq_service.errors import UsageError
 from daq_service.folder import prepare_data_folder
 from daq_service.rig import CONTROL_VARIABLE
 from daq_service.run import child_plans
@@ -88,6 +89,10 @@ def test_a_set_through_nidaqmx_is_the_twins(rig: str, simulated: Path, tmp_path:
         assert row["tof_mf_s"] == pytest.approx(expected[key]["tof_mf_s"], abs=0.02e-6), key
     with open_catalogue(tmp_path) as catalogue:
         assert {row["state"] for row in catalogue.list_sets(limit=None)} == {"done"}
+        events = catalogue.events_after(0, {"service"}, limit=None)
+    # Once at the start, not again within a day; what it says names each board.
+    (calibrated,) = [row["payload"] for row in events if row["kind"] == "self_calibrated"]
+    assert "01E16086" in calibrated
     assert told["tasks"] == []
     assert told["leaked"] == []
     assert told["sessions"] == []
@@ -179,3 +184,14 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         for on, off in zip(events[::2], events[1::2], strict=True):
             assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
     assert not any(told["levels"].values())
+
+
+def test_a_missing_compiler_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    if not sys.platform.startswith("linux"):
+        pytest.skip("the library's double is refused for the system itself")
+    with (
+        pytest.raises(UsageError, match=r"compiler.*install.*--rig daqmx-grpc"),
+        running_rig("daqmx-library", {}),
+    ):
+        pass
