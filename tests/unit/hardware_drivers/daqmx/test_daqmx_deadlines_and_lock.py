@@ -10,10 +10,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
+from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.connection import client_name
-from hardware_drivers.errors import BusyError
+from hardware_drivers.errors import BusyError, ConfigurationError
 
 
 @pytest.fixture
@@ -86,3 +86,17 @@ def test_the_deadline_reaches_the_call():
     )
     Deadlines(2.0).intercept_unary_unary(lambda bounded, _: sent.append(bounded), details, SimpleNamespace())
     assert (sent[0].method, sent[0].timeout, sent[0].metadata) == (details.method, 2.0, details.metadata)
+
+
+def test_grpc_without_its_extra_is_told_with_the_remedy(monkeypatch):
+    for name in ("hardware_drivers.daqmx.remote", "nidaqmx._grpc_interpreter"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setitem(sys.modules, "grpc", None)
+    parameters = DaqmxParameters(
+        transducers={"B": TransducerWiring(board_serial="1")},
+        transport="grpc",
+        grpc_address="127.0.0.1:1",
+        grpc_client_name=f"test-{uuid.uuid4().hex[:20]}",
+    )
+    with pytest.raises(ConfigurationError, match=r"grpc is not installed; .*solimon\[grpc\]"):
+        open_daqmx(parameters).__enter__()
