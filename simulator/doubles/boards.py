@@ -71,6 +71,7 @@ DIFFERENTIAL = 10106
 PSEUDODIFFERENTIAL = 12529
 _PFI = tuple(f"PFI{number}" for number in range(16))
 _PORTS = tuple(f"port{1 + line // 8}/line{line % 8}" for line in range(16))
+_PFI_OF_LINE = MappingProxyType(dict(zip(_PORTS, _PFI, strict=True)))
 
 _TYPES = (
     BoardType(
@@ -141,6 +142,11 @@ _TYPES = (
 
 BOARD_TYPES: Mapping[str, BoardType] = MappingProxyType({kind.product: kind for kind in _TYPES})
 """By product name."""
+
+
+def terminal_of_line(line: str) -> str:
+    """Terminal that a digital line is: ports 1 and 2 are PFI0 to PFI15, another line is only itself."""
+    return _PFI_OF_LINE.get(line, line)
 
 
 def terminals(kind: BoardType, name: str) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import islice
 from types import MappingProxyType
@@ -172,13 +172,34 @@ def cut(bench: Bench, task: Task, now_ns: int, cause: str, *, level: int | None)
     run: Generation = task.run
     for channel in task.channels:
         bench.lines.cut(channel.line, channel.idle if level is None else level, now_ns, cause)
-    for strike in run.strikes:
-        if strike.released_ns > now_ns:
-            bench.strikes.cut(strike, now_ns)
-            forget_strike(bench, strike, now_ns)
+    _let_fall(bench, run.strikes, now_ns)
     run.strikes = []
     run.trains = [_ended(train, now_ns) for train in run.trains]
     bench.changed.notify_all()
+
+
+def override(bench: Bench, task: Task, channel: PulseChannel, level: int, now_ns: int, cause: str) -> None:
+    """Take a pin away from its counter, which counts on: its task is told nothing and is done when it was."""
+    run: Generation = task.run
+    bench.lines.cut(channel.line, level, now_ns, cause)
+    wiring = bench.description.transducers
+    moved = [
+        strike
+        for strike in run.strikes
+        if (wiring[strike.key.position].counter_serial, wiring[strike.key.position].counter)
+        == (channel.device.serial_number, channel.number)
+    ]
+    _let_fall(bench, moved, now_ns)
+    run.strikes = [strike for strike in run.strikes if strike not in moved]
+    bench.changed.notify_all()
+
+
+def _let_fall(bench: Bench, strikes: Iterable[Strike], now_ns: int) -> None:
+    """Drop strikers that still hang."""
+    for strike in strikes:
+        if strike.released_ns > now_ns:
+            bench.strikes.cut(strike, now_ns)
+            forget_strike(bench, strike, now_ns)
 
 
 def _ended(train: PulseTrain, now_ns: int) -> PulseTrain:

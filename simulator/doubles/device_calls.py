@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from types import MappingProxyType
 
 from simulator.doubles import tasks
+from simulator.doubles.boards import terminal_of_line
 from simulator.doubles.devices import Device
 from simulator.doubles.statuses import (
     DEVICE_ABORTED,
@@ -46,7 +47,8 @@ def _require_free(bench: Bench, device: Device) -> None:
 
 def _lines_low(bench: Bench, device: Device, cause: str) -> None:
     now_ns = bench.settle()
-    for terminal in device.kind.counter_terminals:
+    pins = (*device.kind.counter_terminals, *map(terminal_of_line, device.kind.digital_lines))
+    for terminal in dict.fromkeys(pins):
         bench.lines.cut(f"{device.serial_number}/{terminal}", 0, now_ns, cause)
 
 

@@ -16,6 +16,9 @@ from simulator.doubles.statuses import (
     Status,
 )
 
+_LINES = re.compile(
+    r"^/?(?P<device>[^/]+)/(?P<port>port\d+)/line(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE
+)
 _CHANNEL = re.compile(r"^/?(?P<device>[^/]+)/(?P<part>[a-z]+)(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE)
 
 
@@ -127,7 +130,37 @@ class Devices:
                     f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
                     f"{part}0 to {part}{limit - 1}.",
                 )
-            first = int(match["first"])
-            step = 1 if last >= first else -1
-            found += [(device, number) for number in range(first, last + step, step)]
+            found += [(device, number) for number in _numbers(int(match["first"]), last)]
         return found
+
+    def lines(self, text: str) -> list[tuple[Device, str]]:
+        """Boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.
+
+        Raises
+        ------
+        Status
+            -200170 for what is no line of its board, a whole port included, and as `find`.
+        """
+        found: list[tuple[Device, str]] = []
+        for piece in text.split(","):
+            match = _LINES.match(piece.strip())
+            device = self.find(piece.strip().strip("/").partition("/")[0])
+            named: list[str] = []
+            if match is not None:
+                numbers = _numbers(int(match["first"]), int(match["last"] or match["first"]))
+                named = [f"{match['port'].casefold()}/line{number}" for number in numbers]
+            if not named or not set(named) <= set(device.kind.digital_lines):
+                lines = device.kind.digital_lines
+                raise Status(
+                    NO_SUCH_PHYSICAL_CHANNEL,
+                    f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
+                    f"{lines[0]} to {lines[-1]}.",
+                )
+            found += [(device, line) for line in named]
+        return found
+
+
+def _numbers(first: int, last: int) -> range:
+    """Numbers of a range as names write it, up or down, its end included."""
+    step = 1 if last >= first else -1
+    return range(first, last + step, step)

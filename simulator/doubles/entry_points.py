@@ -161,6 +161,18 @@ def _last_calibration(which: str) -> EntryPoint:
     return EntryPoint(f"DAQmxGet{which}CalLastDateAndTime", (DEVICE, *parts))
 
 
+def _expiration_states(kind: str) -> EntryPoint:
+    return EntryPoint(
+        f"DAQmxCfgWatchdog{kind}ExpirStates",
+        (
+            TASK,
+            text("channel_names"),
+            array("expir_state_array", INT32, "array_size"),
+            value("array_size", UINT32),
+        ),
+    )
+
+
 def _attribute_entries() -> Iterable[EntryPoint]:
     owners: Mapping[str, tuple[Parameter, ...]] = {
         "Chan": (TASK, text("channel")),
@@ -301,15 +313,8 @@ _DAQMX = (
         "DAQmxCreateWatchdogTimerTaskEx",
         (DEVICE, text("session_name"), out("task", HANDLE), value("timeout", FLOAT64)),
     ),
-    EntryPoint(
-        "DAQmxCfgWatchdogCOExpirStates",
-        (
-            TASK,
-            text("channel_names"),
-            array("expir_state_array", INT32, "array_size"),
-            value("array_size", UINT32),
-        ),
-    ),
+    _expiration_states("CO"),
+    _expiration_states("DO"),
     EntryPoint("DAQmxControlWatchdogTask", (TASK, value("action"))),
     *_attribute_entries(),
 )

@@ -52,6 +52,9 @@ INVALID_SOURCE_TERMINAL: Final = -200040
 INVALID_DESTINATION_TERMINAL: Final = -200041
 ROUTE_IN_USE: Final = -89137
 WATCHDOG_NOT_SUPPORTED: Final = -200662
+WATCHDOG_TIMEOUT_OUT_OF_RANGE: Final = -200668
+DEVICE_NOT_IN_TASK: Final = -200648
+PROPERTY_NEEDS_RESERVED_TASK: Final = -200983
 NOT_A_WATCHDOG_TASK: Final = -200635
 WATCHDOG_EXPIRED: Final = -201434
 EXPIRED_WATCHDOG_NEEDS_CLEARING: Final = -200644
@@ -103,6 +106,9 @@ TEXTS: Mapping[int, str] = MappingProxyType(
         INVALID_DESTINATION_TERMINAL: "The destination terminal of the route does not exist.",
         ROUTE_IN_USE: "The destination terminal of the route is in use.",
         WATCHDOG_NOT_SUPPORTED: "The device has no watchdog timer.",
+        WATCHDOG_TIMEOUT_OUT_OF_RANGE: "The watchdog's timer cannot run so long.",
+        DEVICE_NOT_IN_TASK: "The physical channel is of a device that is not in the task.",
+        PROPERTY_NEEDS_RESERVED_TASK: "The property has a value only while the task is reserved or running.",
         NOT_A_WATCHDOG_TASK: "The action needs a watchdog task.",
         WATCHDOG_EXPIRED: "The device's watchdog has expired; clear the expiration first.",
         EXPIRED_WATCHDOG_NEEDS_CLEARING: "An expired watchdog cannot be reset; clear the expiration.",

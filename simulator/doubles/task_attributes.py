@@ -10,8 +10,13 @@ import numpy as np
 
 from simulator.doubles import analog_calls, analog_input, tasks, watchdog
 from simulator.doubles.attribute_lookup import Values, attribute_of, listed, look_up, settable
-from simulator.doubles.statuses import ATTRIBUTE_NOT_IN_THIS_TASK, INVALID_VALUE, Status
-from simulator.doubles.tasks import Answer, Arguments, Bench, Task
+from simulator.doubles.statuses import (
+    ATTRIBUTE_NOT_IN_THIS_TASK,
+    INVALID_VALUE,
+    PROPERTY_NEEDS_RESERVED_TASK,
+    Status,
+)
+from simulator.doubles.tasks import Answer, Arguments, Bench, Task, TaskState
 
 _TASK: Values = {
     "Task.Name": lambda bench, task: task.name,
@@ -200,6 +205,8 @@ def get_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
         raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, f"Property: {attribute.name}", task=task.name)
     bench.settle()
     if attribute.name == "Watchdog.HasExpired":
+        if task.state < TaskState.RESERVED:
+            raise Status(PROPERTY_NEEDS_RESERVED_TASK, f"Property: {attribute.name}", task=task.name)
         return {"value": int(task.run is not None and task.run.expired_ns is not None)}
     if attribute.name == "Watchdog.CO.ExpirState":
         ((_, number),) = bench.devices.channels(arguments["lines"], "ctr")

@@ -1,4 +1,7 @@
-"""The watchdog timer of X Series boards: lines go to a safe level when nobody resets it in time."""
+"""The watchdog timer of X Series boards: lines go to a safe level when nobody resets it in time.
+
+The lines it was told of, and no others: a counter's pulse at another pin runs to its end.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +10,18 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from simulator.doubles import tasks
-from simulator.doubles.counter_output import HIGH, LOW, cut
+from simulator.doubles.boards import terminal_of_line
+from simulator.doubles.counter_output import HIGH, LOW, override
 from simulator.doubles.devices import Device
 from simulator.doubles.reservations import resource
 from simulator.doubles.statuses import (
+    DEVICE_NOT_IN_TASK,
     EXPIRED_WATCHDOG_NEEDS_CLEARING,
     INVALID_VALUE,
     NOT_A_WATCHDOG_TASK,
     NOT_RUNNING,
     WATCHDOG_NOT_SUPPORTED,
+    WATCHDOG_TIMEOUT_OUT_OF_RANGE,
     Status,
 )
 from simulator.doubles.tasks import Answer, Arguments, Bench, Task, TaskState
@@ -23,7 +29,10 @@ from simulator.doubles.tasks import Answer, Arguments, Bench, Task, TaskState
 RESET_TIMER = 0
 CLEAR_EXPIRATION = 1
 NO_CHANGE = 10160
-LONGEST_TIMEOUT_S = 4294.967295
+TRISTATE = 10310
+"""Of a line: nobody drives it, its pull-down takes it low."""
+LONGEST_TIMEOUT_S = (2**32 - 1) * 8e-9
+"""X Series: 32 bits of 8 ns (X Series user manual, chapter 6, "Watchdog Timer")."""
 NEVER = -1.0
 
 
@@ -52,10 +61,13 @@ class Countdown:
             return
         bench.lines.settle(deadline_ns)
         self.expired_ns = deadline_ns
+        levels = expiration_levels(task)
         for other in tuple(bench.tasks.values()):
-            if other.kind == "co" and other.run is not None and tasks.serials(other) & tasks.serials(task):
-                cut(bench, other, deadline_ns, "watchdog", level=None)
-        for line, level in expiration_levels(task).items():
+            if other.kind == "co" and other.run is not None:
+                for channel in other.channels:
+                    if channel.line in levels:
+                        override(bench, other, channel, levels[channel.line], deadline_ns, "watchdog")
+        for line, level in levels.items():
             bench.lines.drive(line, level, deadline_ns, "watchdog")
 
 
@@ -91,11 +103,14 @@ class Watchdog:
 
 
 def expiration_levels(task: Task) -> dict[str, int]:
-    """Lines that expiry takes to a level of their own; unnamed counters go to their idle level."""
+    """Lines that expiry takes, and where to; the others stay what they are."""
     device = task.channels[0].device
+    states = {
+        device.kind.counter_terminals[number]: state for number, state in task.settings["expiration"].items()
+    } | {terminal_of_line(line): state for line, state in task.settings["line_expiration"].items()}
     return {
-        f"{device.serial_number}/{device.kind.counter_terminals[number]}": int(state == HIGH)
-        for number, state in task.settings["expiration"].items()
+        f"{device.serial_number}/{terminal}": int(state == HIGH)
+        for terminal, state in states.items()
         if state != NO_CHANGE
     }
 
@@ -111,7 +126,7 @@ def checked_timeout_s(timeout_s: float, task: str) -> float:
     """Timeout within the timer's reach, or -1 for never."""
     if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
         raise Status(
-            INVALID_VALUE,
+            WATCHDOG_TIMEOUT_OUT_OF_RANGE,
             f"Property: Watchdog.Timeout\nRequested Value: {timeout_s}\nMaximum Value: {LONGEST_TIMEOUT_S}",
             task=task,
         )
@@ -126,7 +141,7 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     timeout_s = checked_timeout_s(arguments["timeout"], arguments["session_name"])
     task = tasks.create(bench, client, arguments["session_name"], kind="watchdog")
     task.channels.append(WatchedBoard(name=device.name, device=device))
-    task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
+    task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}, "line_expiration": {}}
     return {"task": task.handle}
 
 
@@ -134,13 +149,36 @@ def configure_expiration(bench: Bench, client: str, arguments: Arguments) -> Ans
     """`DAQmxCfgWatchdogCOExpirStates`."""
     task = _watchdog(bench, client, arguments["task"])
     tasks.changed(task)
-    states = [int(state) for state in arguments["expir_state_array"]]
     channels = bench.devices.channels(arguments["channel_names"], "ctr")
-    if len(states) != len(channels):
-        raise Status(INVALID_VALUE, f"{len(states)} states for {len(channels)} channels.", task=task.name)
-    for (device, number), state in zip(channels, states, strict=True):
+    for (device, number), state in zip(channels, _states(task, arguments, len(channels)), strict=True):
         set_expiration_state(task, device, number, state)
     return {}
+
+
+def configure_line_expiration(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line that its terminal is."""
+    task = _watchdog(bench, client, arguments["task"])
+    tasks.changed(task)
+    lines = bench.devices.lines(arguments["channel_names"])
+    wanted = dict(zip(lines, _states(task, arguments, len(lines)), strict=True))
+    for (device, _), state in wanted.items():
+        if device is not task.channels[0].device:
+            raise Status(DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
+        if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
+            raise Status(
+                INVALID_VALUE,
+                f"Property: Watchdog.DO.ExpirState\nRequested Value: {state} on {device.name}",
+                task=task.name,
+            )
+    task.settings["line_expiration"] |= {line: state for (_, line), state in wanted.items()}
+    return {}
+
+
+def _states(task: Task, arguments: Arguments, count: int) -> list[int]:
+    states = [int(state) for state in arguments["expir_state_array"]]
+    if len(states) != count:
+        raise Status(INVALID_VALUE, f"{len(states)} states for {count} channels.", task=task.name)
+    return states
 
 
 def set_expiration_state(task: Task, device: Device, number: int, state: int) -> None:
@@ -178,6 +216,7 @@ HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxy
     {
         "DAQmxCreateWatchdogTimerTaskEx": create_watchdog,
         "DAQmxCfgWatchdogCOExpirStates": configure_expiration,
+        "DAQmxCfgWatchdogDOExpirStates": configure_line_expiration,
         "DAQmxControlWatchdogTask": control_watchdog,
     }
 )

@@ -10,7 +10,8 @@ from simulator.doubles.statuses import Status
 SERIAL, BOARD = SIMULTANEOUS_16_BIT.serial_number, SIMULTANEOUS_16_BIT.name
 INPUT, COUNTER, LINE = f"{BOARD}/ai0", f"{BOARD}/ctr0", f"{SERIAL}/PFI12"
 SERIAL_NUMBER, DEVICE_NAMES, COEFFICIENTS = 0x632, 0x193B, 0x1930
-COMMIT, LOW, RESET_TIMER, CLEAR_EXPIRATION, EXPIRED = 3, 10214, 0, 1, 0x21A8
+COMMIT, RESET_TIMER, CLEAR_EXPIRATION, EXPIRED = 3, 0, 1, 0x21A8
+LOW, HIGH, TRISTATE, NO_CHANGE = 10214, 10192, 10310, 10160
 
 
 @pytest.fixture
@@ -186,6 +187,116 @@ def test_after_expiry_nothing_pulses_until_it_is_cleared(brain, me):
     assert code_of(me, "ControlWatchdogTask", watch, action=RESET_TIMER) == -200644
     me("ControlWatchdogTask", watch, action=CLEAR_EXPIRATION)
     me("StartTask", coil)
+
+
+def line_watchdog(me, lines, states, timeout_s=0.5, board=BOARD):
+    made = me("CreateWatchdogTimerTaskEx", device_name=board, session_name="lines", timeout=timeout_s)
+    arguments = {"channel_names": lines, "expir_state_array": states, "array_size": len(states)}
+    me("CfgWatchdogDOExpirStates", made["task"], **arguments)
+    me("StartTask", made["task"])
+    return made["task"]
+
+
+def watched_lines(brain, me, names, states):
+    """Let a watchdog expire over lines that are low; return those that it takes high."""
+    line_watchdog(me, names, states)
+    brain.bench.clock.pass_s(1.0)
+    found = brain.record()["lines"]
+    assert {(event["level"], event["ns"], event["cause"]) for event in found} == {
+        (1, 500_000_000, "watchdog")
+    }
+    return [event["line"] for event in found]
+
+
+@pytest.mark.parametrize(
+    ("names", "terminals"),
+    [
+        (f"{BOARD}/port2/line4", ["PFI12"]),
+        (f"{BOARD}/port2/line4:6", ["PFI12", "PFI13", "PFI14"]),
+        (f"{BOARD}/port2/line6:4", ["PFI14", "PFI13", "PFI12"]),
+        (f"/{BOARD.lower()}/port1/line0:1, {BOARD}/PORT2/line0", ["PFI0", "PFI1", "PFI8"]),
+        (f"{BOARD}/port1/line7,{BOARD}/port2/line7", ["PFI7", "PFI15"]),
+    ],
+)
+def test_expiry_takes_the_terminals_that_the_lines_are(brain, me, names, terminals):
+    high = [HIGH] * len(terminals)
+    assert watched_lines(brain, me, names, high) == [f"{SERIAL}/{terminal}" for terminal in terminals]
+
+
+def test_each_line_goes_to_its_own_state(brain, me):
+    names, states = f"{BOARD}/port1/line0:3", [NO_CHANGE, HIGH, TRISTATE, LOW]
+    assert watched_lines(brain, me, names, states) == [f"{SERIAL}/PFI1"]
+
+
+def test_a_counter_is_cut_at_the_line_its_pulse_leaves_through_and_does_not_know(brain, me):
+    line_watchdog(me, f"{BOARD}/port2/line4", [LOW])
+    coil = me.coil(COUNTER, initial_delay=0.0, high_time=2.0)
+    me("StartTask", coil)
+    brain.bench.clock.time_ns = 1_000_000_000
+    events = [(event["ns"], event["level"], event["cause"]) for event in brain.record()["lines"]]
+    assert events == [(0, 1, "pulse"), (500_000_000, 0, "watchdog")]
+    (strike,) = brain.record()["strikes"]
+    assert strike["released_ns"] == 500_000_000
+    assert me("IsTaskDone", coil)["is_task_done"] == 0
+    brain.bench.clock.time_ns = 2_000_000_000
+    assert me("IsTaskDone", coil)["is_task_done"] == 1
+    assert len(brain.record()["lines"]) == 2
+
+
+def test_a_counter_whose_line_is_not_guarded_pulses_on(brain, me):
+    line_watchdog(me, f"{BOARD}/port2/line5", [LOW])
+    both = [me.coil(f"{BOARD}/ctr{number}", initial_delay=0.0, high_time=2.0) for number in (0, 1)]
+    for coil in both:
+        me("StartTask", coil)
+    brain.bench.clock.time_ns = 3_000_000_000
+    ends = {event["line"]: event["ns"] for event in brain.record()["lines"] if not event["level"]}
+    assert ends == {LINE: 2_000_000_000, f"{SERIAL}/PFI13": 500_000_000}
+
+
+def test_a_reset_takes_low_what_expiry_took_high(brain, me):
+    watched_lines(brain, me, f"{BOARD}/port1/line0", [HIGH])
+    me("ResetDevice", device_name=BOARD)
+    assert [event["level"] for event in brain.record()["lines"]] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("names", "states", "code"),
+    [
+        (f"{BOARD}/port2/line8", [LOW], -200170),
+        (f"{BOARD}/port2/line6:8", [LOW] * 3, -200170),
+        (f"{BOARD}/port3/line0", [LOW], -200170),
+        (f"{BOARD}/port2", [LOW], -200170),
+        (f"{BOARD}/ctr0", [LOW], -200170),
+        ("Dev99/port2/line4", [LOW], -200220),
+        ("PXI1Slot2/port2/line4", [LOW], -200648),
+        (f"{BOARD}/port2/line4:6", [LOW], -200077),
+        (f"{BOARD}/port2/line4", [17], -200077),
+    ],
+)
+def test_a_watchdog_guards_lines_of_its_own_board_only(brain, me, names, states, code):
+    assert code_of(line_watchdog, me, names, states) == code
+    # The task is there and was told nothing: it guards nothing.
+    (task,) = brain.bench.tasks
+    me("StartTask", task)
+    brain.bench.clock.pass_s(1.0)
+    assert brain.record()["lines"] == []
+
+
+def test_lines_are_guarded_by_watchdog_tasks_only(me):
+    arguments = {"channel_names": f"{BOARD}/port2/line4", "expir_state_array": [LOW], "array_size": 1}
+    assert code_of(me, "CfgWatchdogDOExpirStates", me.coil(COUNTER), **arguments) == -200635
+
+
+def test_expiry_is_told_only_while_the_watchdog_is_reserved(me):
+    watch = watchdog(me)
+    assert me("GetWatchdogAttribute", watch, attribute=EXPIRED)["value"] == 0
+    me("StopTask", watch)
+    assert code_of(me, "GetWatchdogAttribute", watch, attribute=EXPIRED) == -200983
+
+
+@pytest.mark.parametrize(("timeout_s", "code"), [(34.4, -200668), (0.0, -200668), (-2.0, -200668)])
+def test_a_watchdog_runs_34_seconds_at_most(me, timeout_s, code):
+    assert code_of(watchdog, me, timeout_s) == code
 
 
 def test_boards_without_a_watchdog_say_so(me):

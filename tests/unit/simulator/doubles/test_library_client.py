@@ -9,6 +9,7 @@ import subprocess
 import sys
 import textwrap
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from nidaqmx.errors import DaqError, DaqReadError, DaqWarning  # noqa: E402
 from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
 from nidaqmx.system import System  # noqa: E402
 from nidaqmx.system.watchdog import WatchdogTask  # noqa: E402
-from nidaqmx.types import COExpirationState, DOPowerUpState  # noqa: E402
+from nidaqmx.types import COExpirationState, DOExpirationState, DOPowerUpState  # noqa: E402
 
 SAMPLES, PRETRIGGER = 13_600, 1_000
 WAIT_S = 20.0
@@ -135,13 +136,45 @@ def test_power_up_states_travel_in_pairs(meeting):
 
 
 def test_a_watchdog_is_armed_reset_and_read(meeting):
-    with WatchdogTask("PXI1Slot3", "watchdog", timeout=50.0) as watchdog:
+    with WatchdogTask("PXI1Slot3", "watchdog", timeout=30.0) as watchdog:
         watchdog.cfg_watchdog_co_expir_states([COExpirationState("PXI1Slot3/ctr0", WatchdogCOExpirState.LOW)])
         watchdog.start()
         watchdog.reset_timer()
         assert watchdog.expired is False
-        assert watchdog.timeout == 50.0
+        assert watchdog.timeout == 30.0
         watchdog.stop()
+
+
+def test_a_watchdog_guards_digital_lines_under_their_flattened_names(meeting):
+    lines = ["PXI1Slot3/port2/line4", "PXI1Slot3/port2/line5", "PXI1Slot3/port1/line0"]
+    states = [Level.LOW, Level.HIGH, Level.HIGH]
+    with WatchdogTask("PXI1Slot3", "watchdog", timeout=0.01) as watchdog:
+        watchdog.cfg_watchdog_do_expir_states(
+            [
+                DOExpirationState(physical_channel=line, expiration_state=state)
+                for line, state in zip(lines, states, strict=True)
+            ]
+        )
+        watchdog.start()
+        deadline = time.monotonic() + WAIT_S
+        while not watchdog.expired:
+            assert time.monotonic() < deadline
+        watchdog.clear_expiration()
+        assert watchdog.expired is False
+        watchdog.stop()
+        with pytest.raises(DaqError) as caught:
+            _ = watchdog.expired
+        assert caught.value.error_code == -200983
+        with pytest.raises(DaqError, match="line8") as caught:
+            watchdog.cfg_watchdog_do_expir_states([DOExpirationState("PXI1Slot3/port2/line8", Level.LOW)])
+        assert caught.value.error_code == -200170
+    events = meeting.control.record()["lines"]
+    serial = 0x01E16086
+    assert {(event["line"], event["level"], event["cause"]) for event in events} == {
+        (f"{serial}/PFI13", 1, "watchdog"),
+        (f"{serial}/PFI0", 1, "watchdog"),
+    }
+    System.local().devices["PXI1Slot3"].reset_device()
 
 
 def test_routes_are_made_and_undone(meeting):
