@@ -34,7 +34,8 @@ from daq_service.assessment import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
 from daq_service.recorder import features_of
 from daq_service.schedule import plan
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 from hardware_drivers.measurement import Shot, ShotKey, Stamp
 from simulator.coupled_model import ShotModel
 from simulator.specimen import Specimen, Transducer, build_specimen

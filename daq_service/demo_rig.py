@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from daq_service.errors import RigError, UsageError
 from daq_service.rig import CONTROL_VARIABLE
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 
 if TYPE_CHECKING:
     from simulator.doubles.description import Description

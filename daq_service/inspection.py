@@ -17,7 +17,8 @@ from daq_service.clock import format_utc, parse_utc
 from daq_service.heartbeat import overdue_s, read_heartbeat
 from daq_service.run import data_folder
 from daq_service.schedule import plan
-from daq_service.settings import Settings, load_settings, settings_schema
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings, settings_schema
 
 PACKED_FRACTION = 0.5
 """Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""

@@ -20,7 +20,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.heartbeat import overdue_s, read_heartbeat
 from daq_service.run import data_folder
-from daq_service.settings import load_settings
+from daq_service.settings_file import load_settings
 
 ANSWER_WITHIN_S = 30.0
 """A recorder looks several times a second, but not while it waits for a record or stores a set."""

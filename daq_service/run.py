@@ -20,7 +20,8 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
 from daq_service.folder import own_data_folder, prepare_data_folder
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 from daq_service.supervisor import ChildPlan, Supervisor, leave_when_pipe_closes, tell_supervisor
 
 log = logging.getLogger(__name__)

@@ -12,7 +12,8 @@ import click
 import numpy as np
 
 from daq_service.errors import UsageError
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 from simulator.coupled_model import ShotModel
 from simulator.errors import SimulatorError
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters

@@ -13,7 +13,8 @@ from daq_service.catalogue import open_catalogue
 from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.recording import record
 from daq_service.rig import open_rig
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
 

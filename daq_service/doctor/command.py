@@ -21,7 +21,8 @@ from daq_service.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.doctor.trial import Trial, require_position, strike_once
 from daq_service.errors import BusyError
 from daq_service.run import data_folder
-from daq_service.settings import Settings, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import load_settings
 
 Progress = Callable[[str], None]
 

@@ -12,7 +12,7 @@ from small_experiment import run, small_settings
 
 from daq_service.archive import set_files
 from daq_service.cli import cli
-from daq_service.settings import load_settings
+from daq_service.settings_file import load_settings
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

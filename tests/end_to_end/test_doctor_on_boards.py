@@ -29,7 +29,8 @@ from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.doctor.command import run_doctor
 from daq_service.folder import own_data_folder, prepare_data_folder
-from daq_service.settings import Settings, config_file, load_settings
+from daq_service.settings import Settings
+from daq_service.settings_file import config_file, load_settings
 from hardware_drivers.daqmx.client_lock import ClientLock
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW, Description
 from simulator.doubles.library import why_unavailable

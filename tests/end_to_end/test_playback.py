@@ -17,7 +17,7 @@ from daq_service.archive import read_set, set_files
 from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig import open_rig
-from daq_service.settings import load_settings
+from daq_service.settings_file import load_settings
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PulseEchoRecord
 

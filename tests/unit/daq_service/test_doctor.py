@@ -22,7 +22,8 @@ from daq_service.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.doctor.trial import Trial
 from daq_service.errors import UsageError
 from daq_service.folder import prepare_data_folder
-from daq_service.settings import RigSettings, Settings, config_file, load_settings
+from daq_service.settings import RigSettings, Settings
+from daq_service.settings_file import config_file, load_settings
 from hardware_drivers.daqmx.survey import BoardFacts, Finding
 
 LABORATORY = load_settings(config_file("laboratory.toml")).rig

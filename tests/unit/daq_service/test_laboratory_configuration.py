@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from daq_service.inspection import describe_plan
-from daq_service.settings import RigSettings, Settings, config_file, load_settings
+from daq_service.settings import RigSettings, Settings
+from daq_service.settings_file import config_file, load_settings
 
 TEXT = config_file("laboratory.toml").read_text(encoding="utf-8")
 WITH_EVERYTHING = re.sub(r"^#(?=[a-z\[])", "", TEXT, flags=re.MULTILINE)

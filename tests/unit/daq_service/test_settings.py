@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from daq_service.errors import UsageError
-from daq_service.settings import Settings, config_file, load_settings, settings_schema
+from daq_service.settings import Settings
+from daq_service.settings_file import config_file, load_settings, settings_schema
 
 
 def write(folder: Path, text: str, name: str = "test.toml") -> Path:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.settings import load_settings
+from daq_service.settings_file import load_settings
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
 
 LINE = SerialLineParameters(port="/dev/serial/by-id/usb-FTDI")
