@@ -1,8 +1,8 @@
 """The recorder: the whole line from strike to alarm, in reading order.
 
 `schedule` says which set is due; `take_set` strikes and reads; the archive makes the set durable
-(only now is it acknowledged); the assessors extract, average and judge; `alarms.update` carries the
-alarms; one transaction stores all of it, and its events are the news. No stage calls an earlier one.
+(only now is it acknowledged); the ledger lets the assessors judge it and `alarms.update` carry the alarms,
+and stores all of it in one transaction, whose events are the news. No stage calls an earlier one.
 """
 
 from __future__ import annotations
@@ -15,32 +15,24 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from analysis.features import ShotFeatures
-from analysis.quality_gate import ACCEPTED, RestrikeRule
+from analysis.quality_gate import RestrikeRule
 from daq_service.acquisition import Measurement, MissedShot, SetPlan, take_set
-from daq_service.alarms import Condition, Moment, retired_positions, update
 from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
-from daq_service.assessment import Assessment, SolitaryWaveAssessor
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import NS_PER_H, boot_id
 from daq_service.cost import Cost
-from daq_service.drive_watch import drive_watch
 from daq_service.errors import RigError
 from daq_service.heartbeat import Heartbeat
+from daq_service.ledger import Ledger
 from daq_service.live import LivePicture
-from daq_service.memory import restored_assessors
 from daq_service.operator_commands import Operator
 from daq_service.provenance import provenance
-from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet, plan
 from daq_service.settings import Settings
 from daq_service.taken_set import (
     TakenSet,
     features_of,
     features_of_a_rehearsal,
-    n_missed,
-    n_restrikes,
-    n_tried,
 )
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
@@ -82,28 +74,27 @@ class Recorder:
         self._tell = tell
         self._doing = "starting"
         self._calibrated_ns: int | None = None
+        self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
         self._archive = Archive(folder)
         self._live = LivePicture(folder, rig.kind)
         # Simulated time has one frame whatever machine it runs on.
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         self._provenance = provenance(settings, rig)
-        self._alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
         self._next_sequence = catalogue.next_sequence()
         self._cost = Cost()
         done = catalogue.committed_sets()
         self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
-        self._assessors = restored_assessors(settings, catalogue, folder)
-        self._drive = drive_watch(settings, rig, catalogue, self._alarms, self._commit)
+        self._ledger = Ledger(settings, folder, catalogue, rig, self._cost)
         self._operator = Operator(
             catalogue,
             rig.clock,
-            self._alarms,
+            self._ledger.alarms,
             stop=stop,
-            store=self._commit,
-            reinstated=self._reinstated,
+            store=self._ledger.commit,
+            reinstated=self._ledger.reinstated,
             positions=settings.names_of("solitary_wave"),
-            supply=self._drive if rig.supply is not None else None,
+            supply=self._ledger.drive if rig.supply is not None else None,
         )
 
     def run(self, *, not_running_because: str) -> bool:
@@ -126,7 +117,7 @@ class Recorder:
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         finished = not self._stop.is_set()
-        supply = "" if self._drive is None else self._drive.end()
+        supply = "" if self._ledger.drive is None else self._ledger.drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         self._say("schedule_done" if finished else "recorder_stopped", farewell)
         return finished
@@ -145,14 +136,15 @@ class Recorder:
         if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
             return
         if self._operator.held:
-            self._gap(due, dict.fromkeys(self._settings.positions, self._operator.held))
+            self._gap(due, self._operator.held)
             return
         self._begin(f"taking set {due.set_index}")
         taken = self._take(due)
         if not taken.is_empty:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
-            self._judge_empty(due, taken)
+            causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
+            self._ledger.judge_empty(due, taken, causes)
         # else: the set is still due after a restart
         if taken.trouble is not None and not _may_pass(taken.trouble):
             raise RigError(
@@ -167,7 +159,7 @@ class Recorder:
         taken = TakenSet(
             rule=RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes),
             # As it stands now: an order during the set changes what is struck, not what was planned.
-            retired=self._retired(),
+            retired=self._ledger.retired(),
             started_ns=self._rig.clock.utc_ns(),
         )
         set_plan = SetPlan(
@@ -188,7 +180,7 @@ class Recorder:
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
             wants_restrike=lambda measurement: self._wants_restrike(taken, measurement),
-            may_strike=lambda position: position not in self._retired(),
+            may_strike=lambda position: position not in self._ledger.retired(),
         )
         try:
             while True:
@@ -218,8 +210,7 @@ class Recorder:
             return
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
-                look = features_of_a_rehearsal if self._rig.dry_run else features_of
-                taken.features[measurement.sequence] = look(measurement)
+                taken.features[measurement.sequence] = self._features_of(measurement)
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
@@ -239,7 +230,7 @@ class Recorder:
             missed=taken.missed_records(),
             outcomes=taken.superseded(),
             trouble=taken.told_trouble(),
-            environment={} if self._drive is None else self._drive.summary(),
+            environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
             provenance=self._provenance,
         )
         stored = self._archive.store_set(record)
@@ -247,7 +238,8 @@ class Recorder:
         for stage, seconds in asdict(stored.timings).items():
             self._cost.seconds[stage] += seconds
         self._next_sequence += len(taken.shots) + len(taken.echoes)
-        self._judge(due, record, stored.file, taken.features)
+        self._doing = f"judging set {due.set_index}"
+        self._ledger.judge(due, record, stored.file, taken.features)
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
@@ -275,7 +267,7 @@ class Recorder:
             PositionRecord(
                 position=name,
                 method=place.method,
-                n_planned=self._n_planned(name),
+                n_planned=self._ledger.n_planned(name),
                 cause=self._shortfall(name, taken),
                 label=place.label,
                 serial_number=place.serial_number,
@@ -284,102 +276,11 @@ class Recorder:
             if name not in taken.retired
         ]
 
-    def _n_planned(self, position: str) -> int:
-        place = self._settings.positions[position]
-        return 1 if place.method == "pulse_echo" else self._settings.schedule.shots_per_set
-
     def _shortfall(self, position: str, taken: TakenSet) -> str:
-        told_to = self._retired().get(position) or self._operator.held or "the recorder was told to stop"
-        return taken.shortfall(position, self._n_planned(position), told_to)
-
-    def _retired(self) -> dict[str, str]:
-        """Transducers that strike no more, and why."""
-        return retired_positions(self._alarms.values())
-
-    def _reinstated(self, position: str) -> None:
-        assessor = self._assessors[position]
-        if isinstance(assessor, SolitaryWaveAssessor):
-            assessor.reinstate()
-
-    # After the set is durable --------------------------------------------------------------------
-
-    def _judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
-        """Assess every position; store rows, alarms and events in one transaction."""
-        self._doing = f"judging set {due.set_index}"
-        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
-        causes = {position.position: position.cause for position in record.positions}
-        retired = self._retired()
-        transaction = Transaction()
-        for position, place in self._settings.positions.items():
-            if position not in causes:
-                cause = retired.get(position, "retired")
-                transaction.sets.append(
-                    set_row(due, position, method=place.method, state="retired", cause=cause, n_planned=0)
-                )
-                continue
-            measurements = [item for item in record.records if item.key.position == position]
-            with self._cost.of("judge_s"):
-                assessment = self._assess(position, due, record, features)
-            row = set_row(
-                due,
-                position,
-                method=place.method,
-                state="done" if not causes[position] else "partial" if measurements else "missed",
-                cause=causes[position] or None,
-                n_planned=self._n_planned(position),
-                n_taken=len(measurements),
-                n_valid=assessment.n_valid,
-                n_missed=n_missed(record, position),
-                n_restrikes=n_restrikes(record, position),
-                started_utc_ns=record.started_utc_ns,
-                ended_utc_ns=record.ended_utc_ns,
-                file=file if measurements else None,
-            )
-            transaction.add_position(row, measurements, assessment, moment, record.outcomes)
-            for condition in assessment.conditions:
-                self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(_rig_condition(record.trouble, due), moment, transaction)
-        self._commit_set(due, moment, transaction)
-
-    def _assess(
-        self, position: str, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
-    ) -> Assessment:
-        assessor = self._assessors[position]
-        if isinstance(assessor, SolitaryWaveAssessor):
-            shots = [shot for shot in record.shots if shot.key.position == position]
-            found = assessor.assess(
-                due,
-                shots,
-                [features[shot.sequence] for shot in shots],
-                outcomes=[record.outcomes.get(shot.sequence, ACCEPTED) for shot in shots],
-                n_tried=n_tried(record, position),
-            )
-            # A rehearsal records noise: what it says of wall and transducer is no alarm.
-            return replace(found, conditions=()) if self._rig.dry_run else found
-        echoes = [item for item in record.echoes if item.key.position == position]
-        return assessor.assess(due, echoes[0]) if echoes else Assessment()
-
-    def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
-        change = update(self._alarms.get((condition.position, condition.kind)), condition, moment)
-        if change is not None:
-            if self._drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
-                # At once: through a hole the solution reaches what it should not, and the current with it.
-                self._drive.trip(condition.message, moment.due_h)
-            transaction.add_alarm(change, moment)
-            log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row["message"])
-
-    def _commit_set(self, due: DueSet, moment: Moment, transaction: Transaction) -> None:
-        """Store a set's rows, with what supply and climate probe said since the last one."""
-        if self._drive is not None:
-            self._drive.add_row(transaction, due, moment)
-        self._commit(transaction)
-
-    def _commit(self, transaction: Transaction) -> None:
-        """Store it; what later sets build on is taken over only after that."""
-        with self._cost.of("commit_s"):
-            committed = self._catalogue.commit_set(transaction.rows())
-        for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
-            self._alarms[(row["position"], row["kind"])] = {**row, "id": alarm_id}
+        told_to = (
+            self._ledger.retired().get(position) or self._operator.held or "the recorder was told to stop"
+        )
+        return taken.shortfall(position, self._ledger.n_planned(position), told_to)
 
     # Sets that were taken already, or cannot be taken any more -----------------------------------
 
@@ -389,8 +290,8 @@ class Recorder:
         if path is None:
             return False
         record = read_set(path)
-        features = {shot.sequence: features_of(shot) for shot in record.shots}
-        self._judge(due, record, f"{path.parent.name}/{path.name}", features)
+        features = {shot.sequence: self._features_of(shot) for shot in record.shots}
+        self._ledger.judge(due, record, f"{path.parent.name}/{path.name}", features)
         self._next_sequence = self._catalogue.next_sequence()
         log.warning("set %d: rows made again from %s", due.set_index, path)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -402,52 +303,12 @@ class Recorder:
         interval_ns = NS_PER_H if following is None else following.due_utc_ns - due.due_utc_ns
         if self._rig.clock.utc_ns() < due.due_utc_ns + interval_ns:
             return False
-        self._gap(due, dict.fromkeys(self._settings.positions, cause))
+        self._gap(due, cause)
         return True
 
-    def _judge_empty(self, due: DueSet, taken: TakenSet) -> None:
-        """Not one record: rows with the causes and the device's alarms, but no file."""
-        moment = Moment(utc_ns=taken.ended_ns, due_h=due.due_h, set_index=due.set_index)
-        transaction = Transaction()
-        retired = taken.retired
-        for position in self._settings.positions:
-            missed = [item.key for item in taken.missed if item.key.position == position]
-            restrikes = sum(key.attempt > 0 for key in missed)
-            assessor = self._assessors[position]
-            assessment = Assessment()
-            if isinstance(assessor, SolitaryWaveAssessor) and position not in retired:
-                assessment = assessor.assess(due, [], [], n_tried=len(missed) - restrikes)
-            cause = retired.get(position) or self._shortfall(position, taken)
-            row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            transaction.add_position(
-                {**row, "n_missed": len(missed), "n_restrikes": restrikes}, [], assessment, moment
-            )
-            for condition in assessment.conditions:
-                self._carry_alarm(condition, moment, transaction)
-        if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
-            self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
-        self._commit_set(due, moment, transaction)
-
-    def _gap(self, due: DueSet, causes: Mapping[str, str]) -> None:
-        moment = Moment(utc_ns=self._rig.clock.utc_ns(), due_h=due.due_h, set_index=due.set_index)
-        transaction = Transaction()
-        retired = self._retired()
-        for position in self._settings.positions:
-            cause = retired.get(position) or causes[position]
-            row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            transaction.add_position(row, [], Assessment(), moment)
-        self._commit_set(due, moment, transaction)
-        log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
-
-    def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> dict[str, Any]:
-        return set_row(
-            due,
-            position,
-            method=self._settings.positions[position].method,
-            state="retired" if retired else "missed",
-            cause=cause,
-            n_planned=0 if retired else self._n_planned(position),
-        )
+    def _gap(self, due: DueSet, cause: str) -> None:
+        causes = dict.fromkeys(self._settings.positions, cause)
+        self._ledger.gap(due, causes, utc_ns=self._rig.clock.utc_ns())
 
     # Operator and supervisor ---------------------------------------------------------------------
 
@@ -460,8 +321,8 @@ class Recorder:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._heartbeat.beat(self._doing)
         self._operator.listen(self._hour())
-        if self._drive is not None:
-            self._drive.tick(self._hour())
+        if self._ledger.drive is not None:
+            self._ledger.drive.tick(self._hour())
         return not self._stop.is_set()
 
     def _idle_in_a_set(self) -> bool:
@@ -480,17 +341,3 @@ class Recorder:
 def _may_pass(trouble: InstrumentError) -> bool:
     """Whether the next set may go better: a board that is busy or gone may be free or back by then."""
     return isinstance(trouble, BusyError | ConnectionLostError)
-
-
-def _rig_condition(trouble: str, due: DueSet) -> Condition:
-    """Alarm while sets end early because the instruments do not answer or belong to somebody else."""
-    error, _, message = trouble.partition(": ")
-    return Condition(
-        position=None,
-        kind="rig_unavailable",
-        family="device",
-        severity="high",
-        present=bool(trouble),
-        message=f"set {due.set_index} ended early: {message}; the next set tries again",
-        proof={"set_index": due.set_index, "error": error},
-    )
