@@ -243,8 +243,9 @@ def test_a_counter_is_cut_at_the_line_its_pulse_leaves_through_and_does_not_know
     assert len(brain.record()["lines"]) == 2
 
 
-def test_a_counter_whose_line_is_not_guarded_pulses_on(brain, me):
-    line_watchdog(me, f"{BOARD}/port2/line5", [LOW])
+@pytest.mark.parametrize(("lines", "states"), [("line5", [LOW]), ("line4:5", [NO_CHANGE, LOW])])
+def test_a_counter_whose_line_is_not_guarded_pulses_on(brain, me, lines, states):
+    line_watchdog(me, f"{BOARD}/port2/{lines}", states)
     both = [me.coil(f"{BOARD}/ctr{number}", initial_delay=0.0, high_time=2.0) for number in (0, 1)]
     for coil in both:
         me("StartTask", coil)
