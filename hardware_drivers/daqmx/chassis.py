@@ -165,8 +165,8 @@ class Chassis:
         """On a server a task may be alive although the object that stood for it is not."""
         try:
             cleared = self._connection is not None and self._connection.clear_leftovers(roles)
-        except InstrumentError:
-            log.warning("tasks on the server could not be cleared by name", exc_info=True)
+        except InstrumentError as error:
+            log.warning("tasks on the server could not be cleared by name: %s", error)
             return False
         if cleared:
             self._maybe_on = ("", 0.0)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hardware_drivers.daqmx.boards import Board, same_serial
-from hardware_drivers.daqmx.connection import Connection, discard
+from hardware_drivers.daqmx.connection import Connection, discard, discard_watchdog
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import (
@@ -95,15 +95,15 @@ class Coil:
             with vendor_call(doing):
                 self.task.stop()
             self.on_until = 0.0
-        except InstrumentError:
-            log.warning("%s: its counter could not be stopped", doing, exc_info=True)
+        except InstrumentError as error:
+            log.warning("%s: its counter could not be stopped: %s", doing, error)
             well = False
         if discard(self.task, doing):
             self.on_until = 0.0
         else:
             well = False
         if self.watchdog is not None:
-            well = discard(self.watchdog, doing) and well
+            well = discard_watchdog(self.watchdog, doing) and well
         return well
 
 
@@ -186,6 +186,6 @@ def _commit_watchdog(connection: Connection, parameters: DaqmxParameters, board:
                 ]
             )
     except BaseException:
-        discard(watchdog, doing)
+        discard_watchdog(watchdog, doing)
         raise
     return watchdog

@@ -149,7 +149,7 @@ class Connection:
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
             except BaseException:
-                discard(task, doing)
+                (discard_watchdog if session else discard)(task, doing)
                 raise
         return task
 
@@ -172,18 +172,25 @@ def discard(task: Any, doing: str) -> bool:
     """
     from nidaqmx.constants import TaskMode
 
-    cleared = False
+    _tried(lambda: task.control(TaskMode.TASK_ABORT), doing)
+    return _tried(task.close, doing)
+
+
+def discard_watchdog(watchdog: Any, doing: str) -> bool:
+    """Do the same for a watchdog, which NI's package, unlike a task, lets be cleared a second time."""
+    return discard(watchdog, doing) or _tried(watchdog.close, doing)
+
+
+def _tried(step: Callable[[], None], doing: str) -> bool:
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
-        for step in (lambda: task.control(TaskMode.TASK_ABORT), task.close):
-            try:
-                step()
-                cleared = True
-            except Exception:  # a half-built object fails after its task is cleared
-                log.debug("discarding a task after %s", doing, exc_info=True)
-                cleared = False
-    return cleared
+        try:
+            step()
+        except Exception as error:  # a half-built object fails after its task is cleared
+            log.debug("discarding a task after %s: %s", doing, error)
+            return False
+    return True
 
 
 def _name_is_taken(error: ConnectionLostError) -> bool:

@@ -78,11 +78,11 @@ class DaqmxDigitizer:
                 bench.lands_at = 0.0
                 chassis.recovered()
                 acquisition.stop()
-        except InstrumentError:
+        except InstrumentError as error:
             if acquired is None:
                 raise
             # The record is whole; what failed after it is met again, and told, at the next arm.
-            log.warning("the record of %s is sound, but ending its acquisition failed", key, exc_info=True)
+            log.warning("the record of %s is sound, but ending its acquisition failed: %s", key, error)
         return acquired
 
     def disarm(self) -> None:
