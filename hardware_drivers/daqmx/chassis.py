@@ -166,7 +166,7 @@ class Chassis:
         try:
             cleared = self._connection is not None and self._connection.clear_leftovers(roles)
         except InstrumentError as error:
-            log.warning("tasks on the server could not be cleared by name: %s", error)
+            log.warning("tasks on the server could not be cleared by name: %s", str(error))
             return False
         if cleared:
             self._maybe_on = ("", 0.0)
@@ -192,7 +192,9 @@ class Chassis:
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
         self._broken = True
-        log.warning("connection lost (%d in a row), next: %s: %s", self._lost, LADDER[self._rung - 1], error)
+        log.warning(
+            "connection lost (%d in a row), next: %s: %s", self._lost, LADDER[self._rung - 1], str(error)
+        )
         if tried == len(LADDER):
             raise ConnectionLostError(
                 f"{error}; still so after {self._lost - 1} attempts ({'; '.join(LADDER)}); every further "
@@ -297,10 +299,10 @@ class Chassis:
 
     def close(self) -> None:
         """Coil off, tasks cleared, connection ended; harmless when done before."""
-        connection, self._connection = self._connection, None
         try:
             self.end_turn()
         finally:
+            connection, self._connection = self._connection, None
             try:
                 if connection is not None:
                     connection.close()

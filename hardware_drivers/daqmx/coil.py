@@ -96,7 +96,7 @@ class Coil:
                 self.task.stop()
             self.on_until = 0.0
         except InstrumentError as error:
-            log.warning("%s: its counter could not be stopped: %s", doing, error)
+            log.warning("%s: its counter could not be stopped: %s", doing, str(error))
             well = False
         if discard(self.task, doing):
             self.on_until = 0.0

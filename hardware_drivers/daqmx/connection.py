@@ -187,8 +187,9 @@ def _tried(step: Callable[[], None], doing: str) -> bool:
         warnings.simplefilter("ignore")
         try:
             step()
-        except Exception as error:  # a half-built object fails after its task is cleared
-            log.debug("discarding a task after %s: %s", doing, error)
+        except Exception as error:  # noqa: BLE001 # a half-built object fails once its task is cleared
+            # As text: a log record that is kept must not keep the vendor's objects alive.
+            log.debug("discarding a task after %s: %s", doing, str(error))
             return False
     return True
 

@@ -82,7 +82,7 @@ class DaqmxDigitizer:
             if acquired is None:
                 raise
             # The record is whole; what failed after it is met again, and told, at the next arm.
-            log.warning("the record of %s is sound, but ending its acquisition failed: %s", key, error)
+            log.warning("the record of %s is sound, but ending its acquisition failed: %s", key, str(error))
         return acquired
 
     def disarm(self) -> None:

@@ -308,7 +308,7 @@ class _Look:
         try:
             detail = work()
         except InstrumentError as error:
-            log.info("%s, %s: %s", subject, check, error)
+            log.info("%s, %s: %s", subject, check, str(error))
             problem, _, remedy = str(error).rpartition("; ")
             self._add(subject, check, "fail", problem or str(error), remedy if problem else "")
             return False
