@@ -23,8 +23,9 @@ from hardware_drivers.measurement import Calibration, Waveform
 
 log = logging.getLogger(__name__)
 
-EDGE_S = 2e-6
-"""Comparator and ADC differ by codes and delay: the level is passed this close to the trigger."""
+EDGE_S = 10e-6
+"""The level is passed this close to the trigger: comparator and ADC differ in codes and delay (filters, a few
+samples), and this is a tenth of the incident wave's length."""
 EDGE_FRACTION = 0.02
 """Level within which the comparator agrees with the ADC, as a fraction of the range."""
 OVER_RANGE = (0.99, 1.5)

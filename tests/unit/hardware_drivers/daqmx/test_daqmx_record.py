@@ -47,9 +47,9 @@ def wave(delay_samples=0):
     return np.where((phase > 0.0) & (phase < 1.0), 2.5 * np.sin(np.pi * np.clip(phase, 0.0, 1.0)), 0.0)
 
 
-@pytest.mark.parametrize("delay_samples", [-15, 0, 15])
+@pytest.mark.parametrize("delay_samples", [-90, 0, 90])
 def test_an_edge_near_its_trigger_is_believed(delay_samples):
-    # Comparator and ADC may differ by the 2 us that the module allows: 20 samples.
+    # Comparator and ADC may differ by the 10 us that the module allows: 100 samples.
     waveform = acquisition(wave(delay_samples)).read(1.0)
     assert waveform.pretrigger_samples == PRETRIGGER
     # Half a code of rounding.
