@@ -65,7 +65,7 @@ def record(
         )
         epoch_ns = _experiment_epoch(catalogue, settings)
         clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
-        heartbeat = Heartbeat(folder, deadline_s=settings.rig.read_timeout_s + settings.rig.stall_timeout_s)
+        heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings) + settings.rig.stall_timeout_s)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.committed_sets()),
@@ -83,6 +83,14 @@ def record(
             if linger:
                 recorder.linger()
         return finished
+
+
+def longest_call_s(settings: Settings) -> float:
+    """Longest a bounded call of an instrument may take; a call of NI's library has no bound of its own."""
+    boards = settings.rig.daqmx
+    over_grpc = settings.rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
+    longest_s = boards.longest_call_s if over_grpc and boards is not None else 0.0
+    return max(settings.rig.read_timeout_s, longest_s)
 
 
 def _open_patiently(

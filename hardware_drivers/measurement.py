@@ -111,9 +111,12 @@ class Waveform:
 
     @property
     def clipped(self) -> bool:
-        """True if any sample sits at an end of the ADC's range."""
+        """True if any sample sits at an end of the ADC's range.
+
+        Some boards clip at the same code on both sides, one short of the lowest: that counts too.
+        """
         low, high = self.calibration.full_scale_counts
-        return bool(self.counts.size and (self.counts.min() <= low or self.counts.max() >= high))
+        return bool(self.counts.size and (self.counts.min() <= low + 1 or self.counts.max() >= high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

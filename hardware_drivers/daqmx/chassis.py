@@ -124,13 +124,13 @@ class Chassis:
         connection = self.connection
         coil_board = self._boards[same_serial(wiring.coil_serial)]
         board = self._boards[same_serial(wiring.board_serial)]
-        acquisition = commit_acquisition(
-            connection, self.parameters, position, board, triggered=not self.parameters.dry_run
-        )
+        coil = commit_coil(connection, self.parameters, position, coil_board)
         try:
-            coil = commit_coil(connection, self.parameters, position, coil_board)
+            acquisition = commit_acquisition(
+                connection, self.parameters, position, board, triggered=not self.parameters.dry_run
+            )
         except BaseException:
-            acquisition.close()
+            coil.close()
             raise
         return Turn(position=position, acquisition=acquisition, coil=coil)
 

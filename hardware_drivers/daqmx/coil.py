@@ -120,16 +120,24 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
             f"pulse_s is {parameters.pulse_s} s; this driver pulses a coil for at most {CAP_S} s; shorten it"
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
-    task = connection.task("striker")
+    wired = parameters.watchdog
     watchdog = None
+    if wired is not None and same_serial(wired.board_serial) == board.serial:
+        # First: some boards let no watchdog be reserved beside other tasks (-201477).
+        watchdog = _commit_watchdog(connection, parameters, board)
+    try:
+        task = connection.task("striker")
+    except BaseException:
+        if watchdog is not None:
+            discard_watchdog(watchdog, doing)
+        raise
     try:
         with vendor_call(doing):
             _configure(task, parameters, position, board)
-        wired = parameters.watchdog
-        if wired is not None and same_serial(wired.board_serial) == board.serial:
-            watchdog = _commit_watchdog(connection, parameters, board)
     except BaseException:
         discard(task, doing)
+        if watchdog is not None:
+            discard_watchdog(watchdog, doing)
         raise
     return Coil(
         position=position,
@@ -171,7 +179,7 @@ def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Boa
 
 
 def _commit_watchdog(connection: Connection, parameters: DaqmxParameters, board: Board) -> Any:
-    from nidaqmx.constants import Level
+    from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 
     assert parameters.watchdog is not None
@@ -185,6 +193,7 @@ def _commit_watchdog(connection: Connection, parameters: DaqmxParameters, board:
                     for line in parameters.watchdog.lines
                 ]
             )
+            watchdog.control(TaskMode.TASK_COMMIT)
     except BaseException:
         discard_watchdog(watchdog, doing)
         raise

@@ -24,6 +24,7 @@ from simulator.doubles.tasks import Answer, Arguments, Bench, Task
 
 COUNTER_OUTPUT = 10132
 DMA = 10054
+RIGHT_JUSTIFIED = 10279
 
 
 _INPUT_CHANNEL: Values = {
@@ -44,7 +45,7 @@ _INPUT_CHANNEL: Values = {
     "AI.Resolution": lambda task, c: float(c.device.kind.resolution_bits),
     "AI.ResolutionUnits": lambda task, c: analog_input.BITS,
     "AI.RawSampSize": lambda task, c: c.device.kind.raw_sample_bits,
-    "AI.RawSampJustification": lambda task, c: 10209,
+    "AI.RawSampJustification": lambda task, c: RIGHT_JUSTIFIED,
     "AI.DevScalingCoeff": lambda task, c: c.calibration.coefficients_v,
 }
 

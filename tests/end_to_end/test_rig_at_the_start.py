@@ -89,3 +89,20 @@ def test_waiting_ends_when_told_to_stop(tmp_path: Path) -> None:
     rig = Unwilling(*[GONE] * 1000, on_refusal=stop.set)
     assert not run(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig, stop=stop)
     assert len(rig.refusals) == 999
+
+
+def test_the_heartbeat_allows_for_the_longest_call_over_a_network() -> None:
+    def deadline_s(**boards: Any) -> float:
+        wiring = {
+            name: {"board_serial": "1", "input": f"ai{n}", "counter": f"ctr{n}", "output_terminal": f"PFI{n}"}
+            for n, name in enumerate("BCD")
+        }
+        rig = {
+            "kind": "daqmx",
+            "daqmx": {"transducers": wiring, **boards},
+            "niscope": {"probes": {"A": {"resource": "PXI1Slot5"}}},
+        }
+        return daq_service.recording.longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
+
+    assert deadline_s() == 5.0
+    assert deadline_s(transport="grpc", grpc_address="lab:31763", call_timeout_s=60.0) > 10 * 60.0

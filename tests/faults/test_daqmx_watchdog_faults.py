@@ -106,8 +106,9 @@ def test_a_strike_leaves_the_watchdog_stopped_and_unexpired(doubles, parameters)
                 "GetWatchdogAttribute", "StopTask", "ReadBinaryI16", "StopTask",
             ]  # fmt: skip
             assert causes(record) == ["pulse", "pulse"]
-            assert watchdog_task(doubles)["state"] == "verified"
-            assert f"{SERIAL}/watchdog" not in record["reservations"]
+            # Stopped, and kept for the next strike of this turn.
+            assert watchdog_task(doubles)["state"] == "committed"
+            assert f"{SERIAL}/watchdog" in record["reservations"]
     record = doubles.control.record()
     assert (record["tasks"], record["reservations"]) == ([], {})
 
@@ -189,12 +190,22 @@ def test_a_line_the_board_does_not_have_is_refused_when_the_rig_opens(parameters
 
 def test_a_watchdog_somebody_else_runs_is_busy_and_nothing_moves(doubles, parameters):
     with open_daqmx(parameters) as rig:
-        rig.digitizer.arm(key(0))
         doubles.control.occupy(f"{SERIAL}/watchdog", "LabVIEW on BENCH-7")
         try:
             with pytest.raises(BusyError, match=r"owner: .*LabVIEW on BENCH-7"):
-                rig.striker.strike(key(0))
+                rig.digitizer.arm(key(0))
         finally:
             doubles.control.vacate("LabVIEW on BENCH-7")
         assert doubles.control.record()["lines"] == []
         assert_sound(parameters, take(rig, doubles, key(1)), key(1))
+
+
+def test_the_watchdog_is_reserved_before_any_other_task(doubles, parameters):
+    """NI's -201477 asks for that on some boards: stop and unreserve all other tasks first."""
+    with open_daqmx(parameters) as rig:
+        doubles.control.clear_record()
+        rig.digitizer.arm(key(0))
+        names = functions_of(doubles.control.record())
+    assert names.index("CfgWatchdogDOExpirStates") < names.index("TaskControl")
+    assert names.index("TaskControl") < names.index("CreateCOPulseChanTime")
+    assert names.index("CreateCOPulseChanTime") < names.index("CreateAIVoltageChan")
