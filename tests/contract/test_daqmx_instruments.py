@@ -10,7 +10,7 @@ from striker_contract import StrikerContract
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.process import running_doubles
+from simulator.doubles.control import running_doubles
 
 DESCRIPTION = quick_description()
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from daqmx_rig import QUICK_PULSE_S, QUICK_TWIN, board, coil_pulses_s, parameters_of, quick_description
 
+from simulator.doubles.control import running_doubles
 from simulator.doubles.library import why_unavailable
-from simulator.doubles.process import running_doubles
 from simulator.scenario import NoiseParameters
 
 ROOT = Path(__file__).parents[2]

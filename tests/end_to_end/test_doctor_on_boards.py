@@ -32,9 +32,9 @@ from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.settings import Settings
 from daq_service.settings_file import config_file, load_settings
 from hardware_drivers.daqmx.client_lock import ClientLock
+from simulator.doubles.control import RunningDoubles, running_doubles
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW, Description
 from simulator.doubles.library import why_unavailable
-from simulator.doubles.process import RunningDoubles, running_doubles
 from simulator.scenario import NoiseParameters
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")

@@ -39,8 +39,8 @@ from hardware_drivers.errors import (
     InstrumentError,
 )
 from hardware_drivers.measurement import ShotKey
+from simulator.doubles.control import running_doubles
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
-from simulator.doubles.process import running_doubles
 from simulator.scenario import NoiseParameters
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number

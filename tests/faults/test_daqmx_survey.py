@@ -18,8 +18,8 @@ from daqmx_rig import (
 
 from hardware_drivers.daqmx.survey import survey, trial_strike
 from hardware_drivers.errors import BusyError
+from simulator.doubles.control import running_doubles
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW
-from simulator.doubles.process import running_doubles
 from simulator.scenario import NoiseParameters
 
 NOISE_V = 0.02

@@ -31,8 +31,8 @@ from hardware_drivers.errors import (
     ConnectionLostError,
 )
 from hardware_drivers.measurement import ShotKey
+from simulator.doubles.control import running_doubles
 from simulator.doubles.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT
-from simulator.doubles.process import running_doubles
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
 S_SERIES = SIMULTANEOUS_12_BIT.serial_number

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.measurement import ShotKey
+from simulator.doubles.control import running_doubles
 from simulator.doubles.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT
-from simulator.doubles.process import running_doubles
 
 BOARDS = {"16 bit": SIMULTANEOUS_16_BIT, "18 bit": SIMULTANEOUS_18_BIT, "12 bit": SIMULTANEOUS_12_BIT}
 

@@ -12,7 +12,7 @@ from hardware_drivers.daqmx import WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.coil import Coil
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.process import running_doubles
+from simulator.doubles.control import running_doubles
 
 
 class Recorder:
