@@ -216,6 +216,12 @@ def _give_order(kind: str, **options: Any) -> None:
 
 @cli.command()
 @CONFIG
+@click.option(
+    "--model",
+    type=click.Choice(["coupled", "zener"]),
+    default="coupled",
+    help="coupled: chain and plate together (default); zener: the last sphere strikes a large plate.",
+)
 @click.option("--position", help="Use this position's chain, plate and footprint.")
 @click.option("--depth", "depth_fraction", type=float, help="Lost part of the thickness, 0 to 0.95.")
 @click.option("--drop-height-m", type=float, help="Drop height of the striker in m.")

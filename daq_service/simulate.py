@@ -1,9 +1,10 @@
-"""``solimon simulate``: one noise-free shot of the twin, or a sweep over the patch's depth."""
+"""``solimon simulate``: one noise-free shot of the twin or of Zener's model, or a sweep over depth."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -18,8 +19,11 @@ from simulator.coupled_model import ShotModel
 from simulator.errors import SimulatorError
 from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
+from simulator.zener import reflect
 
-COLUMNS = (
+Columns = tuple[tuple[str, str, str, str], ...]
+
+COUPLED_COLUMNS: Columns = (
     ("depth_fraction", "depth", "", ".3f"),
     ("isw_peak_n", "ISW", "N", ".2f"),
     ("isw_time_us", "ISW at", "us", ".2f"),
@@ -28,11 +32,23 @@ COLUMNS = (
     ("tof_us", "ToF", "us", ".2f"),
     ("amplitude_ratio", "AR", "", ".4f"),
 )
+COUPLED_NOTE = "noise-free sensor force, static preload kept; times from the striker's contact"
+
+ZENER_COLUMNS: Columns = (
+    ("depth_fraction", "depth", "", ".3f"),
+    ("inelasticity", "lambda", "", ".4f"),
+    ("restitution", "e", "", "#.4g"),
+    ("contact_time", "tau_c", "", ".4f"),
+    ("tof_us", "ToF", "us", ".2f"),
+    ("amplitude_ratio", "AR", "", "#.4g"),
+)
+ZENER_NOTE = "the paper's eqs 8, 9, 11 and 13; the whole plate as thin as the depth leaves it"
 
 
 def print_simulation(
     *,
     config: Path | None,
+    model: str,
     position: str | None,
     depth_fraction: float | None,
     drop_height_m: float | None,
@@ -42,6 +58,8 @@ def print_simulation(
 ) -> None:
     """Carry out the command."""
     settings = load_settings(config)
+    if model == "zener" and tilt_rad is not None:
+        raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
     try:
         chain, plate, patch = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
         grid = [patch.depth_fraction] if depths is None else _grid(depths)
@@ -50,18 +68,20 @@ def print_simulation(
     except ValueError as error:
         raise UsageError(str(error)) from error
     try:
-        model = ShotModel(chain, plate, patch)
+        shot = _impact_of(chain, plate) if model == "zener" else _shot_of(chain, plate, patch)
         rows = []
         for number, depth in enumerate(grid, 1):
-            rows.append(_shot(model, chain, depth))
+            rows.append(shot(depth))
             if depths is not None and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
     except SimulatorError as error:
         raise UsageError(str(error)) from error
     if as_json:
         click.echo(json.dumps(rows[0] if depths is None else {"shots": rows}))
+    elif model == "zener":
+        _print_table(rows, ZENER_COLUMNS, ZENER_NOTE)
     else:
-        _print_table(rows)
+        _print_table(rows, COUPLED_COLUMNS, COUPLED_NOTE)
 
 
 def _specimen(
@@ -97,23 +117,45 @@ def _grid(text: str) -> list[float]:
     return [float(depth) for depth in np.linspace(first, last, count)]
 
 
-def _shot(model: ShotModel, chain: ChainParameters, depth: float) -> dict[str, Any]:
-    force = model.shot(depth_fraction=depth)
-    summary = asdict(summarise(force))
-    return {
-        **summary,
-        "depth_fraction": depth,
-        "drop_height_m": chain.drop_height_m,
-        "tilt_rad": chain.tilt_rad,
-        "preload_n": force.preload_n,
-        "energy_residual": force.energy_residual,
-    }
+def _shot_of(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
+) -> Callable[[float], dict[str, Any]]:
+    """Chain and plate integrated together, as a row for each depth."""
+    model = ShotModel(chain, plate, patch)
+
+    def shot(depth: float) -> dict[str, Any]:
+        force = model.shot(depth_fraction=depth)
+        return {
+            **asdict(summarise(force)),
+            "depth_fraction": depth,
+            "drop_height_m": chain.drop_height_m,
+            "tilt_rad": chain.tilt_rad,
+            "preload_n": force.preload_n,
+            "energy_residual": force.energy_residual,
+        }
+
+    return shot
 
 
-def _print_table(rows: list[dict[str, Any]]) -> None:
-    click.echo("  ".join(f"{title:>8}" for _, title, _, _ in COLUMNS))
-    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>8}" for _, _, unit, _ in COLUMNS))
+def _impact_of(chain: ChainParameters, plate: PlateParameters) -> Callable[[float], dict[str, Any]]:
+    """Zener's impact of the last sphere, as a row for each depth."""
+
+    def impact(depth: float) -> dict[str, Any]:
+        row = asdict(reflect(chain, plate, depth_fraction=depth))
+        return {
+            "tof_us": 1e6 * row.pop("tof_s"),
+            **row,
+            "depth_fraction": depth,
+            "drop_height_m": chain.drop_height_m,
+        }
+
+    return impact
+
+
+def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:
+    click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
+    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))
     for row in rows:
-        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in COLUMNS)
-        click.echo("  ".join(f"{cell:>8}" for cell in cells))
-    click.echo("noise-free sensor force, static preload kept; times from the striker's contact")
+        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in columns)
+        click.echo("  ".join(f"{cell:>9}" for cell in cells))
+    click.echo(note)

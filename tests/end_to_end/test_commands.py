@@ -453,9 +453,32 @@ def test_simulate_gives_one_shot_or_a_table(tmp_path: Path) -> None:
     assert shot["tof_us"] == pytest.approx(float(table[3].split()[5]), abs=0.005), "two decimals are printed"
 
 
+def test_simulate_gives_zeners_impact_or_a_table() -> None:
+    impact = json.loads(solimon("simulate", "--model", "zener", "--json", "--depth", "0.4").stdout)
+    assert impact["amplitude_ratio"] == pytest.approx(impact["restitution"] ** 1.2, rel=1e-12)
+    table = solimon("simulate", "--model", "zener", "--depths", "0:0.8:3").stdout.splitlines()
+    assert table[0].split() == ["depth", "lambda", "e", "tau_c", "ToF", "AR"]
+    pristine, thinned, deep = (line.split() for line in table[2:5])
+    assert [pristine[0], thinned[0], deep[0]] == ["0.000", "0.400", "0.800"]
+    for key, cell in zip(
+        ("inelasticity", "restitution", "contact_time", "tof_us", "amplitude_ratio"), thinned[1:], strict=True
+    ):
+        assert impact[key] == pytest.approx(float(cell), rel=5e-4), "four digits are printed"
+    # lambda goes with h^-2: 0.6^-2 and 0.2^-2 of the pristine plate's, which has four printed digits.
+    assert float(thinned[1]) / float(pristine[1]) == pytest.approx(1 / 0.36, rel=5e-4)
+    assert float(deep[1]) / float(pristine[1]) == pytest.approx(25.0, rel=5e-4)
+    dropped = json.loads(
+        solimon("simulate", "--model", "zener", "--json", "--drop-height-m", "0.16").stdout
+    )  # 32 times as high as 5 mm: lambda goes with v^(1/5), v with the root of the height
+    assert dropped["inelasticity"] / float(pristine[1]) == pytest.approx(2.0**0.5, rel=5e-4)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
+        (["--model", "zener", "--tilt-rad", "0.01"], "leave it out"),
+        (["--model", "zener", "--depth", "0.97"], "at most 0.95"),
+        (["--model", "herz"], "'coupled', 'zener'"),
         (["--depth", "0.97"], "at most 0.95"),
         (["--drop-height-m", "-0.005"], "greater than 0"),
         (["--depths", "0..0.8"], "first:last:count"),
