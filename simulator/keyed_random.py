@@ -20,6 +20,11 @@ class Purpose(IntEnum):
     SAMPLING_PHASE = 5
     NOISE = 6
     ECHO_NOISE = 7
+    MISSED_STRIKE = 8
+    DOUBLE_STRIKE = 9
+    LOOSE_CONTACT = 10
+    SPIKES = 11
+    MAINS_HUM = 12
 
 
 def generator(

@@ -3,7 +3,7 @@
 `parameters.py` says what the specimen is; this module says how it corrodes, how shots scatter and
 how a force becomes counts. Where the paper gives a number it is named; everything else is marked
 "assumption". A file embeds these as ``[twin]`` with ``seed``, ``scatter``, ``drift``, ``noise``,
-``adc``, ``sensor``, ``echo`` and one ``thinning`` a position.
+``adc``, ``sensor``, ``echo`` and one ``thinning`` and ``faults`` a position.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar
 from annotated_types import Ge, Gt, Le, Lt
 
 from hardware_drivers.bounds import check_bounds
+from simulator.fault_parameters import FaultParameters
 from simulator.parameters import DEEPEST_PATCH_FRACTION
 
 _FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
@@ -284,6 +285,15 @@ class TwinParameters:
     """Ultrasonic probe and receiver."""
     thinning: Mapping[str, ThinningParameters] = field(default_factory=lambda: dict(PAPER_THINNING))
     """Corrosion of each position by its name; once given, a position without an entry stays pristine."""
+    faults: Mapping[str, FaultParameters] = field(default_factory=dict)
+    """Faults of each transducer and its channel by the position's name; without an entry it has none."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        for position, faults in self.faults.items():
+            hum_v = faults.mains_hum.amplitude_v
+            if hum_v >= self.adc.trigger_level_v:
+                raise ValueError(
+                    f"faults.{position}.mains_hum.amplitude_v is {hum_v} V; it must be below "
+                    f"adc.trigger_level_v ({self.adc.trigger_level_v} V), or a board would trigger on the hum"
+                )

@@ -8,15 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.corrosion import Wall, WallHistory, held_hour_h, wall_history
-from simulator.coupled_model import ShotForce
+from simulator.coupled_model import ShotForce, ShotModel
+from simulator.errors import SpecimenError
+from simulator.faults import (
+    NO_FAULTS,
+    SOUND,
+    RefittedModel,
+    ShotFaults,
+    faults_of_shot,
+    faulty_chain,
+    faulty_strike,
+    interference_of_shot,
+    with_second_strike,
+)
 from simulator.keyed_random import Purpose, generator
 from simulator.parameters import ChainParameters
 from simulator.pulse_summary import summarise
@@ -72,21 +85,30 @@ class Specimen:
         """Hour whose depth and temperature hold now (`TwinParameters.update_interval_s`)."""
         return held_hour_h(elapsed_ns, self.twin.update_interval_s)
 
+    def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
+        """Draw what befalls this strike, its chain and its gain; hum and spikes come with the record."""
+        faults = self.twin.faults.get(key.position)
+        if faults is None:
+            return NO_FAULTS
+        return faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
+
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Drop height, tilt and sensitivity of one shot."""
-        return scattered_strike(
+        """Drop height, tilt and sensitivity of one shot, its faults included."""
+        faults = self.faults(key, hour_h)
+        scattered = scattered_strike(
             key,
             seed=self.twin.seed,
             chain=self.transducers[key.position].chain,
             scatter=self.twin.scatter,
             drift=self.twin.drift,
             sensor=self.twin.sensor,
-            temperature_c=self.room.at(hour_h),
+            temperature_c=self.room.at(hour_h) + faults.temperature_k,
         )
+        return scattered if faults is NO_FAULTS else faulty_strike(scattered, faults, self.twin.sensor)
 
-    def force(self, wall: Wall, strike: Strike, position: str) -> ShotForce:
-        """Physics of one shot at its own depth, drop height and tilt."""
-        model = self.transducers[position].model
+    def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
+        """Physics of one impact at its own depth, drop height and tilt."""
+        model = _model(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
@@ -97,12 +119,17 @@ class Specimen:
         """Record of one strike, or None if it does not reach the trigger level."""
         seed, adc = self.twin.seed, self.twin.adc
         wall = self.walls[key.position].at(hour_h)
+        faults = self.faults(key, hour_h)
+        if faults.missed:
+            return None
         strike = self.strike(key, hour_h)
-        force = self.force(wall, strike, key.position)
+        force = self.force(wall, strike, key.position, faults)
+        interference, electrical_truth = interference_of_shot(
+            self.twin.faults.get(key.position, SOUND), seed=seed, key=key, adc=adc
+        )
         record = triggered_record(
-            # The grid's step, which may be several steps of the integration.
-            force_step_s=float(force.time_s[-1]) / (force.time_s.size - 1),
-            dynamic_force_n=force.force_n - force.preload_n,
+            force_step_s=_grid_step_s(force),
+            dynamic_force_n=self._dynamic_force_n(force, wall, strike, key.position, faults),
             sensor_gain_v_per_n=strike.sensor_gain_v_per_n,
             adc=adc,
             calibration=self.adc_calibration,
@@ -110,6 +137,7 @@ class Specimen:
             sampling_phase=float(generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
             noise=self.twin.noise,
             random=generator(seed, Purpose.NOISE, key=key),
+            interference=interference,
         )
         if record is None:
             return None
@@ -120,8 +148,23 @@ class Specimen:
             calibration=self.adc_calibration,
         )
         truth = _shot_truth(wall, strike, force)
-        truth |= {"temperature_c": self.room.at(hour_h), "trigger_time_s": record.trigger_time_s}
-        return Acquired(waveform=waveform, truth=truth)
+        temperature_c = self.room.at(hour_h) + faults.temperature_k
+        truth |= {"temperature_c": temperature_c, "trigger_time_s": record.trigger_time_s}
+        return Acquired(waveform=waveform, truth=truth | faults.truth | electrical_truth)
+
+    def _dynamic_force_n(
+        self, force: ShotForce, wall: Wall, strike: Strike, position: str, faults: ShotFaults
+    ) -> NDArray[np.float64]:
+        """Force at the sensor less its preload, of both impacts where the striker bounced."""
+        first_n = force.force_n - force.preload_n
+        if faults.double_delay_s is None:
+            return first_n
+        bounced = replace(strike, drop_height_m=strike.drop_height_m * faults.double_height_fraction)
+        second = self.force(wall, bounced, position, faults)
+        second_n = second.force_n - second.preload_n
+        return with_second_strike(
+            _grid_step_s(force), first_n, _grid_step_s(second), second_n, faults.double_delay_s
+        )
 
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
         """Averaged pulse-echo record of one position."""
@@ -145,6 +188,23 @@ class Specimen:
             "temperature_c": self.room.at(hour_h),
         }
         return Echo(waveform=waveform, truth=truth, gain_db=echo.gain_db, averages=echo.averages)
+
+
+def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
+    """Model of the transducer, on a chain with other contacts where a fault changed them."""
+    if faults.radius_factor == 1.0 and faults.contact_damping_factor == 1.0:
+        return transducer.model
+    if not isinstance(transducer.model, ShotModel):
+        raise SpecimenError(
+            f"bead_wear and loose_contact change the chain of a ShotModel; this one is a "
+            f"{type(transducer.model).__name__}: take the two out of the faults"
+        )
+    return RefittedModel(transducer.model, faulty_chain(transducer.chain, faults))
+
+
+def _grid_step_s(force: ShotForce) -> float:
+    """Step of the force's grid, which may be several steps of the integration."""
+    return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
 def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from hardware_drivers.measurement import Calibration, Counts
+from simulator.interference import Interference
 from simulator.scenario import AdcParameters, NoiseParameters
 
 FloatArray = NDArray[np.float64]
@@ -119,6 +120,7 @@ def triggered_record(
     sampling_phase: float = 0.0,
     noise: NoiseParameters,
     random: np.random.Generator,
+    interference: Interference | None = None,
 ) -> TriggeredRecord | None:
     """Sample, trigger and quantise one shot.
 
@@ -132,6 +134,8 @@ def triggered_record(
         Where the free-running sample clock stands at the noise-free crossing, in samples, 0 .. 1.
     noise, random
         Electronic noise and the generator it is drawn from.
+    interference
+        Hum and spikes; a spike before the wave may take the trigger.
 
     Returns
     -------
@@ -146,12 +150,20 @@ def triggered_record(
     volts = sensor_gain_v_per_n * dynamic_force_n
     crossing_s = _first_crossing_s(volts, force_step_s, adc.trigger_level_v)
     margin = round(EARLY_TRIGGER_S * adc.sample_rate_hz)
-    start_s = crossing_s - (adc.pretrigger_samples + margin + sampling_phase) / adc.sample_rate_hz
-    sampled = _sample(volts, force_step_s, start_s, adc.sample_rate_hz, adc.record_samples + 2 * margin)
-    if noise.enabled:
-        sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
-    trigger = _rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
-    if trigger is None:
+    expected_s = [crossing_s]
+    if interference is not None:
+        expected_s = [*(crossing_s + interference.false_triggers_s(adc.trigger_level_v)), crossing_s]
+    for edge_s in expected_s:
+        start_s = edge_s - (adc.pretrigger_samples + margin + sampling_phase) / adc.sample_rate_hz
+        sampled = _sample(volts, force_step_s, start_s, adc.sample_rate_hz, adc.record_samples + 2 * margin)
+        if interference is not None:
+            sampled += interference.volts(start_s - crossing_s, adc.sample_rate_hz, sampled.size)
+        if noise.enabled:
+            sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
+        trigger = _rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
+        if trigger is not None:
+            break
+    else:
         return None
     first = trigger - adc.pretrigger_samples
     last_s = start_s + (first + adc.record_samples - 1) / adc.sample_rate_hz

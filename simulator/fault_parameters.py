@@ -1,0 +1,266 @@
+"""Faults of the rig that the twin may show, a table for each: none of them acts by default.
+
+Random faults have a probability a shot or a rate; gradual ones begin at ``onset_h`` and reach their
+full size ``ramp_h`` later (0: at once). All sizes are assumptions of whoever writes them: the paper
+reports none of these faults. A through hole is no fault of the rig: see `ThinningParameters.hole_h`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar
+
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import check_bounds
+
+_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedStrikeFault:
+    """The striker sticks: no wave, and nothing to trigger on."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Probability a strike; a repeated strike is drawn anew."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.probability > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DoubleStrikeFault:
+    """The striker bounces: a second, weaker impact while the first one's waves are under way."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Probability a strike."""
+    shortest_delay_s: Annotated[float, Gt(0.0), Le(1.0)] = 60e-6
+    """Shortest time between the two impacts; drawn evenly up to the longest (assumption)."""
+    longest_delay_s: Annotated[float, Gt(0.0), Le(1.0)] = 700e-6
+    """Longest time between the two impacts (assumption)."""
+    lowest_height_fraction: Annotated[float, Ge(0.01), Le(1.0)] = 0.3
+    """Least drop height of the second impact over the first one's; drawn evenly up to 1 (assumption)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+        if self.longest_delay_s < self.shortest_delay_s:
+            raise ValueError(
+                f"longest_delay_s is {self.longest_delay_s} s; it must be at least shortest_delay_s "
+                f"({self.shortest_delay_s} s)"
+            )
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.probability > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TiltFault:
+    """The sensor disk leans further than its play lets it; it acts as the sensor's own tilt does."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
+    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hours until it has its full size; 0: at once."""
+    tilt_rad: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
+    """Full size of the tilt on top of the scattered one; together at most 0.2 rad."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.tilt_rad > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeadWearFault:
+    """All contacts of the chain flatten: a larger radius of curvature, the spheres' mass unchanged."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
+    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hours until it has its full size; 0: at once."""
+    radius_growth_fraction: Annotated[float, Ge(0.0), Le(3.0)] = 0.0
+    """Full growth of the radius of curvature over the nominal radius; the stiffness A goes with its root."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.radius_growth_fraction > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PztAgeingFault:
+    """The PZT disk loses sensitivity by the same fraction every year."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
+    loss_fraction_per_year: Annotated[float, Ge(0.0), Le(0.99)] = 0.0
+    """Part of the sensitivity lost in a year of 8,766 h."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.loss_fraction_per_year > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LooseContactFault:
+    """Chain and cable sit loosely: from shot to shot, gain and plate contact jump and jump back."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
+    probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Probability a shot from then on."""
+    gain_factor: Annotated[float, Gt(0.0), Le(1.0)] = 0.6
+    """Gain of such a shot over the usual one (assumption)."""
+    damping_factor: Annotated[float, Ge(1.0), Le(30.0)] = 4.0
+    """Dashpot between chain and plate over the usual one (assumption)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.probability > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TemperatureFault:
+    """A transducer warmer or colder than the room; it acts through the ways of `DriftParameters`."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
+    ramp_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hours until it has its full size; 0: at once."""
+    change_k: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    """Full difference from the room's temperature."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.change_k != 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClippingFault:
+    """The preamplifier is set too high: the incident wave leaves the digitizer's range."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour of the step."""
+    gain_factor: Annotated[float, Ge(1.0), Le(1e3)] = 1.0
+    """Gain after the step over the one before; the default range clips from about 2 on."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.gain_factor > 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpikesFault:
+    """Short electrical pulses of either sign at random times; the board may trigger on one."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    rate_hz: Annotated[float, Ge(0.0), Le(1e4)] = 0.0
+    """Mean number a second; a record of the default length lasts 1.36 ms."""
+    height_v: Annotated[float, Gt(0.0), Le(1e3)] = 1.0
+    """Height of each at the digitizer's input (assumption)."""
+    fwhm_s: Annotated[float, Gt(0.0), Le(1e-3)] = 1e-6
+    """Full width at half maximum; the shape is a Gaussian (assumption)."""
+    armed_s: Annotated[float, Ge(0.0), Le(10.0)] = 0.1
+    """Time the digitizer stands armed before the wave, open to a false trigger (assumption)."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.rate_hz > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MainsHumFault:
+    """A ground loop: a sinusoid of the mains' frequency whose phase no strike knows."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    amplitude_v: Annotated[float, Ge(0.0), Le(1e3)] = 0.0
+    """Amplitude at the digitizer's input; below the trigger level, or the board would trigger on it."""
+    frequency_hz: Annotated[float, Ge(10.0), Le(1e3)] = 50.0
+    """Frequency: 50 or 60 Hz, or a harmonic."""
+
+    def __post_init__(self) -> None:
+        check_bounds(self)
+
+    @property
+    def is_active(self) -> bool:
+        """Whether it can ever act."""
+        return self.amplitude_v > 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultParameters:
+    """Faults of one position's transducer and of its channel; by default it has none."""
+
+    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
+
+    missed: MissedStrikeFault = field(default_factory=MissedStrikeFault)
+    """Strikes that do not come."""
+    double: DoubleStrikeFault = field(default_factory=DoubleStrikeFault)
+    """Strikes that come twice."""
+    tilt: TiltFault = field(default_factory=TiltFault)
+    """Tilt of the sensor disk."""
+    bead_wear: BeadWearFault = field(default_factory=BeadWearFault)
+    """Flattened contacts."""
+    pzt_ageing: PztAgeingFault = field(default_factory=PztAgeingFault)
+    """Loss of sensitivity over years."""
+    loose_contact: LooseContactFault = field(default_factory=LooseContactFault)
+    """Jumps of gain and damping."""
+    temperature: TemperatureFault = field(default_factory=TemperatureFault)
+    """Local heating or cooling."""
+    clipping: ClippingFault = field(default_factory=ClippingFault)
+    """Step of the preamplifier's gain."""
+    spikes: SpikesFault = field(default_factory=SpikesFault)
+    """Electrical pulses."""
+    mains_hum: MainsHumFault = field(default_factory=MainsHumFault)
+    """Sinusoid of the mains."""

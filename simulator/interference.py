@@ -1,0 +1,58 @@
+"""Voltages that no wave made: mains hum and electrical spikes at the digitizer's input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SPIKE_REACH_FWHM = 3.0
+"""A spike is drawn this far to both sides of its peak: beyond, a Gaussian is below 2e-11 of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Interference:
+    """Hum and spikes around one strike.
+
+    Attributes
+    ----------
+    hum_v, hum_frequency_hz, hum_phase_rad
+        ``hum_v sin(2 pi f t + phase)``, t from the noise-free passage through the trigger level.
+    spike_time_s
+        Shape (n,), rising: peaks of the spikes on the same clock.
+    spike_v
+        Shape (n,): their heights with sign.
+    spike_fwhm_s
+        Full width at half maximum of each.
+    """
+
+    hum_v: float
+    hum_frequency_hz: float
+    hum_phase_rad: float
+    spike_time_s: FloatArray
+    spike_v: FloatArray
+    spike_fwhm_s: float
+
+    def false_triggers_s(self, level_v: float) -> FloatArray:
+        """Return the times before the wave at which a spike alone passes the trigger level upwards."""
+        found: FloatArray = self.spike_time_s[(self.spike_time_s < 0.0) & (self.spike_v >= level_v)]
+        return found
+
+    def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
+        """Voltage of ``n_samples`` samples, the first of them at ``first_s``."""
+        t = first_s + np.arange(n_samples) / sample_rate_hz
+        volts: FloatArray = self.hum_v * np.sin(
+            2.0 * math.pi * self.hum_frequency_hz * t + self.hum_phase_rad
+        )
+        reach_s = SPIKE_REACH_FWHM * self.spike_fwhm_s
+        near = (self.spike_time_s > t[0] - reach_s) & (self.spike_time_s < t[-1] + reach_s)
+        for peak_s, height_v in zip(self.spike_time_s[near], self.spike_v[near], strict=True):
+            first = max(0, math.floor((peak_s - reach_s - first_s) * sample_rate_hz))
+            last = min(n_samples, math.ceil((peak_s + reach_s - first_s) * sample_rate_hz) + 1)
+            widths = (t[first:last] - peak_s) / self.spike_fwhm_s
+            volts[first:last] += height_v * np.exp(-4.0 * math.log(2.0) * widths**2)
+        return volts
