@@ -9,8 +9,13 @@ from scipy import linalg
 from simulator import solid_plate
 from simulator.errors import SpecimenError
 from simulator.parameters import CorrosionParameters, PlateParameters
-from simulator.plate_reduction import krylov_vectors
-from simulator.solid_plate import SolidMesh, assemble_solid, build_solid_plate, hertz_nodal_weights
+from simulator.solid_plate import (
+    SolidMesh,
+    assemble_solid,
+    build_solid_plate,
+    hertz_nodal_weights,
+    solid_modes,
+)
 
 SMALL = PlateParameters(width_m=0.06, height_m=0.05, thickness_m=6e-3)
 PATCH = CorrosionParameters(size_m=0.02)
@@ -149,16 +154,27 @@ def test_more_points_hardly_change_the_weights(monkeypatch):
     assert np.abs(usual - many).max() <= 3e-4 * many.max()  # kinks of the bilinear functions
 
 
-def test_the_usual_reduction_takes_the_solid_plate():
-    """Galerkin on the Krylov space of `plate_reduction` keeps the statics and the response in time."""
-    plate = build_solid_plate(SMALL, replace(PATCH, depth_fraction=0.5), MESH)
-    basis = krylov_vectors(plate.stiffness, plate.mass, plate.load, 20)
-    stiffness, mass = (basis @ (matrix @ basis.T) for matrix in (plate.stiffness, plate.mass))
-    load = basis @ plate.load
+@pytest.mark.parametrize("depth", [0.0, 0.5])
+def test_modes_keep_the_response_and_leave_the_indentation_out(depth):
+    """Static, growing and swinging force, the whole plate's response against that of 20 vectors."""
+    plate = build_solid_plate(SMALL, replace(PATCH, depth_fraction=depth), MESH)
+    modes = solid_modes(plate, 20)
     for s in (0.0, 2e4, 1e4 + 6e4j):
-        reduced = load @ linalg.solve(stiffness + s**2 * mass, load)
+        reduced = np.sum(modes.participation**2 / (modes.omega_rad_per_s**2 + s**2))
         exact = plate.load @ linalg.solve((plate.stiffness + s**2 * plate.mass).toarray(), plate.load)
         assert abs(reduced - exact) <= 1e-9 * abs(exact)
+    net = compliance(plate) - plate.indentation_m_per_n
+    assert modes.static_compliance_m_per_n == pytest.approx(net, rel=1e-8)
+
+
+def test_cutting_fast_modes_keeps_the_statics():
+    mesh = SolidMesh(elements_per_edge=20, layers=4, contact_element_m=2.5e-4, contact_radius_m=5e-4)
+    modes = solid_modes(build_solid_plate(SMALL, PATCH, mesh))
+    cut = modes.cut_above(2 * np.pi * 250e3, yielding_per_kg=np.inf)
+    assert len(cut.omega_rad_per_s) < len(modes.omega_rad_per_s)
+    assert cut.static_compliance_m_per_n == pytest.approx(modes.static_compliance_m_per_n, rel=1e-12)
+    # Dimple and half-space cancel but for what the plate's other face changes, of the order of a / h.
+    assert abs(cut.residual_compliance_m_per_n) < 0.25 * abs(modes.residual_compliance_m_per_n)
 
 
 @pytest.mark.parametrize(
