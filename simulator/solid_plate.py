@@ -24,7 +24,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import linalg, optimize, sparse
 
 from hardware_drivers.bounds import check_bounds
 from simulator.errors import SpecimenError
@@ -52,12 +52,14 @@ LEAST_FRACTION = 1e-6
 class SolidMesh:
     """Mesh of the solid plate and the circle that its load is spread over."""
 
-    elements_per_edge: Annotated[int, Ge(8), Le(200)] = 48
+    elements_per_edge: Annotated[int, Ge(8), Le(200)] = 64
     """Elements along each edge of the whole plate, an even number."""
-    layers: Annotated[int, Ge(1), Le(50)] = 5
+    layers: Annotated[int, Ge(1), Le(50)] = 3
     """Elements through the pristine thickness; at least two where there is a patch."""
     contact_element_m: Annotated[float, Gt(0.0), Le(0.1)] = 2.5e-4
     """Size of the elements at the contact, in all three directions."""
+    growth: Annotated[float, Gt(1.0), Le(3.0)] = 1.25
+    """Ratio of neighbouring elements near the contact; farther out all are equal, to carry the waves."""
     contact_radius_m: Annotated[float, Gt(0.0), Le(0.1)] = 5e-4
     """Radius a of the circle of contact."""
 
@@ -145,9 +147,8 @@ def build_solid_plate(
     """
     mesh = SolidMesh() if mesh is None else mesh
     _check_sizes(plate, corrosion, mesh)
-    lines = mesh.elements_per_edge // 2, mesh.contact_element_m, 0.5 * corrosion.size_m
-    x = graded_half_edge(0.5 * plate.width_m, *lines)
-    y = graded_half_edge(0.5 * plate.height_m, *lines)
+    x = capped_half_edge(0.5 * plate.width_m, mesh, 0.5 * corrosion.size_m)
+    y = capped_half_edge(0.5 * plate.height_m, mesh, 0.5 * corrosion.size_m)
     if not quarter:
         x = np.concatenate((-x[:0:-1], x))
         y = np.concatenate((-y[:0:-1], y))
@@ -158,6 +159,46 @@ def build_solid_plate(
     kept[:, :, below] -= patch_fraction(x, y, corrosion)[:, :, None]
     kept[kept < LEAST_FRACTION] = 0.0
     return assemble_solid(plate, x, y, z, kept, contact_radius_m=mesh.contact_radius_m, quarter=quarter)
+
+
+def capped_half_edge(length_m: float, mesh: SolidMesh, edge_m: float) -> FloatArray:
+    """Grid lines from 0 to `length_m` that grow from the contact up to one size, with a line at `edge_m`.
+
+    The cap follows from the number of elements: elements that grew to the edge of the plate would be
+    too long for the waves that come back from it. The line nearest to `edge_m` is moved there, and the
+    lines on either side of it are spread evenly over what it leaves them.
+
+    Returns
+    -------
+    float64, shape (elements_per_edge / 2 + 1,)
+
+    Raises
+    ------
+    SpecimenError
+        Too few elements for their growth, or a patch smaller than an element.
+    """
+    first_m, count = mesh.contact_element_m, mesh.elements_per_edge // 2
+    if edge_m < first_m:
+        raise SpecimenError(
+            f"half the patch is {edge_m} m, less than the elements at the contact ({first_m} m); "
+            f"make contact_element_m smaller"
+        )
+    grown = first_m * mesh.growth ** np.arange(count)
+    if grown.sum() < length_m:
+        raise SpecimenError(
+            f"{count} elements that grow by {mesh.growth} from {first_m} m reach {grown.sum():.4g} m of "
+            f"{length_m} m; make elements_per_edge, growth or contact_element_m larger"
+        )
+    cap_m = optimize.brentq(lambda cap: np.minimum(grown, cap).sum() - length_m, 0.0, grown[-1], rtol=1e-14)
+    lines = np.concatenate(([0.0], np.cumsum(np.minimum(grown, cap_m))))
+    lines *= length_m / lines[-1]
+    lines[-1] = length_m
+    if edge_m > length_m * (1.0 - 1e-9):
+        return np.asarray(lines)
+    moved = 1 + int(np.argmin(np.abs(lines[1:-1] - edge_m)))
+    inner = lines[:moved] * (edge_m / lines[moved])
+    outer = length_m - (length_m - lines[moved + 1 :]) * ((length_m - edge_m) / (length_m - lines[moved]))
+    return np.concatenate((inner, [edge_m], outer))
 
 
 def _check_sizes(plate: PlateParameters, corrosion: CorrosionParameters, mesh: SolidMesh) -> None:

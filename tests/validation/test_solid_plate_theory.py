@@ -236,7 +236,11 @@ def test_what_is_left_after_the_indentation_hardly_depends_on_the_radius():
 
 @pytest.fixture(scope="module")
 def papers_plate():
-    return [build_solid_plate(PAPER, PATCH, replace(MESH, elements_per_edge=n)) for n in (36, 48, 72)]
+    meshes = ((40, 1.5), (64, 1.25), (90, 1.16))  # growth falls with the size of the elements
+    return [
+        build_solid_plate(PAPER, PATCH, replace(MESH, elements_per_edge=n, growth=growth))
+        for n, growth in meshes
+    ]
 
 
 def test_papers_plate_converges_to_the_exact_compliance(papers_plate):
@@ -246,9 +250,9 @@ def test_papers_plate_converges_to_the_exact_compliance(papers_plate):
         thin, rel=1e-3
     )
     errors = [contact_compliance(plate) / exact - 1.0 for plate in papers_plate]
-    # 10,368 unknowns (the second) leave a part in a thousand, most of it far from the contact.
+    # 12,288 unknowns (the second, the usual mesh) leave two parts in ten thousand.
     assert errors[0] < errors[1] < errors[2] < 0.0
-    assert abs(errors[1]) < 1e-3
+    assert abs(errors[1]) < 2.5e-4
 
 
 def test_first_frequency_of_the_papers_plate(papers_plate):
@@ -256,6 +260,6 @@ def test_first_frequency_of_the_papers_plate(papers_plate):
     assert exact == pytest.approx(82.229, abs=1e-3)
     errors = [flexural_frequency_hz(plate, 1, 1) / exact - 1.0 for plate in papers_plate]
     assert 0.0 < errors[2] < errors[1] < errors[0]
-    assert errors[1] < 4e-3
-    # The element at the contact stays, so that a doubled number is not quite half the size.
-    assert np.log2(errors[0] / errors[2]) == pytest.approx(2.0, abs=0.6)
+    assert errors[1] < 1e-3
+    # The element at the contact and the layers stay the same: order two in the number, but roughly.
+    assert np.log(errors[0] / errors[2]) / np.log(90 / 40) == pytest.approx(2.0, abs=0.4)

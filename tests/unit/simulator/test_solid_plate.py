@@ -13,18 +13,42 @@ from simulator.solid_plate import (
     SolidMesh,
     assemble_solid,
     build_solid_plate,
+    capped_half_edge,
     hertz_nodal_weights,
     solid_modes,
 )
 
 SMALL = PlateParameters(width_m=0.06, height_m=0.05, thickness_m=6e-3)
 PATCH = CorrosionParameters(size_m=0.02)
-MESH = SolidMesh(elements_per_edge=10, layers=3, contact_element_m=1.5e-3, contact_radius_m=2e-3)
+MESH = SolidMesh(elements_per_edge=10, layers=3, contact_element_m=1.5e-3, contact_radius_m=2e-3, growth=2.5)
 
 
 def compliance(plate, frequency_hz=0.0):
     dynamic = (plate.stiffness - (2 * np.pi * frequency_hz) ** 2 * plate.mass).toarray()
     return plate.load @ linalg.solve(dynamic, plate.load)
+
+
+@pytest.mark.parametrize("edge_m", [12.7e-3, 25.4e-3, 0.1, 0.3048])
+def test_elements_grow_up_to_one_size_and_a_line_lies_on_the_patch(edge_m):
+    mesh = SolidMesh()
+    lines = capped_half_edge(0.3048, mesh, edge_m)
+    sizes = np.diff(lines)
+    assert len(sizes) == mesh.elements_per_edge // 2
+    assert lines[0] == 0.0
+    assert lines[-1] == 0.3048
+    assert edge_m in lines
+    # Moving a line to the patch changes sizes by part of an element, spread over all lines between.
+    assert sizes[0] == pytest.approx(mesh.contact_element_m, rel=0.13)
+    assert sizes.max() < 2.0 * 0.3048 / len(sizes)
+    assert np.all(sizes[1:] / sizes[:-1] < 1.25 * mesh.growth)
+    assert np.all(sizes[1:] / sizes[:-1] > 0.75)
+
+
+@pytest.mark.parametrize("edge_m", [3e-4, 1e-3, 0.3, 0.3047])
+def test_a_patch_near_the_contact_or_the_edge_gets_its_line_too(edge_m):
+    lines = capped_half_edge(0.3048, SolidMesh(), edge_m)
+    assert edge_m in lines
+    assert np.all(np.diff(lines) > 0.0)
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.05, 0.37, 0.6])
@@ -168,7 +192,7 @@ def test_modes_keep_the_response_and_leave_the_indentation_out(depth):
 
 
 def test_cutting_fast_modes_keeps_the_statics():
-    mesh = SolidMesh(elements_per_edge=20, layers=4, contact_element_m=2.5e-4, contact_radius_m=5e-4)
+    mesh = replace(MESH, elements_per_edge=20, layers=4, contact_element_m=2.5e-4, contact_radius_m=5e-4)
     modes = solid_modes(build_solid_plate(SMALL, PATCH, mesh))
     cut = modes.cut_above(2 * np.pi * 250e3, yielding_per_kg=np.inf)
     assert len(cut.omega_rad_per_s) < len(modes.omega_rad_per_s)
@@ -189,6 +213,7 @@ def test_cutting_fast_modes_keeps_the_statics():
             "contact_radius_m is 0.002 m, more than the 0.0012 m",
         ),
         (PATCH, replace(MESH, contact_radius_m=0.03), "the plate leaves 0.025 m"),
+        (PATCH, replace(MESH, growth=1.25), r"reach 0.01231 m of 0.03 m; make elements_per_edge, growth"),
         (PATCH, replace(MESH, elements_per_edge=40), "must be at most 0.00125 m"),
         (replace(PATCH, depth_fraction=0.5), replace(MESH, layers=1), "at least 2"),
     ],
