@@ -372,6 +372,14 @@ def test_hum_is_a_sinusoid_of_its_frequency_and_phase():
     np.testing.assert_allclose(volts, 0.3 * np.sin(2 * np.pi * 60.0 * t + 1.0), atol=1e-15)
 
 
+def test_the_phase_of_the_hum_is_anybody_s_guess_at_every_strike(specimen):
+    made = specimen(mains_hum=MainsHumFault(amplitude_v=0.1))
+    records = [made.solitary_wave(key(k % 10, k // 10), 0.0) for k in range(100)]
+    turns = [record.truth["fault_mains_hum_phase_rad"] / (2.0 * np.pi) for record in records]
+    # Kolmogorov-Smirnov, refused for less than one seed in 10,000.
+    assert stats.kstest(turns, "uniform").pvalue > 1e-4
+
+
 def test_a_spike_has_its_height_width_and_place():
     volts = interference(spike_time_s=np.array([1e-4]), spike_v=np.array([-2.0])).volts(0.0, 1e8, 20_000)
     assert np.argmin(volts) == 10_000
