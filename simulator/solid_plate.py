@@ -44,6 +44,9 @@ RADIAL_POINTS = 48
 ANGULAR_POINTS = 48
 """Points over a quarter of the circle of contact: the nodal loads are sure to about 1e-4 of the largest."""
 
+SHALLOWEST_FRACTION = 1e-5
+"""A shallower patch is taken as none: rounding in so thin a layer would change more than the patch."""
+
 LEAST_FRACTION = 1e-6
 """Less than this of an element that a circle cuts is left out: rounding, or too soft for its neighbours."""
 
@@ -55,9 +58,11 @@ class SolidMesh:
     elements_per_edge: Annotated[int, Ge(8), Le(200)] = 64
     """Elements along each edge of the whole plate, an even number."""
     layers: Annotated[int, Ge(1), Le(50)] = 3
-    """Elements through the pristine thickness; at least two where there is a patch."""
+    """Elements through the thickness that remains under the contact, growing away from it."""
+    layers_below: Annotated[int, Ge(1), Le(50)] = 1
+    """Elements through the thickness that the patch has lost, where it is still there."""
     contact_element_m: Annotated[float, Gt(0.0), Le(0.1)] = 2.5e-4
-    """Size of the elements at the contact, in all three directions."""
+    """Size of the elements at the contact, in all three directions; a single layer is as thick as it is."""
     growth: Annotated[float, Gt(1.0), Le(3.0)] = 1.25
     """Ratio of neighbouring elements near the contact; farther out all are equal, to carry the waves."""
     contact_radius_m: Annotated[float, Gt(0.0), Le(0.1)] = 5e-4
@@ -152,8 +157,12 @@ def build_solid_plate(
     if not quarter:
         x = np.concatenate((-x[:0:-1], x))
         y = np.concatenate((-y[:0:-1], y))
-    remaining_m = (1.0 - corrosion.depth_fraction) * plate.thickness_m
-    z = graded_half_edge(plate.thickness_m, mesh.layers, mesh.contact_element_m, remaining_m)
+    lost = corrosion.depth_fraction if corrosion.depth_fraction >= SHALLOWEST_FRACTION else 0.0
+    remaining_m = (1.0 - lost) * plate.thickness_m
+    z = graded_half_edge(remaining_m, mesh.layers, mesh.contact_element_m, remaining_m)
+    if lost > 0.0:
+        below_m = np.linspace(remaining_m, plate.thickness_m, mesh.layers_below + 1)
+        z = np.concatenate((z, below_m[1:]))
     kept = np.ones((len(x) - 1, len(y) - 1, len(z) - 1))
     below = 0.5 * (z[1:] + z[:-1]) > remaining_m
     kept[:, :, below] -= patch_fraction(x, y, corrosion)[:, :, None]
@@ -229,8 +238,6 @@ def _check_sizes(plate: PlateParameters, corrosion: CorrosionParameters, mesh: S
             f"contact_radius_m is {mesh.contact_radius_m} m, more than the {remaining_m:.4g} m of "
             f"plate under it: no half-space; make contact_radius_m and contact_element_m smaller"
         )
-    if corrosion.depth_fraction > 0.0 and mesh.layers < 2:
-        raise SpecimenError("layers is 1; a thinned patch needs at least 2")
 
 
 def assemble_solid(

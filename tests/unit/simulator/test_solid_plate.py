@@ -58,6 +58,9 @@ def test_grid_lines_lie_on_the_patch_and_on_its_remaining_thickness(depth):
     assert np.min(np.abs(plate.y_m - 0.01)) < 1e-12
     assert np.min(np.abs(plate.z_m - (1 - depth) * 6e-3)) < 1e-12
     assert plate.z_m[-1] == 6e-3
+    # The contact is resolved alike at any depth.
+    assert np.sum(plate.z_m <= (1 - depth) * 6e-3 * (1 + 1e-9)) == MESH.layers + 1
+    assert plate.z_m[1] == pytest.approx(MESH.contact_element_m, rel=1e-9)
     assert np.all(np.diff(plate.z_m) > 0.0)
 
 
@@ -120,6 +123,19 @@ def test_a_deeper_patch_yields_more_and_clamped_edges_less():
     assert values[0] < values[1] < values[2]
     clamped = build_solid_plate(replace(SMALL, support="clamped"), PATCH, MESH)
     assert compliance(clamped) < 0.7 * values[0]
+
+
+def test_a_shallow_patch_is_next_to_none():
+    pristine, shallow = (
+        build_solid_plate(SMALL, replace(PATCH, depth_fraction=d), MESH) for d in (0.0, 1e-5)
+    )
+    # The patch is a tenth of the plate; losing 1e-5 of its thickness cannot change more than 3e-5.
+    assert compliance(shallow, 2e3) == pytest.approx(compliance(pristine, 2e3), rel=3e-5)
+
+
+def test_a_patch_too_shallow_to_compute_is_none():
+    pristine, none = (build_solid_plate(SMALL, replace(PATCH, depth_fraction=d), MESH) for d in (0.0, 9e-6))
+    assert abs(none.stiffness - pristine.stiffness).max() == 0.0
 
 
 def test_material_scales_stiffness_and_mass():
@@ -215,7 +231,6 @@ def test_cutting_fast_modes_keeps_the_statics():
         (PATCH, replace(MESH, contact_radius_m=0.03), "the plate leaves 0.025 m"),
         (PATCH, replace(MESH, growth=1.25), r"reach 0.01231 m of 0.03 m; make elements_per_edge, growth"),
         (PATCH, replace(MESH, elements_per_edge=40), "must be at most 0.00125 m"),
-        (replace(PATCH, depth_fraction=0.5), replace(MESH, layers=1), "at least 2"),
     ],
 )
 def test_what_does_not_fit_is_refused(patch, mesh, message):
