@@ -364,7 +364,7 @@ def solid_modes(plate: SolidPlate, vectors: int = SOLID_VECTORS) -> PlateModes:
     The force drives few motions: stiffness and mass are projected onto their Krylov space (Galerkin,
     as in `plate_reduction`). The indentation becomes negative residual compliance. Modes far above
     the chain's frequencies hold most of the dimple under the load; once they are cut into the residual
-    compliance as well, the two nearly cancel.
+    compliance as well, the two nearly cancel. A shot needs `passive_modes` of these.
 
     Parameters
     ----------
@@ -380,4 +380,32 @@ def solid_modes(plate: SolidPlate, vectors: int = SOLID_VECTORS) -> PlateModes:
         omega_rad_per_s=np.sqrt(eigenvalues),
         participation=shapes.T @ (basis @ plate.load),
         residual_compliance_m_per_n=-plate.indentation_m_per_n,
+    )
+
+
+def passive_modes(modes: PlateModes) -> PlateModes:
+    """Turn the fastest modes into residual compliance until it is no longer negative.
+
+    A negative compliance in series with the contact's dashpot feeds energy in, and the explicit
+    integration of a shot diverges with a fine step or a strong dashpot. The fastest modes hold the
+    dimple under the load; as many as make up for the half-space's part of it are taken as static.
+
+    Raises
+    ------
+    SpecimenError
+        All modes together yield less than the half-space: the circle of contact is too small for the mesh.
+    """
+    flexibility = (modes.participation / modes.omega_rad_per_s) ** 2
+    residual = modes.residual_compliance_m_per_n + np.append(np.cumsum(flexibility[::-1])[::-1], 0.0)
+    passive = np.flatnonzero(residual >= 0.0)
+    if len(passive) == 0:
+        raise SpecimenError(
+            f"the plate yields {-residual[0]:.3g} m/N less than a half-space would at the contact; make "
+            f"contact_radius_m larger or contact_element_m smaller"
+        )
+    count = int(passive[-1])
+    return PlateModes(
+        omega_rad_per_s=modes.omega_rad_per_s[:count],
+        participation=modes.participation[:count],
+        residual_compliance_m_per_n=float(residual[count]),
     )

@@ -9,12 +9,14 @@ from scipy import linalg
 from simulator import solid_plate
 from simulator.errors import SpecimenError
 from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_reduction import PlateModes
 from simulator.solid_plate import (
     SolidMesh,
     assemble_solid,
     build_solid_plate,
     capped_half_edge,
     hertz_nodal_weights,
+    passive_modes,
     solid_modes,
 )
 
@@ -215,6 +217,22 @@ def test_cutting_fast_modes_keeps_the_statics():
     assert cut.static_compliance_m_per_n == pytest.approx(modes.static_compliance_m_per_n, rel=1e-12)
     # Dimple and half-space cancel but for what the plate's other face changes, of the order of a / h.
     assert abs(cut.residual_compliance_m_per_n) < 0.25 * abs(modes.residual_compliance_m_per_n)
+
+
+def test_passive_modes_give_up_the_fastest_until_nothing_is_negative():
+    modes = PlateModes(
+        omega_rad_per_s=np.array([1.0, 2.0, 4.0, 8.0]),
+        participation=np.array([1.0, 2.0, 4.0, 8.0]),
+        residual_compliance_m_per_n=-1.5,
+    )
+    passive = passive_modes(modes)
+    assert passive.omega_rad_per_s.tolist() == [1.0, 2.0]
+    assert passive.residual_compliance_m_per_n == pytest.approx(0.5, rel=1e-15)
+    assert passive.static_compliance_m_per_n == pytest.approx(modes.static_compliance_m_per_n, rel=1e-15)
+    unchanged = passive_modes(replace(modes, residual_compliance_m_per_n=0.0))
+    assert unchanged.omega_rad_per_s.tolist() == [1.0, 2.0, 4.0, 8.0]
+    with pytest.raises(SpecimenError, match="yields 1 m/N less than a half-space"):
+        passive_modes(replace(modes, residual_compliance_m_per_n=-5.0))
 
 
 @pytest.mark.parametrize(
