@@ -130,3 +130,9 @@ def test_the_hash_changes_with_what_the_data_depend_on_and_with_nothing_else() -
     assert same.configuration_hash() == Settings().configuration_hash()
     other = load_settings(None, overrides={"chain": {"drop_height_m": 5.1e-3}})
     assert other.configuration_hash() != Settings().configuration_hash()
+
+
+@pytest.mark.parametrize("position", ["Z", "A"])
+def test_a_fault_of_a_position_that_strikes_nothing_is_refused(position):
+    with pytest.raises(ValueError, match=rf"twin\.faults\.{position}.*no solitary_wave position"):
+        Settings(twin={"faults": {position: {"missed": {"probability": 0.5}}}})
