@@ -365,8 +365,8 @@ class Settings(BaseSettings):
             )
         if unknown := sorted(set(self.twin.faults) - set(self.names_of("solitary_wave"))):
             raise ValueError(
-                f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, or "
-                "correct the name"
+                f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
+                "or correct the name"
             )
         if self.rig.kind == "daqmx":
             self._is_wired()
