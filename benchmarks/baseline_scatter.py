@@ -15,8 +15,9 @@ import numpy as np
 
 from analysis.features import extract_features, mean_features
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scenario import PAPER_THINNING, DriftParameters, ScatterParameters, TwinParameters
 from simulator.specimen import Specimen, Transducer, build_specimen

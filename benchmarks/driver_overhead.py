@@ -27,11 +27,12 @@ import numpy as np
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.doubles.control import running_doubles
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, Description
 from simulator.doubles.description import TransducerWiring as DoubleWiring
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.scenario import NoiseParameters, ScatterParameters, TwinParameters
 from simulator.specimen import Transducer, build_specimen
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from analysis.features import FLAGS, ShotFeatures, extract_features
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.fault_parameters import (
     BeadWearFault,
@@ -28,7 +29,7 @@ from simulator.fault_parameters import (
     TemperatureFault,
     TiltFault,
 )
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.scenario import ThinningParameters, TwinParameters
 from simulator.specimen import Specimen, Transducer, build_specimen
 

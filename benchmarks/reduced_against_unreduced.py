@@ -30,10 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.granular_chain import Chain, build_chain
 from simulator.mindlin_plate import AffinePlate, build_plate
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 FloatArray = NDArray[np.float64]
 

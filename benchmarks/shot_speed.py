@@ -22,8 +22,9 @@ from pathlib import Path
 # Small dense problems: BLAS threads only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
 RECORD_S = 1.4e-3

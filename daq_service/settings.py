@@ -20,7 +20,8 @@ from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.niscope.parameters import NiscopeParameters
 from hardware_drivers.playback.parameters import PlaybackParameters
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.chain_parameters import ChainParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.scenario import TwinParameters
 
 HASHED_OUT: Mapping[str, Any] = {

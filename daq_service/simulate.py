@@ -15,9 +15,10 @@ import numpy as np
 from daq_service.errors import UsageError
 from daq_service.settings import Settings
 from daq_service.settings_file import load_settings
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.errors import SimulatorError
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.zener import reflect
 

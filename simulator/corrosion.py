@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.keyed_random import Purpose, generator
-from simulator.parameters import DEEPEST_PATCH_FRACTION
+from simulator.plate_parameters import DEEPEST_PATCH_FRACTION
 from simulator.scenario import ThinningParameters
 
 HARMONICS = 5

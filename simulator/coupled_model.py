@@ -21,14 +21,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_kernel import integrate, modal_weights
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.granular_chain import Chain, build_chain
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.one_thread import one_blas_thread
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
-from simulator.plate_reduction import ReducedPlate
-from simulator.reduction_cache import DEFAULT_CACHE_FOLDER, reduced_plate
+from simulator.plate_models import modal_plate
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.reduction_cache import DEFAULT_CACHE_FOLDER
 
 FloatArray = NDArray[np.float64]
 
@@ -149,10 +150,8 @@ class ShotModel:
         self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
         self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
-        self._reduction: ReducedPlate | None = None
-        if plate.model == "mindlin":
-            self._reduction = reduced_plate(plate, corrosion, cache_folder)
-        elif corrosion.depth_fraction > 0.0:
+        self._modal_plate = modal_plate(plate, corrosion, cache_folder)
+        if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool], _Propagator] = OrderedDict()
         self._lock = threading.Lock()
@@ -181,7 +180,7 @@ class ShotModel:
         depth = self._corrosion.depth_fraction if depth_fraction is None else float(depth_fraction)
         if depth != self._corrosion.depth_fraction:
             replace(self._corrosion, depth_fraction=depth)  # checks the bounds
-        if self._reduction is None and depth > 0.0:
+        if self._modal_plate is None and depth > 0.0:
             raise SpecimenError(_no_patch(self._plate.model, depth))
         chain = self._struck(drop_height_m, tilt_rad)
 
@@ -256,11 +255,11 @@ class ShotModel:
         """Halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
         for halving in range(STEP_HALVINGS + 1):
             yield halving, False
-            if halving and self._reduction is not None:
+            if halving and self._modal_plate is not None:
                 yield halving, True
 
     def _propagator(self, depth: float, step: float, wide: bool) -> _Propagator:
-        if self._reduction is None:
+        if self._modal_plate is None:
             return _specimen_without_modes(self._plate)
         key = depth, step, wide
         with self._lock:
@@ -271,7 +270,7 @@ class ShotModel:
         if wide:
             phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
         with one_blas_thread():
-            every_mode = self._reduction.modes(depth)
+            every_mode = self._modal_plate.modes(depth)
         modes = every_mode.cut_above(phase / step, yielding)
         weights, own_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
         made = _Propagator(

@@ -7,8 +7,8 @@
     ├── IntegrationError        the time integration lost energy or diverged: no numbers are returned
     └── NoSolitaryWaveError     the force holds no incident solitary wave: lengthen the record
 
-A single parameter out of its bounds is a plain ValueError of `simulator.parameters`. Each message
-names the value, the limit and the remedy.
+A single parameter out of its bounds is a plain ValueError of `chain_parameters` or `plate_parameters`.
+Each message names the value, the limit and the remedy.
 """
 
 from __future__ import annotations

@@ -14,11 +14,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.fault_parameters import FaultParameters, MainsHumFault, SpikesFault
 from simulator.interference import FloatArray, Interference
 from simulator.keyed_random import Purpose, generator
-from simulator.parameters import ChainParameters
 from simulator.scatter import STEEPEST_TILT_RAD, Strike
 from simulator.scenario import AdcParameters, SensorParameters
 

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.chain_parameters import ChainParameters
 from simulator.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 
 FREE_FALL_M_PER_S2 = 9.81
 """Sets the striker's speed, also in a chain without gravity."""

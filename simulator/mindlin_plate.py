@@ -29,7 +29,7 @@ from scipy import optimize, sparse
 
 from simulator.errors import SpecimenError
 from simulator.materials import plane_modulus_pa, shear_modulus_pa
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 SHEAR_CORRECTION = 5.0 / 6.0
 """kappa of equation 3, for a rectangular cross-section."""

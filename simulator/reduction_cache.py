@@ -23,7 +23,7 @@ import scipy
 
 from simulator import mindlin_plate, plate_reduction
 from simulator.one_thread import one_blas_thread
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import ReducedPlate
 
 log = logging.getLogger(__name__)

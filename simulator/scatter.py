@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.keyed_random import Purpose, generator
-from simulator.parameters import ChainParameters
 from simulator.scenario import DriftParameters, ScatterParameters, SensorParameters
 
 WANDER_TERMS = 8

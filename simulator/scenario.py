@@ -17,7 +17,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from hardware_drivers.bounds import check_bounds
 from simulator.fault_parameters import FaultParameters
-from simulator.parameters import DEEPEST_PATCH_FRACTION
+from simulator.plate_parameters import DEEPEST_PATCH_FRACTION
 
 _FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 

@@ -30,7 +30,7 @@ from hardware_drivers.bounds import check_bounds
 from simulator.errors import SpecimenError
 from simulator.materials import plane_modulus_pa
 from simulator.mindlin_plate import graded_half_edge, patch_fraction
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes, krylov_vectors
 from simulator.solid_element import brick_mass, brick_stiffness
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
+from simulator.chain_parameters import ChainParameters
 from simulator.corrosion import Wall, WallHistory, held_hour_h, wall_history
 from simulator.coupled_model import ShotForce, ShotModel
 from simulator.errors import SpecimenError
@@ -31,7 +32,6 @@ from simulator.faults import (
     with_second_strike,
 )
 from simulator.keyed_random import Purpose, generator
-from simulator.parameters import ChainParameters
 from simulator.pulse_summary import summarise
 from simulator.scatter import Strike, Temperature, scattered_strike, temperature
 from simulator.scenario import ThinningParameters, TwinParameters

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 
 from scipy.integrate import solve_ivp
 
+from simulator.chain_parameters import ChainParameters
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.granular_chain import FREE_FALL_M_PER_S2
 from simulator.hertz_contact import sphere_on_flat_stiffness, sphere_on_sphere_stiffness
 from simulator.materials import plane_modulus_pa
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 PARTICLE_SPEED_FRACTION = 0.682
 """Peak speed of a sphere in the wave over the striker's (the paper's reference 80)."""

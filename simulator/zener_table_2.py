@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from simulator.chain_parameters import ChainParameters
 from simulator.granular_chain import FREE_FALL_M_PER_S2
 from simulator.hertz_contact import sphere_on_flat_stiffness, sphere_on_sphere_stiffness
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 from simulator.zener import (
     PARTICLE_SPEED_FRACTION,
     amplitude_ratio,

@@ -18,12 +18,13 @@ from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.instruments import DaqmxInstruments
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import Counts, ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.doubles.control import RunningDoubles
 from simulator.doubles.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
 from simulator.doubles.description import TransducerWiring as DoubleWiring
 from simulator.doubles.library import SONAMES, build_library, client_environment, why_unavailable
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 from simulator.scenario import NoiseParameters, ScatterParameters, TwinParameters
 from simulator.specimen import Transducer, build_specimen
 

@@ -11,9 +11,10 @@ from annotated_types import Ge, Gt, Le
 from pydantic import TypeAdapter
 
 from hardware_drivers.bounds import check_bounds
+from simulator.chain_parameters import ChainParameters
 from simulator.doubles.boards import BOARD_TYPES, BoardType
 from simulator.doubles.niscope_scopes import ScopeParameters
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.scenario import AdcParameters, TwinParameters
 
 _RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}

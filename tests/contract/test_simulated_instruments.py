@@ -9,9 +9,10 @@ from striker_contract import StrikerContract
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.instruments import build_bench
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.scenario import TwinParameters
 from simulator.specimen import Transducer
 

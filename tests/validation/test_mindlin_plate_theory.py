@@ -8,7 +8,7 @@ from scipy.sparse.linalg import eigsh, splu
 
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.mindlin_plate import SHEAR_CORRECTION, AffinePlate, assemble, build_plate
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 PAPER = PlateParameters()
 PATCH = CorrosionParameters()

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
 from simulator.mindlin_plate import build_plate
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import reduce_plate
 from simulator.pulse_summary import summarise
 
@@ -75,7 +76,7 @@ def test_energy_balances_at_every_depth(paper, depth):
 def test_merged_basis_equals_a_rich_basis_of_that_depth(paper, depth):
     plate = build_plate(PlateParameters(), PATCH)
     rich = ShotModel(ChainParameters(), PlateParameters(), PATCH, cache_folder=None, duration_s=1.2e-3)
-    rich._reduction = reduce_plate(plate, depths=(depth,), vectors_per_depth=120)
+    rich._modal_plate = reduce_plate(plate, depths=(depth,), vectors_per_depth=120)
     expected = rich.shot(depth_fraction=depth).force_n
     found = paper.shot(depth_fraction=depth).force_n[: len(expected)]
     # A tenth of the allowance for the whole reduction, 1e-4.
@@ -98,7 +99,7 @@ def test_quarter_model_gives_the_full_models_shot(reduction_folder):
     parameters = PlateParameters(elements_per_edge=24, contact_element_m=2e-3)
     quarter = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
     full = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
-    full._reduction = reduce_plate(build_plate(parameters, PATCH, quarter=False))
+    full._modal_plate = reduce_plate(build_plate(parameters, PATCH, quarter=False))
     for depth in (0.0, 0.7):
         expected = full.shot(depth_fraction=depth).force_n
         found = quarter.shot(depth_fraction=depth).force_n

@@ -8,7 +8,7 @@ from scipy import linalg
 from scipy.sparse.linalg import LinearOperator, eigsh
 
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.solid_element import elasticity_pa
 from simulator.solid_plate import (
     SolidMesh,

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.granular_chain import build_chain
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
 BODIES = 60

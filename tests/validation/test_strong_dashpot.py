@@ -4,9 +4,10 @@ import numba
 import numpy as np
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
 from simulator.granular_chain import build_chain
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.reduction_cache import reduced_plate
 
 PAPER = PlateParameters()

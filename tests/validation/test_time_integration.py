@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 PATCH = CorrosionParameters()
 WALL = PlateParameters(model="rigid_wall")

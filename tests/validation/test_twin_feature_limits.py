@@ -8,8 +8,9 @@ import pytest
 from synthetic_records import waveform_of
 
 from analysis.features import extract_features
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import local_maxima, summarise
 
 GAIN_V_PER_N = 2.5 / 150.0

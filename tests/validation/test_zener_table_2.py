@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.materials import thin_plate_impedance_n_s_per_m
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 from simulator.zener import (
     amplitude_ratio,
     approximate_contact_time,

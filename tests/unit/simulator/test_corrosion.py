@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.corrosion import held_hour_h, wall_history
-from simulator.parameters import DEEPEST_PATCH_FRACTION
+from simulator.plate_parameters import DEEPEST_PATCH_FRACTION
 from simulator.scenario import PAPER_THINNING, ThinningParameters
 
 HOURS = np.arange(0.0, 350.0, 1.0 / 6.0)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from simulator import coupled_model
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel, record_duration_s
 from simulator.errors import IntegrationError, SimulatorError, SpecimenError
 from simulator.granular_chain import build_chain
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
 CHAIN = ChainParameters()

@@ -6,9 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.chain_parameters import ChainParameters
 from simulator.granular_chain import build_chain, tilted_damping
 from simulator.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 
 PLATE = PlateParameters()
 SPHERE = ChainParameters(sensor="sphere")

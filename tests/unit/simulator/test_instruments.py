@@ -11,9 +11,10 @@ import pytest
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.instruments import build_bench
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scenario import (
     AdcParameters,

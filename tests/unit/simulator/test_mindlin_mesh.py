@@ -7,7 +7,7 @@ import pytest
 
 from simulator.errors import SpecimenError
 from simulator.mindlin_plate import build_plate, element_matrices, graded_half_edge, patch_fraction
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 SMALL = PlateParameters(
     width_m=0.3, height_m=0.2, thickness_m=4e-3, elements_per_edge=12, contact_element_m=2e-3

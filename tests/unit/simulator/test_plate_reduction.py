@@ -7,7 +7,7 @@ import pytest
 from scipy.sparse.linalg import splu
 
 from simulator.mindlin_plate import build_plate
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import BASIS_DEPTHS, PlateModes, krylov_vectors, reduce_plate
 
 PLATE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)

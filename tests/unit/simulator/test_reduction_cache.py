@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simulator import reduction_cache
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.reduction_cache import DIGEST_BYTES, reduced_plate, reduction_key
 
 PLATE = PlateParameters(elements_per_edge=16, contact_element_m=2e-3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hardware_drivers.measurement import ShotKey
-from simulator.parameters import ChainParameters
+from simulator.chain_parameters import ChainParameters
 from simulator.scatter import scattered_strike, temperature
 from simulator.scenario import DriftParameters, ScatterParameters, SensorParameters
 

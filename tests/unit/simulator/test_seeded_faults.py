@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 
 from hardware_drivers.measurement import ShotKey
+from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
 from simulator.errors import SpecimenError
 from simulator.fault_parameters import (
@@ -28,7 +29,7 @@ from simulator.fault_parameters import (
 )
 from simulator.faults import faults_of_shot
 from simulator.interference import Interference
-from simulator.parameters import ChainParameters, CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scatter import STEEPEST_TILT_RAD
 from simulator.scenario import DriftParameters, NoiseParameters, ScatterParameters, TwinParameters

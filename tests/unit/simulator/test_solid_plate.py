@@ -8,7 +8,7 @@ from scipy import linalg
 
 from simulator import solid_plate
 from simulator.errors import SpecimenError
-from simulator.parameters import CorrosionParameters, PlateParameters
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes
 from simulator.solid_plate import (
     SolidMesh,

@@ -6,8 +6,9 @@ import pytest
 from scipy.special import beta
 
 from simulator import zener
+from simulator.chain_parameters import ChainParameters
 from simulator.errors import IntegrationError, SpecimenError
-from simulator.parameters import ChainParameters, PlateParameters
+from simulator.plate_parameters import PlateParameters
 from simulator.zener import (
     approximate_contact_time,
     approximate_restitution,
