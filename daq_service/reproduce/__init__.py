@@ -1,0 +1,1 @@
+"""``solimon reproduce``: the paper's figures and tables from one test and the models, with the deviations."""
