@@ -6,9 +6,11 @@ normal in the xz and yz planes (``u = z beta_x``), so that the shear strains are
 Dvorkin 1985, doi:10.1002/nme.1620210213), which keeps coarse elements from locking.
 
 Bending stiffness and rotary inertia go with the cube of the thickness, shear stiffness and mass with
-the thickness itself. A patch of remaining thickness ``s h`` therefore makes
+the thickness itself. A thickness that is linear in the remaining part s of the patch therefore makes
 
-    K(s) = K0 + s K1 + s^3 K2,    M(s) = M0 + s M1 + s^3 M2.
+    K(s) = K0 + s K1 + s^2 K2 + s^3 K3,    M(s) = M0 + s M1 + s^2 M2 + s^3 M3.
+
+A flat patch, ``s h`` thick, has no quadratic part.
 
 The mid-surface stays where it is. A round patch thins an element by the fraction of its area that the
 circle covers: its stiffness and mass are that mixture of the thick and the thin element.
@@ -26,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize, sparse
+from scipy.sparse.linalg import LinearOperator
 
 from simulator.errors import SpecimenError
 from simulator.materials import plane_modulus_pa, shear_modulus_pa
@@ -36,6 +39,7 @@ SHEAR_CORRECTION = 5.0 / 6.0
 
 DOF_PER_NODE = 3
 FloatArray = NDArray[np.float64]
+Cubic = tuple[sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,30 +49,40 @@ class AffinePlate:
     Attributes
     ----------
     stiffness
-        (K0, K1, K2): sparse, shape (n, n) over the free unknowns.
+        (K0, K1, K2, K3), coefficients of 1, s, s^2, s^3: sparse, shape (n, n) over the free unknowns.
     mass
-        (M0, M1, M2), same shape.
+        (M0, M1, M2, M3), same shape.
     load
         float64, shape (n,): unit force at the contact node; also reads its deflection.
     x_m, y_m
         Grid lines, origin at the contact.
     free
         int64, shape (n,): number of each free unknown among all ``3 len(x) len(y)``.
+    added_mass
+        Mass of a liquid, on top of `mass` at any depth: symmetric, shape (n, n), takes several columns
+        at once with ``@``. None without a liquid.
     """
 
-    stiffness: tuple[sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix]
-    mass: tuple[sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix]
+    stiffness: Cubic
+    mass: Cubic
     load: FloatArray
     x_m: FloatArray
     y_m: FloatArray
     free: NDArray[np.int64]
+    added_mass: LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-        """Stiffness and mass with the patch thinned by `depth_fraction`."""
+        """Stiffness and mass, without that of a liquid, with the patch thinned by `depth_fraction`."""
         s = 1.0 - depth_fraction
-        k0, k1, k2 = self.stiffness
-        m0, m1, m2 = self.mass
-        return (k0 + s * k1 + s**3 * k2).tocsc(), (m0 + s * m1 + s**3 * m2).tocsc()
+        return _at(self.stiffness, s), _at(self.mass, s)
+
+
+def _at(coefficients: Cubic, s: float) -> sparse.csc_matrix:
+    c0, c1, c2, c3 = coefficients
+    lower = c0 + s * c1
+    if c2.nnz:
+        lower = lower + s**2 * c2
+    return (lower + s**3 * c3).tocsc()
 
 
 def build_plate(
@@ -218,6 +232,7 @@ def assemble(
 
     everywhere = np.ones(len(nodes), dtype=bool)
     thinned = alpha.ravel() > 0.0
+    none = sparse.csc_matrix((len(free), len(free)))
     load = np.zeros(len(free))
     centre = int(np.searchsorted(x_m, 0.0)) * len(y_m) + int(np.searchsorted(y_m, 0.0))
     load[number[DOF_PER_NODE * centre]] = 1.0
@@ -225,11 +240,13 @@ def assemble(
         stiffness=(
             matrix((1.0 - alpha) * (bending + shear), everywhere),
             matrix(alpha * shear, thinned),
+            none,
             matrix(alpha * bending, thinned),
         ),
         mass=(
             matrix((1.0 - alpha) * (translation + rotation), everywhere),
             matrix(alpha * translation, thinned),
+            none,
             matrix(alpha * rotation, thinned),
         ),
         load=load,

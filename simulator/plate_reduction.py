@@ -4,8 +4,8 @@ The plate is linear and driven by one force, so the vectors that matter span a K
 static deflection ``K^-1 b``, then ``x_1 = (K + sigma^2 M)^-1 b``, ``x_(j+1) = (K + sigma^2 M)^-1 M x_j``.
 A few dozen hold everything the plate does within a record; a sigma of the order of the wave's own
 frequencies needs far fewer than sigma = 0. Such spaces at several depths are merged into one basis V,
-and stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay affine in the remaining
-thickness, so that a new depth costs one small eigenvalue problem.
+and stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay cubic polynomials in the
+remaining thickness, so that a new depth costs one small eigenvalue problem.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
+from scipy.sparse.linalg import LinearOperator
 
 from simulator.mindlin_plate import AffinePlate
 
@@ -83,12 +84,12 @@ class PlateModes:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ReducedPlate:
-    """Projected plate, affine in the remaining thickness like `mindlin_plate.AffinePlate`.
+    """Projected plate, a cubic polynomial in the remaining thickness like `mindlin_plate.AffinePlate`.
 
     Attributes
     ----------
     stiffness, mass
-        float64, shape (3, r, r): coefficients of 1, s and s^3.
+        float64, shape (4, r, r): coefficients of 1, s, s^2 and s^3.
     load
         float64, shape (r,).
     """
@@ -100,8 +101,8 @@ class ReducedPlate:
     def modes(self, depth_fraction: float) -> PlateModes:
         """All modes of the reduced plate with the patch thinned by `depth_fraction`."""
         s = 1.0 - depth_fraction
-        k = self.stiffness[0] + s * self.stiffness[1] + s**3 * self.stiffness[2]
-        m = self.mass[0] + s * self.mass[1] + s**3 * self.mass[2]
+        k = self.stiffness[0] + s * self.stiffness[1] + s**2 * self.stiffness[2] + s**3 * self.stiffness[3]
+        m = self.mass[0] + s * self.mass[1] + s**2 * self.mass[2] + s**3 * self.mass[3]
         eigenvalues, shapes = linalg.eigh(k, m, check_finite=False, overwrite_a=True, overwrite_b=True)
         return PlateModes(omega_rad_per_s=np.sqrt(eigenvalues), participation=shapes.T @ self.load)
 
@@ -113,19 +114,33 @@ def reduce_plate(
     vectors_per_depth: int = VECTORS_PER_DEPTH,
 ) -> ReducedPlate:
     """Project `plate` onto the merged Krylov spaces at `depths`."""
-    blocks = [krylov_vectors(*plate.at_depth(depth), plate.load, vectors_per_depth) for depth in depths]
+    blocks = [
+        krylov_vectors(*plate.at_depth(depth), plate.load, vectors_per_depth, added_mass=plate.added_mass)
+        for depth in depths
+    ]
     basis = merge(np.vstack(blocks), plate.at_depth(0.0)[1].diagonal())
+    mass = np.stack([basis @ (matrix @ basis.T) for matrix in plate.mass])
+    if plate.added_mass is not None:
+        mass[0] += basis @ (plate.added_mass @ basis.T)
     return ReducedPlate(
         stiffness=np.stack([basis @ (matrix @ basis.T) for matrix in plate.stiffness]),
-        mass=np.stack([basis @ (matrix @ basis.T) for matrix in plate.mass]),
+        mass=mass,
         load=basis @ plate.load,
     )
 
 
 def krylov_vectors(
-    stiffness: sparse.csc_matrix, mass: sparse.csc_matrix, load: FloatArray, count: int
+    stiffness: sparse.csc_matrix,
+    mass: sparse.csc_matrix,
+    load: FloatArray,
+    count: int,
+    *,
+    added_mass: LinearOperator | None = None,
 ) -> FloatArray:
-    """Mass-orthonormal: the static deflection under `load`, then the Krylov space; shape (count, n)."""
+    """Mass-orthonormal: the static deflection under `load`, then the Krylov space; shape (count, n).
+
+    The mass of a liquid enters every product, but not the factor: it would fill it.
+    """
     factor = _factorized(stiffness)
     shifted = _factorized(stiffness + SHIFT_RAD_PER_S**2 * mass)
     vectors = np.empty((count, len(load)))
@@ -134,7 +149,7 @@ def krylov_vectors(
     for j in range(count):
         x = linalg.cho_solve_banded((shifted if j else factor, True), right, check_finite=False)
         x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
-        mass_x = mass @ x
+        mass_x = mass @ x if added_mass is None else mass @ x + added_mass @ x
         norm = np.sqrt(x @ mass_x)
         vectors[j] = x / norm
         mass_vectors[j] = mass_x / norm
