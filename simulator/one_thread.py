@@ -24,3 +24,15 @@ def one_blas_thread() -> AbstractContextManager[object]:
     """Within this context BLAS computes in one thread."""
     limiter: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
     return limiter
+
+
+@cache
+def blas_libraries() -> tuple[str, ...]:
+    """Library, version and kind of processor of every BLAS in use: what its last digits depend on."""
+    found = _controller().select(user_api="blas").info()
+    return tuple(
+        sorted(
+            f"{library['internal_api']} {library['version']} {library.get('architecture')}"
+            for library in found
+        )
+    )
