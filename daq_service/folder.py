@@ -20,13 +20,15 @@ from daq_service.errors import BusyError, StorageError
 if sys.platform == "win32":
     import msvcrt
 
-    def _try_lock(file: IO[bytes]) -> None:
+    def try_lock(file: IO[bytes]) -> None:
+        """Lock an open file for this process, at its present offset; OSError if somebody holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
 else:
     import fcntl
 
-    def _try_lock(file: IO[bytes]) -> None:
+    def try_lock(file: IO[bytes]) -> None:
+        """Lock an open file for this process; OSError if somebody holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
@@ -96,7 +98,7 @@ def own_data_folder(folder: Path) -> Iterator[None]:
     with path.open("a+b") as file:
         file.seek(0)
         try:
-            _try_lock(file)
+            try_lock(file)
         except OSError as error:
             raise BusyError(
                 f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "
