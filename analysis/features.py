@@ -37,7 +37,7 @@ from analysis.record_reduction import (
 )
 from hardware_drivers.measurement import Waveform
 
-EXTRACTOR_VERSION = "1.0"
+EXTRACTOR_VERSION = "1.1"
 """Changes whenever any feature of any record would."""
 
 FEATURE_NAMES = (

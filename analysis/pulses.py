@@ -31,7 +31,8 @@ class Pulse:
     matched_time_s
         Peak of the matched filter, from the trigger.
     fwhm_s
-        Full width at half maximum, NaN where a flank does not fall to half height.
+        Full width at half maximum, NaN where a flank does not fall to half height; 0 for a spike so narrow
+        that `FLANK_SMOOTHING_S` leaves less than half of its height.
     regular
         False where the quartic has no maximum inside (two tops, a plateau): time and amplitude are
         those of the highest smoothed value then.
@@ -206,9 +207,14 @@ def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
 
 
 def _width_at(values: FloatArray, peak: int, level: float) -> float:
-    """Distance in samples between the linearly interpolated crossings of ``level`` around ``peak``."""
+    """Distance in samples between the linearly interpolated crossings of ``level`` around ``peak``.
+
+    0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
+    """
     first, last = _above(values, peak, level)
-    if first == 0 or last == values.size - 1 or last < first:
+    if last < first:
+        return 0.0
+    if first == 0 or last == values.size - 1:
         return math.nan
     left = first - (values[first] - level) / (values[first] - values[first - 1])
     right = last + (values[last] - level) / (values[last] - values[last + 1])

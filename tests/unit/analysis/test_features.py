@@ -235,6 +235,16 @@ def test_an_electrical_spike_is_not_a_strike():
     assert extract_features(waveform_of(volts)).flags == ("missed",)
 
 
+@pytest.mark.parametrize("centre_s", [-2e-6, 0.0, 3.5e-6])
+def test_a_spike_narrower_than_the_filters_is_not_a_strike_either(centre_s):
+    """1 us wide it leaves the 5-us mean less than half of the quartic's height: its width is 0, not unknown."""
+    t = NOISY.time_s()
+    spike = 2.0 * np.exp(-4.0 * math.log(2.0) * ((t - centre_s) / 1e-6) ** 2)
+    for seed in range(20):
+        volts = spike + 0.025 * np.random.default_rng(seed).standard_normal(t.size)
+        assert extract_from_volts(volts, NOISY.rate_hz, NOISY.pretrigger_samples).flags == ("missed",)
+
+
 def test_second_strike_on_top_of_the_reflected_wave_is_found():
     shot = extract_features(waveform_of(NOISY.volts(2) + second_strike(NOISY, NOISY.tof_s, 0.6)))
     assert "double" in shot.flags  # .5 and .6 of the ISW: more than a rigid wall sends back
