@@ -17,6 +17,7 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.cost import Cost
 from daq_service.drive_watch import drive_watch
 from daq_service.memory import restored_assessors
+from daq_service.rig_trouble import lost_cause, rig_condition
 from daq_service.rows import Transaction, set_row
 from daq_service.schedule import DueSet
 from daq_service.settings import Settings
@@ -97,7 +98,7 @@ class Ledger:
             transaction.add_position(row, measurements, assessment, moment, record.outcomes)
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(_rig_condition(record.trouble, due), moment, transaction)
+        self._carry_alarm(self._rig_condition(due, record), moment, transaction)
         self._commit_set(due, moment, transaction)
 
     def _assess(
@@ -117,6 +118,17 @@ class Ledger:
             return replace(found, conditions=()) if self._dry_run else found
         echoes = [item for item in record.echoes if item.key.position == position]
         return assessor.assess(due, echoes[0]) if echoes else Assessment()
+
+    def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
+        """Tell whether the instruments of either method had trouble; strikes and echoes have their own."""
+        unanswered = ""
+        for method in ("solitary_wave", "pulse_echo"):
+            names = self._settings.names_of(method)
+            if not any(item.key.position in names for item in record.records):
+                unanswered = unanswered or lost_cause(
+                    [item for item in record.missed if item.key.position in names]
+                )
+        return rig_condition(due, record.trouble, unanswered)
 
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         change = update(self.alarms.get((condition.position, condition.kind)), condition, moment)
@@ -160,7 +172,8 @@ class Ledger:
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
         if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
-            self._carry_alarm(_rig_condition(taken.told_trouble(), due), moment, transaction)
+            unanswered = "" if taken.trouble is not None else lost_cause(taken.missed)
+            self._carry_alarm(rig_condition(due, taken.told_trouble(), unanswered), moment, transaction)
         self._commit_set(due, moment, transaction)
 
     def gap(self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int) -> None:
@@ -184,17 +197,3 @@ class Ledger:
             cause=cause,
             n_planned=0 if retired else self.n_planned(position),
         )
-
-
-def _rig_condition(trouble: str, due: DueSet) -> Condition:
-    """Alarm while sets end early because the instruments do not answer or belong to somebody else."""
-    error, _, message = trouble.partition(": ")
-    return Condition(
-        position=None,
-        kind="rig_unavailable",
-        family="device",
-        severity="high",
-        present=bool(trouble),
-        message=f"set {due.set_index} ended early: {message}; the next set tries again",
-        proof={"set_index": due.set_index, "error": error},
-    )

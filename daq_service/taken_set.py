@@ -104,7 +104,11 @@ class TakenSet:
 
     def told_trouble(self) -> str:
         """Name the instrument's error in the archive's form, ``class: message``; empty: there was none."""
-        return "" if self.trouble is None else f"{type(self.trouble).__name__}: {self.trouble}"
+        if self.trouble is None:
+            return ""
+        # A driver may have a subclass of its own; the archive tells the kind that every driver shares.
+        kinds = (kind for kind in type(self.trouble).__mro__ if kind.__module__ == InstrumentError.__module__)
+        return f"{next(kinds).__name__}: {self.trouble}"
 
     def superseded(self) -> dict[int, str]:
         """Sequence to outcome of the shots that do not count."""

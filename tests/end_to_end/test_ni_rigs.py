@@ -116,6 +116,8 @@ def test_a_shot_says_how_it_was_taken(rig: str, tmp_path: Path) -> None:
 
 SECOND_H = 1.0 / 3600.0
 PULSE_NS = 20_000_000
+BOARD_SERIAL = 0x01E16086
+INVALID_VALUE = -200077
 
 
 def quick_wall_settings(running: DemoRig) -> DemoRig:
@@ -184,6 +186,81 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         for on, off in zip(events[::2], events[1::2], strict=True):
             assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
     assert not any(told["levels"].values())
+
+
+def supervised(running: DemoRig, folder: Path, on_message: Any = lambda child, message: None) -> int:
+    """Follow the schedule to its end under the supervisor; its exit code."""
+    config = configuration(running, folder)
+    plans = child_plans(config, folder, port=None, web=False, linger=False, environment=running.environment)
+    return Supervisor(plans, folder, on_message=on_message).run(threading.Event(), stay=False)
+
+
+def nothing_is_left(doubles: DoublesControl) -> bool:
+    told = doubles.record()
+    return not (told["tasks"] or told["leaked"] or told["reservations"] or any(told["levels"].values()))
+
+
+def sets_and_alarm(folder: Path) -> tuple[list[Mapping[str, Any]], Mapping[str, Any]]:
+    with open_catalogue(folder) as catalogue:
+        (alarm,) = [row for row in catalogue.list_alarms() if row["kind"] == "rig_unavailable"]
+        return catalogue.list_sets("D", limit=None), alarm
+
+
+ONE_NI_RIG = [NI_RIGS[0], pytest.param(*NI_RIGS[1].values, marks=[*NI_RIGS[1].marks, pytest.mark.slow])]
+"""Twenty seconds of wall time a rig: one of them by default."""
+OTHER_NI_RIG = [pytest.param(*NI_RIGS[0].values, marks=[*NI_RIGS[0].marks, pytest.mark.slow]), NI_RIGS[1]]
+
+
+@pytest.mark.parametrize("rig", ONE_NI_RIG)
+def test_a_board_that_comes_back_under_another_name_costs_the_sets_it_was_gone(
+    rig: str, tmp_path: Path
+) -> None:
+    with (
+        running_rig(rig, SMALL) as started,
+        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
+    ):
+
+        def on_message(child: str, message: Mapping[str, Any]) -> None:
+            if message["event"] == "progress" and message["done"] == 1:
+                doubles.unplug(BOARD_SERIAL)
+            if message["event"] == "progress" and message["done"] == 3:
+                doubles.plug(BOARD_SERIAL, "Dev9")
+
+        assert supervised(quick_wall_settings(started), tmp_path, on_message) == 0
+        assert nothing_is_left(doubles)
+    sets, alarm = sets_and_alarm(tmp_path)
+    # Two sets for sure; the third may have begun before the board was back.
+    assert [row["state"] for row in sets[:3]] == ["done", "missed", "missed"]
+    assert [row["state"] for row in sets[4:]] == ["done"] * 4
+    assert all("(DAQmx -" in row["cause"] for row in sets[1:3])
+    assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
+
+
+@pytest.mark.parametrize("rig", OTHER_NI_RIG)
+def test_a_request_the_board_refuses_stops_the_test_which_goes_on_when_it_is_mended(
+    rig: str, tmp_path: Path
+) -> None:
+    with (
+        running_rig(rig, SMALL) as started,
+        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
+    ):
+
+        def on_message(child: str, message: Mapping[str, Any]) -> None:
+            if message["event"] == "progress" and message["done"] == 1:
+                doubles.inject("DAQmxStartTask", "error", code=INVALID_VALUE)
+
+        running = quick_wall_settings(started)
+        assert supervised(running, tmp_path, on_message) == 3
+        sets, alarm = sets_and_alarm(tmp_path)
+        assert [row["state"] for row in sets] == ["done", "missed"]
+        assert str(INVALID_VALUE) in sets[1]["cause"]
+        assert alarm["state"] == "unacknowledged"
+        assert "the recorder has stopped" in alarm["message"]
+        assert supervised(running, tmp_path) == 0
+        assert nothing_is_left(doubles)
+    sets, alarm = sets_and_alarm(tmp_path)
+    assert sets[-1]["state"] == "done"
+    assert alarm["state"] == "returned_unacknowledged"
 
 
 def test_a_missing_compiler_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

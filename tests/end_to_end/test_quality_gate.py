@@ -17,9 +17,15 @@ from analysis.features import ALL_FEATURE_NAMES
 from daq_service.archive import read_set, read_waveform, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.errors import RigError
 from daq_service.inspection import describe_status, print_status
 from daq_service.settings import Settings
-from hardware_drivers.errors import AcquisitionTimeoutError, BusyError, ConnectionLostError
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    BusyError,
+    ConfigurationError,
+    ConnectionLostError,
+)
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
 
@@ -569,7 +575,7 @@ def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
     assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
     assert alarm["proof"] == {"set_index": 1, "error": "ConnectionLostError"}
-    assert "board 01A2B3C4" in alarm["message"]
+    assert alarm["message"] == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
     with open_catalogue(tmp_path) as catalogue:
         told = [
             (event["kind"], event["set_index"])
@@ -624,6 +630,37 @@ def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
     row = sets_of(tmp_path, "B")[1]
     assert (row["state"], row["file"], row["n_missed"], row["n_restrikes"]) == ("missed", None, 3, 0)
     assert alarms_of(tmp_path)[None, "rig_unavailable"]["raised_set_index"] == 1
+
+
+TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
+
+
+def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Path) -> None:
+    """Too few strikes to give the set up, but not one was answered."""
+    disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
+    settings = small_settings(schedule=TWO_SHOTS)
+    settings = settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
+    assert run(settings, tmp_path, rig=disturbed_rig(disturb))
+    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
+    assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
+    assert alarm["message"] == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
+
+
+def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) -> None:
+    disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
+    assert run(small_settings(schedule=TWO_SHOTS), tmp_path, rig=disturbed_rig(disturb))
+    assert (None, "rig_unavailable") not in alarms_of(tmp_path)
+
+
+def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(tmp_path: Path) -> None:
+    disturb, _ = lost_during(range(1, 2), "C", 1, ConfigurationError)
+    with pytest.raises(RigError, match="set 1 ended early"):
+        run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
+    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
+    assert (alarm["state"], alarm["proof"]["error"]) == ("unacknowledged", "ConfigurationError")
+    assert alarm["message"].endswith(
+        "; the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
+    )
 
 
 @pytest.mark.parametrize("late", [False, True])
