@@ -237,7 +237,7 @@ def test_an_electrical_spike_is_not_a_strike():
 
 @pytest.mark.parametrize("centre_s", [-2e-6, 0.0, 3.5e-6])
 def test_a_spike_narrower_than_the_filters_is_not_a_strike_either(centre_s):
-    """1 us wide it leaves the 5-us mean less than half of the quartic's height: its width is 0, not unknown."""
+    """1 us wide, it leaves the 5-us mean less than half of the quartic's height: its width is then 0."""
     t = NOISY.time_s()
     spike = 2.0 * np.exp(-4.0 * math.log(2.0) * ((t - centre_s) / 1e-6) ** 2)
     for seed in range(20):
