@@ -226,10 +226,39 @@ def _give_order(kind: str, **options: Any) -> None:
 @click.option("--depth", "depth_fraction", type=float, help="Lost part of the thickness, 0 to 0.95.")
 @click.option("--drop-height-m", type=float, help="Drop height of the striker in m.")
 @click.option("--tilt-rad", type=float, help="Tilt of the sensor disk in rad.")
-@click.option("--depths", help="Sweep: depths as first:last:count, for example 0:0.8:9.")
+@click.option("--depths", help="Short for --sweep corrosion.depth_fraction=..., for example 0:0.8:9.")
+@click.option(
+    "--sweep",
+    "sweeps",
+    metavar="KEY=VALUES",
+    multiple=True,
+    help="Values of a key: a,b,c or first:last:count or log:first:last:count; several make a grid.",
+)
+@click.option(
+    "--sweep-file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="CSV file: a header of keys, then one row a shot.",
+)
+@click.option("--zip", "element_wise", is_flag=True, help="First values together, then second ones: no grid.")
+@click.option("--skip-invalid", is_flag=True, help="Keep refused combinations as rows with their reason.")
+@click.option(
+    "--out",
+    "outputs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="File of the sweep's table: .csv, .h5 or .parquet; may be given several times.",
+)
+@click.option("--waveforms", is_flag=True, help="Store the forces at the sensor, too (.h5 only).")
+@click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each core.")
+@click.option(
+    "--executor",
+    type=click.Choice(["processes", "threads"]),
+    help="Default: threads for a short sweep, processes for a long one.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @JSON
 def simulate(**options: Any) -> None:
-    """One shot of the physics twin, or a sweep over depth."""
+    """One shot of the physics twin, or a sweep over any parameters of chain, plate and corrosion."""
     from daq_service.simulate import print_simulation
 
     print_simulation(**options)

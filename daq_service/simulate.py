@@ -1,13 +1,13 @@
-"""``solimon simulate``: one noise-free shot of the twin or of Zener's model, or a sweep over depth."""
+"""``solimon simulate``: one noise-free shot of the twin or of Zener's model, or a sweep."""
 
 from __future__ import annotations
 
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 import numpy as np
@@ -15,12 +15,10 @@ import numpy as np
 from daq_service.errors import UsageError
 from daq_service.settings import Settings
 from daq_service.settings_file import load_settings
+from daq_service.sweep.shot import Specimen, coupled_numbers, coupled_shot, zener_numbers
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.errors import SimulatorError
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.zener import reflect
 
 Columns = tuple[tuple[str, str, str, str], ...]
 
@@ -45,44 +43,79 @@ ZENER_COLUMNS: Columns = (
 )
 ZENER_NOTE = "the paper's eqs 8, 9, 11 and 13; the whole plate as thin as the depth leaves it"
 
+TABLES = {"coupled": (COUPLED_COLUMNS, COUPLED_NOTE), "zener": (ZENER_COLUMNS, ZENER_NOTE)}
+
 
 def print_simulation(
     *,
     config: Path | None,
-    model: str,
+    model: Literal["coupled", "zener"],
     position: str | None,
     depth_fraction: float | None,
     drop_height_m: float | None,
     tilt_rad: float | None,
     depths: str | None,
+    sweeps: tuple[str, ...],
+    sweep_file: Path | None,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Carry out the command."""
     settings = load_settings(config)
     if model == "zener" and tilt_rad is not None:
         raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
     try:
-        chain, plate, patch = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
-        grid = [patch.depth_fraction] if depths is None else _grid(depths)
+        specimen = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
+        grid = [specimen[2].depth_fraction] if depths is None else _grid(depths)
         for depth in grid:
-            replace(patch, depth_fraction=depth)
+            replace(specimen[2], depth_fraction=depth)
     except ValueError as error:
         raise UsageError(str(error)) from error
+    if sweeps or sweep_file is not None or (depths is not None and options["outputs"]):
+        from daq_service.sweep.command import SweepRequest, sweep  # a single shot needs no tables
+
+        fixed = {
+            "corrosion.depth_fraction": depth_fraction,
+            "chain.drop_height_m": drop_height_m,
+            "chain.tilt_rad": tilt_rad,
+        }
+        request = SweepRequest(
+            model=model,
+            specimen=specimen,
+            depths=depths,
+            sweeps=sweeps,
+            sweep_file=sweep_file,
+            fixed_keys=frozenset(key for key, value in fixed.items() if value is not None),
+            configuration_hash=settings.configuration_hash(),
+            position=position,
+            **options,
+        )
+        sweep(request, TABLES[model][0], as_json=as_json)
+        return
+    if named := [name for name, value in options.items() if value]:
+        raise UsageError(f"{_option(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
+    _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
+
+
+def _option(name: str) -> str:
+    """Name of a sweep's option as the command line has it."""
+    return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
+
+
+def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
+    shot = _impact_of(*specimen) if model == "zener" else _shot_of(*specimen)
+    rows = []
     try:
-        shot = _impact_of(chain, plate) if model == "zener" else _shot_of(chain, plate, patch)
-        rows = []
         for number, depth in enumerate(grid, 1):
             rows.append(shot(depth))
-            if depths is not None and sys.stderr.isatty():
+            if is_table and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
     except SimulatorError as error:
         raise UsageError(str(error)) from error
     if as_json:
-        click.echo(json.dumps(rows[0] if depths is None else {"shots": rows}))
-    elif model == "zener":
-        _print_table(rows, ZENER_COLUMNS, ZENER_NOTE)
+        click.echo(json.dumps({"shots": rows} if is_table else rows[0]))
     else:
-        _print_table(rows, COUPLED_COLUMNS, COUPLED_NOTE)
+        _print_table(rows, *TABLES[model])
 
 
 def _specimen(
@@ -91,7 +124,7 @@ def _specimen(
     depth_fraction: float | None,
     drop_height_m: float | None,
     tilt_rad: float | None,
-) -> tuple[ChainParameters, PlateParameters, CorrosionParameters]:
+) -> Specimen:
     place: Any = settings
     if position is not None:
         if position not in settings.positions:
@@ -122,30 +155,26 @@ def _shot_of(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
 ) -> Callable[[float], dict[str, Any]]:
     """Chain and plate integrated together, as a row for each depth."""
-    model = ShotModel(chain, plate, patch)
 
     def shot(depth: float) -> dict[str, Any]:
-        force = model.shot(depth_fraction=depth)
         return {
-            **asdict(summarise(force)),
+            **coupled_numbers(coupled_shot(chain, plate, replace(patch, depth_fraction=depth))),
             "depth_fraction": depth,
             "drop_height_m": chain.drop_height_m,
             "tilt_rad": chain.tilt_rad,
-            "preload_n": force.preload_n,
-            "energy_residual": force.energy_residual,
         }
 
     return shot
 
 
-def _impact_of(chain: ChainParameters, plate: PlateParameters) -> Callable[[float], dict[str, Any]]:
+def _impact_of(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
+) -> Callable[[float], dict[str, Any]]:
     """Zener's impact of the last sphere, as a row for each depth."""
 
     def impact(depth: float) -> dict[str, Any]:
-        row = asdict(reflect(chain, plate, depth_fraction=depth))
         return {
-            "tof_us": 1e6 * row.pop("tof_s"),
-            **row,
+            **zener_numbers(chain, plate, replace(patch, depth_fraction=depth)),
             "depth_fraction": depth,
             "drop_height_m": chain.drop_height_m,
         }

@@ -1,0 +1,64 @@
+"""The table of a sweep as an HDF5 file: one dataset a column, its unit as attribute."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq_service.archive.nexus import Attribute, add_field, add_group, image_file, image_of, set_attributes
+from daq_service.archive.units import unit_of
+
+_CHUNK_SAMPLES = 65_536
+
+
+def hdf5_image(
+    *,
+    swept: Mapping[str, NDArray[Any] | list[str]],
+    results: Mapping[str, NDArray[np.float64]],
+    status: list[str],
+    forces: Sequence[tuple[NDArray[np.float64], float]] | None,
+    facts: Mapping[str, Any],
+    facts_text: str,
+) -> bytes:
+    """Return the bytes of the file.
+
+    ``entry/swept`` and ``entry/results`` hold the columns, ``entry/status`` a text a row, and
+    ``entry/facts`` everything about their origin as JSON; the plain facts are attributes of ``entry``, too.
+    ``entry/waveforms/force_n`` holds the forces one after the other: row i has ``n_samples[i]`` of them
+    from ``first_sample[i]`` on, ``sample_interval_s[i]`` apart, the first at the striker's touch.
+
+    Parameters
+    ----------
+    swept, results, status, forces, facts, facts_text
+        Parts of a `daq_service.sweep.table.SweepTable`.
+    """
+    with image_file() as file:
+        set_attributes(file, {"default": "entry"})
+        plain: dict[str, Attribute] = {
+            name: value for name, value in facts.items() if isinstance(value, (str, int, float))
+        }
+        entry = add_group(file, "entry", "NXentry", plain)
+        add_field(entry, "facts", facts_text)
+        for name, columns in (("swept", swept), ("results", results)):
+            group = add_group(entry, name, "NXcollection", {"column_order": list(columns)})
+            for key, values in columns.items():
+                add_field(group, key, values, units=unit_of(key.rpartition(".")[2]))
+        add_field(entry, "status", status)
+        if forces is not None:
+            _add_waveforms(entry, forces)
+        return image_of(file)
+
+
+def _add_waveforms(entry: Any, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:
+    group = add_group(entry, "waveforms", "NXcollection")
+    samples = np.array([force.size for force, _ in forces], dtype=np.int64)
+    together = np.concatenate([force for force, _ in forces])
+    # A dataset without any sample has no chunk, either.
+    chunk = (min(_CHUNK_SAMPLES, together.size),) if together.size else None
+    add_field(group, "force_n", together, chunk=chunk, units="N")
+    add_field(group, "first_sample", np.cumsum(samples) - samples, units="")
+    add_field(group, "n_samples", samples, units="")
+    add_field(group, "sample_interval_s", np.array([interval for _, interval in forces]), units="s")

@@ -1,0 +1,82 @@
+"""Progress on standard error: a line that is rewritten on a terminal, a line every tenth elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import TextIO
+
+REDRAW_INTERVAL_S = 0.2
+TENTHS = 10
+
+
+class Progress:
+    """Tells how many rows are done, how fast they come and how long the rest will take.
+
+    Parameters
+    ----------
+    total
+        Rows of the sweep.
+    done
+        Of those, found in the work file.
+    stream
+        Where to tell; None is standard error.
+    clock
+        Monotonic seconds.
+    """
+
+    def __init__(
+        self,
+        total: int,
+        done: int,
+        *,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._total = total
+        self._done = self._found = done
+        self._stream = sys.stderr if stream is None else stream
+        self._clock = clock
+        self._started = self._told = clock()
+        self._terminal = self._stream.isatty()
+        self._tenth = TENTHS * done // total
+        if done:
+            self._stream.write(f"{done} of {total} rows were finished before\n")
+            self._stream.flush()
+
+    def advance(self, rows: int) -> None:
+        """So many more rows are done."""
+        self._done += rows
+        now = self._clock()
+        finished = self._done == self._total
+        tenth = TENTHS * self._done // self._total
+        due = now - self._told >= REDRAW_INTERVAL_S if self._terminal else tenth > self._tenth
+        if not (due or finished):
+            return
+        self._tenth, self._told = tenth, now
+        text = self._text(now)
+        if self._terminal:
+            self._stream.write(f"\r{text:<70s}" + ("\n" if finished else ""))
+        else:
+            self._stream.write(f"{text}\n")
+        self._stream.flush()
+
+    def _text(self, now: float) -> str:
+        percent = 100.0 * self._done / self._total
+        text = f"{self._done} of {self._total} rows ({percent:.0f} %)"
+        elapsed = now - self._started
+        computed = self._done - self._found
+        if computed == 0 or elapsed <= 0.0:
+            return text
+        rate = computed / elapsed
+        left = (self._total - self._done) / rate
+        return f"{text}, {rate:.3g} a second, {_duration(left)} left"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return (
+        f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    )

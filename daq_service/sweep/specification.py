@@ -1,0 +1,140 @@
+"""What a sweep is asked for: ``KEY=VALUES`` on the command line, or a CSV file with one shot a row.
+
+VALUES is a comma-separated list. Each of its items is a value (``0.003``, ``disk``, ``[0.1, 0.2]``), an
+evenly spaced range ``first:last:count``, or ``log:first:last:count``, evenly spaced in the logarithm.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from daq_service.errors import UsageError
+
+GRAMMAR = "write KEY=value,value,... or KEY=first:last:count or KEY=log:first:last:count"
+
+LARGEST_COUNT = 200_000
+"""Values of one key; a plan of so many rows is the largest, too."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """One key of the configuration and the values it takes."""
+
+    key: str
+    values: tuple[Any, ...]
+
+
+def parse_axis(text: str) -> Axis:
+    """Read one ``KEY=VALUES``.
+
+    Raises
+    ------
+    UsageError
+        The text does not follow the grammar, or a range cannot be made.
+    """
+    key, equals, listed = text.partition("=")
+    if not equals or not key.strip() or not listed.strip():
+        raise UsageError(f"--sweep is {text!r}; {GRAMMAR}")
+    values: list[Any] = []
+    for item in _items(listed):
+        if not item:
+            raise UsageError(f"--sweep is {text!r}: an item of its list is empty; {GRAMMAR}")
+        values += _values_of(item, text)
+        if len(values) > LARGEST_COUNT:
+            raise UsageError(_too_many(text))
+    return Axis(key=key.strip(), values=tuple(values))
+
+
+def read_sweep_file(path: Path) -> tuple[Axis, ...]:
+    """Read a CSV file whose header names keys and whose rows are shots, as one axis a column.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, has no shots, or a row has another number of cells than the header.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [row for row in csv.reader(file, strict=True) if row]
+    except OSError as error:
+        raise UsageError(f"cannot read --sweep-file {path}: {error.strerror}") from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"--sweep-file {path} is no CSV file in UTF-8: {error}") from error
+    if len(rows) < 2:
+        raise UsageError(f"--sweep-file {path} holds no shots; write a header of keys, then one row a shot")
+    header, *shots = rows
+    for number, cells in enumerate(shots, 1):
+        if len(cells) != len(header):
+            raise UsageError(
+                f"--sweep-file {path}: shot {number} has {len(cells)} cells, the header {len(header)}"
+            )
+        if not all(cell.strip() for cell in cells):
+            raise UsageError(f"--sweep-file {path}: shot {number} has an empty cell; write every value")
+    return tuple(
+        Axis(key=key.strip(), values=tuple(_value(cells[column].strip()) for cells in shots))
+        for column, key in enumerate(header)
+    )
+
+
+def _items(text: str) -> list[str]:
+    """Split at the commas that stand outside brackets and quotes."""
+    items, depth, quoted, start = [], 0, False, 0
+    for place, letter in enumerate(text):
+        if letter == '"':
+            quoted = not quoted
+        elif not quoted and letter in "[{":
+            depth += 1
+        elif not quoted and letter in "]}":
+            depth -= 1
+        elif letter == "," and not quoted and depth <= 0:
+            items.append(text[start:place].strip())
+            start = place + 1
+    return [*items, text[start:].strip()]
+
+
+def _values_of(item: str, text: str) -> list[Any]:
+    parts = item.split(":")
+    if len(parts) == 1 or item[0] in '[{"':
+        return [_value(item)]
+    logarithmic = parts[0].strip() == "log"
+    try:
+        first, last, count = (
+            number(part) for number, part in zip((float, float, int), parts[logarithmic:], strict=True)
+        )
+    except ValueError as error:
+        raise UsageError(f"--sweep is {text!r}: {item!r} is no range; {GRAMMAR}") from error
+    if not (math.isfinite(first) and math.isfinite(last)):
+        raise UsageError(f"--sweep is {text!r}: {item!r} has an end that is not finite")
+    if not 1 <= count <= LARGEST_COUNT:
+        raise UsageError(
+            _too_many(text) if count > 1 else f"--sweep is {text!r}: a range has at least 1 value"
+        )
+    if count == 1 and first != last:
+        raise UsageError(f"--sweep is {text!r}: {item!r} asks for one value, but its ends differ")
+    if logarithmic and not (first > 0.0 and last > 0.0):
+        raise UsageError(f"--sweep is {text!r}: both ends of a log range must be greater than 0")
+    spaced = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
+    return [float(value) for value in spaced]
+
+
+def _value(text: str) -> Any:
+    """Read a number, true, false, null or a bracketed list as JSON does; anything else is the text itself."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        pass  # no JSON: a number such as .5, or a name
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _too_many(text: str) -> str:
+    return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"
