@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 
+REFERENCE_TEMPERATURE_C = 20.0
+"""Moduli are given at this temperature."""
+
 
 def plane_modulus_pa(youngs_modulus_pa: float, poisson_ratio: float) -> float:
     """``E / (1 - nu^2)`` in Pa, the modulus of contacts and thin plates."""
@@ -30,3 +33,8 @@ def thin_plate_impedance_n_s_per_m(
     """
     bending = bending_stiffness_n_m(youngs_modulus_pa, poisson_ratio, thickness_m)
     return 8.0 * math.sqrt(bending * density_kg_per_m3 * thickness_m)
+
+
+def youngs_modulus_at_pa(youngs_modulus_pa: float, change_per_k: float, temperature_c: float) -> float:
+    """``E (1 + c (T - 20 C))`` in Pa: Young's modulus at a temperature, c its relative change a kelvin."""
+    return youngs_modulus_pa * (1.0 + change_per_k * (temperature_c - REFERENCE_TEMPERATURE_C))

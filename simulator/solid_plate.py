@@ -29,7 +29,8 @@ from scipy import linalg, optimize, sparse
 from hardware_drivers.bounds import check_bounds
 from simulator.errors import SpecimenError
 from simulator.materials import plane_modulus_pa
-from simulator.mindlin_plate import graded_half_edge, patch_fraction
+from simulator.patches import patch_fraction
+from simulator.plate_mesh import graded_half_edge
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes, krylov_vectors
 from simulator.solid_element import brick_mass, brick_stiffness

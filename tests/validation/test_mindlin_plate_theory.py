@@ -7,7 +7,8 @@ import pytest
 from scipy.sparse.linalg import eigsh, splu
 
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
-from simulator.mindlin_plate import SHEAR_CORRECTION, AffinePlate, assemble, build_plate
+from simulator.mindlin_element import SHEAR_CORRECTION
+from simulator.mindlin_plate import AffinePlate, assemble, build_plate, plate_thinning
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 PAPER = PlateParameters()
@@ -25,8 +26,7 @@ def uniform_plate(elements, *, width_m=0.6, height_m=0.6, thickness_m=6e-3, supp
     )
     x = np.linspace(0.0, width_m / 2, elements // 2 + 1)
     y = np.linspace(0.0, height_m / 2, elements // 2 + 1)
-    covered = np.zeros((elements // 2, elements // 2))
-    return plate, assemble(plate, x, y, covered, quarter=True)
+    return plate, assemble(plate, x, y, plate_thinning(x, y, PATCH), symmetric=(True, True))
 
 
 def compliance(plate: AffinePlate, depth: float = 0.0) -> float:
@@ -86,7 +86,7 @@ def inner_unknowns(plate):
 def test_patch_test_on_a_graded_mesh(w, beta_x, beta_y):
     """A state of constant strain is in equilibrium at every inner node, whatever the element sizes."""
     parameters = replace(PAPER, elements_per_edge=16, contact_element_m=1e-3)
-    plate = build_plate(parameters, PATCH, quarter=False)
+    plate = build_plate(parameters, PATCH, whole=True)
     stiffness, _ = plate.at_depth(0.0)
     field = nodal_field(plate, w, beta_x, beta_y)
     inner = inner_unknowns(plate)

@@ -99,7 +99,7 @@ def test_quarter_model_gives_the_full_models_shot(reduction_folder):
     parameters = PlateParameters(elements_per_edge=24, contact_element_m=2e-3)
     quarter = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
     full = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
-    full._modal_plate = reduce_plate(build_plate(parameters, PATCH, quarter=False))
+    full._modal_plate = reduce_plate(build_plate(parameters, PATCH, whole=True))
     for depth in (0.0, 0.7):
         expected = full.shot(depth_fraction=depth).force_n
         found = quarter.shot(depth_fraction=depth).force_n

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from simulator.errors import SpecimenError
-from simulator.mindlin_plate import build_plate, element_matrices, graded_half_edge, patch_fraction
+from simulator.mindlin_element import element_matrices
+from simulator.mindlin_plate import build_plate
+from simulator.patches import patch_fraction
+from simulator.plate_mesh import graded_half_edge
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
 SMALL = PlateParameters(
@@ -53,15 +56,15 @@ def test_square_patch_covers_whole_elements():
     assert np.sum(covered * areas) == pytest.approx(0.025**2, rel=1e-12)
 
 
-@pytest.mark.parametrize("quarter", [True, False])
-def test_round_patch_covers_the_area_of_its_disk(quarter):
+@pytest.mark.parametrize("whole", [False, True])
+def test_round_patch_covers_the_area_of_its_disk(whole):
     disk = CorrosionParameters(shape="round", size_m=0.05)
-    plate = build_plate(SMALL, disk, quarter=quarter)
+    plate = build_plate(SMALL, disk, whole=whole)
     covered = patch_fraction(plate.x_m, plate.y_m, disk)
     areas = np.outer(np.diff(plate.x_m), np.diff(plate.y_m))
-    whole = np.pi * 0.025**2
+    area = np.pi * 0.025**2
     # Closed-form areas; what is left is rounding of their differences.
-    assert np.sum(covered * areas) == pytest.approx(whole / 4 if quarter else whole, rel=1e-9)
+    assert np.sum(covered * areas) == pytest.approx(area if whole else area / 4, rel=1e-9)
     assert covered.min() == 0.0
     assert covered.max() == 1.0
     assert np.any((covered > 0.0) & (covered < 1.0))
@@ -81,7 +84,7 @@ def test_a_patch_over_the_whole_plate_is_a_thinner_plate(depth):
 
 def test_affine_family_equals_direct_assembly_element_by_element():
     depth = 0.37
-    plate = build_plate(SMALL, PATCH, quarter=False)
+    plate = build_plate(SMALL, PATCH, whole=True)
     covered = patch_fraction(plate.x_m, plate.y_m, PATCH).ravel() > 0.5
     sizes = np.diff(plate.x_m), np.diff(plate.y_m)
     thick = element_matrices(SMALL, *sizes)
@@ -102,7 +105,7 @@ def test_affine_family_equals_direct_assembly_element_by_element():
 
 
 def test_matrices_are_symmetric_and_mass_is_the_plates():
-    plate = build_plate(replace(SMALL, support="simply_supported"), PATCH, quarter=False)
+    plate = build_plate(replace(SMALL, support="simply_supported"), PATCH, whole=True)
     stiffness, mass = plate.at_depth(0.5)
     assert abs(stiffness - stiffness.T).max() <= 1e-12 * abs(stiffness).max()
     assert abs(mass - mass.T).max() <= 1e-12 * abs(mass).max()
@@ -117,8 +120,8 @@ def test_matrices_are_symmetric_and_mass_is_the_plates():
 def test_quarter_model_is_exact_for_the_centred_load(shape, support):
     parameters, patch = replace(SMALL, support=support), replace(PATCH, shape=shape)
     compliance = []
-    for quarter in (True, False):
-        plate = build_plate(parameters, patch, quarter=quarter)
+    for whole in (False, True):
+        plate = build_plate(parameters, patch, whole=whole)
         stiffness, mass = (matrix.toarray() for matrix in plate.at_depth(0.6))
         dynamic = stiffness - (2 * np.pi * 700.0) ** 2 * mass
         compliance.append(plate.load @ np.linalg.solve(dynamic, plate.load))

@@ -1,0 +1,166 @@
+"""Grid lines along one edge of a plate: fine at the contact, on the edges of the patches, coarse far away."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import optimize
+
+from simulator.errors import SpecimenError
+
+FloatArray = NDArray[np.float64]
+
+SAME_LINE = 1e-9
+"""Lines nearer to each other than this part of the edge are one: rounding of offset and size."""
+
+
+def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: float) -> FloatArray:
+    """Grid lines from 0 to `length_m`: the first element `first_m` long, a line at `edge_m`.
+
+    Two geometric progressions meet at the edge of the patch, the second continuing the sizes of the
+    first; their lengths are chosen so that the two growth factors differ least.
+
+    Returns
+    -------
+    float64, shape (elements + 1,)
+    """
+    if edge_m < first_m:
+        raise SpecimenError(
+            f"half the patch is {edge_m} m, less than the elements at the contact ({first_m} m); "
+            f"make plate.contact_element_m smaller"
+        )
+    if edge_m > length_m * (1.0 - SAME_LINE):
+        return _lines(0.0, length_m, first_m, _growth(first_m, elements, length_m), elements)
+    best: tuple[float, FloatArray] | None = None
+    for inner in range(1, elements):
+        growth = _growth(first_m, inner, edge_m)
+        left = _lines(0.0, edge_m, first_m, growth, inner)
+        last = left[-1] - left[-2]
+        outer_growth = _continued_growth(last, elements - inner, length_m - edge_m)
+        misfit = abs(math.log(growth / outer_growth))
+        if best is None or misfit < best[0]:
+            right = _lines(edge_m, length_m, last * outer_growth, outer_growth, elements - inner)
+            best = misfit, np.concatenate((left, right[1:]))
+    assert best is not None  # elements >= 4
+    return best[1]
+
+
+def _growth(first_m: float, elements: int, length_m: float) -> float:
+    """Factor r with ``first (1 + r + ... + r^(n-1)) = length``; a single element takes the whole."""
+    if elements == 1:
+        return length_m / first_m
+    largest = (length_m / first_m) ** (1.0 / (elements - 1))  # the last element alone fills the length
+    return _solve_growth(lambda r: first_m * np.sum(r ** np.arange(elements)) - length_m, largest)
+
+
+def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
+    """Factor r with ``last (r + r^2 + ... + r^n) = length``."""
+    largest = (length_m / last_m) ** (1.0 / elements)
+    return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)
+
+
+def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
+    # Rounding must not leave the root of a single element outside.
+    return float(optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
+
+
+def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
+    lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
+    lines[-1] = end_m
+    return np.asarray(lines)
+
+
+def graded_edge(
+    start_m: float, end_m: float, elements: int, first_m: float, lines_m: Sequence[float]
+) -> FloatArray:
+    """Grid lines from `start_m` <= 0 to `end_m`, the contact at 0, with a line at each of `lines_m`.
+
+    On either side of the contact the first element is `first_m` long. Beyond, the size grows in
+    proportion to the distance, ``first + g (|x| - first)``; g follows from the number of elements, which
+    are then shared out among the intervals between the given lines as evenly as whole numbers allow.
+
+    Returns
+    -------
+    float64, shape (elements + 1,), rising, with 0.0 among them.
+
+    Raises
+    ------
+    SpecimenError
+        A line crosses the elements at the contact, or there are more lines than elements.
+    """
+    corners = _corners(start_m, end_m, first_m, lines_m)
+    left, right = corners[:-1], corners[1:]
+    graded = ~((np.minimum(np.abs(left), np.abs(right)) == 0.0) & (right - left <= 1.5 * first_m))
+    spare = elements - int(np.sum(~graded))
+    if np.sum(graded) > spare:
+        raise SpecimenError(
+            f"{elements} elements along an edge cannot have lines at the contact and at all {len(lines_m)} "
+            f"edges of patches; make plate.elements_per_edge at least {len(left) + len(left) % 2}"
+        )
+    near = np.minimum(np.abs(left), np.abs(right))[graded] - first_m
+    far = np.maximum(np.abs(left), np.abs(right))[graded] - first_m
+    growth = _sharing_growth(near / first_m, far / first_m, spare)
+    steps = np.log1p(growth * far / first_m) - np.log1p(growth * near / first_m)
+    counts = np.ones(len(left), dtype=np.int64)
+    counts[graded] = _shared_out(steps * (spare / steps.sum()), spare)
+    pieces = [
+        _graded_piece(float(a), float(b), int(n), first_m, growth)
+        for a, b, n in zip(left, right, counts, strict=True)
+    ]
+    return np.concatenate([*pieces, corners[-1:]])
+
+
+def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
+    """Give the lines that must be there, rising and each once."""
+    near = SAME_LINE * (end_m - start_m)
+    fixed = sorted({start_m, 0.0, end_m})
+    for line in (-first_m, first_m, *sorted(lines_m)):
+        if not start_m + near < line < end_m - near or min(abs(line - other) for other in fixed) <= near:
+            continue
+        if abs(line) < first_m - near:
+            raise SpecimenError(
+                f"the edge of a patch lies {abs(line):.4g} m from the contact, within its elements of "
+                f"{first_m} m; make plate.contact_element_m smaller or move the patch"
+            )
+        fixed.append(line)
+    return np.array(sorted(fixed))
+
+
+def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
+    """Find g for which ``sum ln((1 + g far) / (1 + g near)) / g`` is the number of elements."""
+
+    def excess(g: float) -> float:
+        return float(np.sum(np.log1p(g * far) - np.log1p(g * near))) / g - elements
+
+    smallest, largest = 1e-9, 1.0
+    if excess(smallest) <= 0.0:  # even elements of the first size would be too few: nothing grows
+        return smallest
+    while excess(largest) > 0.0:
+        largest *= 2.0
+    return float(optimize.brentq(excess, smallest, largest, rtol=1e-12))
+
+
+def _shared_out(wanted: FloatArray, total: int) -> NDArray[np.int64]:
+    """Whole numbers, at least 1, that add up to `total` and lie near `wanted`."""
+    counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
+    while counts.sum() < total:
+        counts[np.argmax(wanted / counts)] += 1
+    while counts.sum() > total:
+        spare = np.where(counts > 1, wanted / counts, np.inf)
+        counts[np.argmin(spare)] -= 1
+    return counts
+
+
+def _graded_piece(a_m: float, b_m: float, count: int, first_m: float, growth: float) -> FloatArray:
+    """Divide [a, b] into `count` elements whose sizes grow with the distance from 0; b is left out."""
+    if count == 1:
+        return np.array([a_m])
+    sign = -1.0 if a_m < 0.0 else 1.0
+    steps = np.log1p(growth * (np.abs([a_m, b_m]) - first_m) / first_m)
+    distance = first_m + first_m * np.expm1(np.linspace(steps[0], steps[1], count + 1)) / growth
+    points = sign * distance
+    points[0] = a_m
+    return np.asarray(points[:-1])
