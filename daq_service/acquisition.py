@@ -63,6 +63,45 @@ class SetPlan:
         return [name for name, its_method in self.positions.items() if its_method == method]
 
 
+def strikes_after(
+    sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
+) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
+    """Tell what `take_set` will strike after a given strike, set after set, if nothing intervenes.
+
+    Parameters
+    ----------
+    sets
+        Every planned set; the set of index k is the k-th.
+    positions
+        Solitary-wave positions, in the order in which they are struck.
+
+    Returns
+    -------
+    Callable
+        Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it.
+    """
+    order = list(itertools.product(positions, range(shots_per_set)))
+    slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
+
+    def planned(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+        if (key.position, key.shot_index) not in order:
+            return
+        number = order.index((key.position, key.shot_index))
+        start_ns = utc_ns - slots_ns[number]
+        following = itertools.islice(sets, key.set_index + 1, None)
+        begins = itertools.chain(
+            [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
+        )
+        left = number + 1
+        for set_index, start_ns in begins:
+            for slot, (position, shot_index) in enumerate(order[left:], left):
+                shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
+                yield shot, start_ns + slots_ns[slot]
+            left = 0
+
+    return planned
+
+
 def take_set(
     rig: Rig,
     plan: SetPlan,

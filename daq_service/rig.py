@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
+from daq_service.acquisition import strikes_after
 from daq_service.clock import boot_id
 from daq_service.errors import UsageError
+from daq_service.schedule import plan
 from daq_service.settings import Settings
 from hardware_drivers.instruments import Acquired, Clock, Digitizer, Echo, PulseEchoUnit, Rig, SelfCalibrating
 from hardware_drivers.measurement import ShotKey, Stamp
@@ -54,9 +56,11 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
     from simulator.instruments import build_bench
     from simulator.specimen import Transducer
 
-    places = settings.positions
-    # One worker: the physics of the next shots runs while this one is stored and judged.
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin") as executor:
+    places, schedule = settings.positions, settings.schedule
+    with ExitStack() as stack:
+        # One worker: the physics of the next shots runs while this one is stored and judged.
+        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
+        stack.callback(executor.shutdown, cancel_futures=True)
         try:
             transducers = {
                 name: Transducer(
@@ -75,7 +79,12 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
             probed_thickness_m={
                 name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")
             },
-            shots_per_set=settings.schedule.shots_per_set,
+            strikes_after=strikes_after(
+                plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h),
+                settings.names_of("solitary_wave"),
+                shots_per_set=schedule.shots_per_set,
+                shot_interval_s=schedule.shot_interval_s,
+            ),
             executor=executor,
         )
         yield Rig(

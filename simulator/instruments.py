@@ -9,9 +9,10 @@ so a read without a strike times out at once.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from itertools import islice
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Echo
@@ -23,50 +24,70 @@ from simulator.specimen import Specimen, Transducer, build_specimen
 COIL_EVENTS_KEPT = 1_000
 """The coil's record is a ring: the newest events of the last 500 strikes."""
 
+RECORDS_AHEAD = 32
+"""Records computed before their strike, at most: those of a set of the paper, 1 MB. A set is stored and
+committed in the time that so many take."""
+
+StrikesAfter = Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]
+"""Strikes that are planned after one of this key at this time (UTC in ns), each with its own time."""
+
 
 class RecordsAhead:
-    """Records of a set's next shots, computed while the caller stores and judges the present one.
+    """Records of the next planned strikes, computed while the caller stores and judges the present one.
 
     A record is a pure function of the shot's key and the hour, so one computed ahead is the one that
-    would be computed now. At most one set is held; what the next strike does not ask for is dropped.
+    would be computed now, and a plan that is not kept costs time but changes nothing: a strike that was
+    not expected is computed by its reader, and what is expected no more is dropped.
 
     Parameters
     ----------
     executor
-        Runs the computations. One worker thread is enough: the physics releases the GIL.
-    shots_per_set
-        Shots with this index or a higher one are not expected.
+        Runs the computations. One worker thread is enough: the physics releases the GIL. Its owner
+        cancels what is left when it closes.
     """
 
-    def __init__(self, specimen: Specimen, executor: Executor, *, shots_per_set: int) -> None:
+    def __init__(self, specimen: Specimen, executor: Executor, strikes_after: StrikesAfter) -> None:
         self._specimen = specimen
         self._executor = executor
-        self._shots_per_set = shots_per_set
+        self._strikes_after = strikes_after
+        self._planned: Iterator[tuple[ShotKey, int]] = iter(())
         self._pending: dict[tuple[ShotKey, float], Future[Acquired | None]] = {}
+        # Positions that were passed over when they were due: retired ones, for all we know.
+        self._passed_over: set[str] = set()
 
-    def expect(self, key: ShotKey, hour_h: float) -> None:
-        """Start on the record of this shot and on those after it in its set."""
-        wanted = [key]
-        wanted += [
-            ShotKey(position=key.position, set_index=key.set_index, shot_index=index)
-            for index in range(key.shot_index + 1, self._shots_per_set)
-        ]
-        started = {(shot, hour_h): self._pending.pop((shot, hour_h), None) for shot in wanted}
-        self.clear()
-        self._pending = {
-            expected: future or self._executor.submit(self._specimen.solitary_wave, *expected)
-            for expected, future in started.items()
-        }
+    def record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
+        """Record of a strike, waiting for it if need be; starts on those after it.
 
-    def take(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Record of an expected shot, waiting for it if need be."""
-        return self._pending.pop((key, hour_h)).result()
-
-    def clear(self) -> None:
-        """Drop everything; a computation already running ends unheard."""
-        for future in self._pending.values():
+        Parameters
+        ----------
+        hour_h
+            Hour of the experiment that holds at a time (UTC in ns).
+        """
+        strike = key, hour_h(utc_ns)
+        expected = list(self._pending)
+        own = self._pending.pop(strike, None)
+        left: dict[tuple[ShotKey, float], Future[Acquired | None]] = {}
+        if expected[:1] != [strike]:
+            left, self._pending = self._pending, {}
+            self._plan_from(key, utc_ns, [planned for planned, _ in expected])
+        for planned, planned_ns in islice(self._planned, RECORDS_AHEAD - len(self._pending)):
+            coming = planned, hour_h(planned_ns)
+            begun = left.pop(coming, None)
+            self._pending[coming] = begun or self._executor.submit(self._specimen.solitary_wave, *coming)
+        for future in left.values():
             future.cancel()
-        self._pending.clear()
+        return self._specimen.solitary_wave(*strike) if own is None else own.result()
+
+    def _plan_from(self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey]) -> None:
+        """Plan anew from a strike that did not come in its turn."""
+        if key in expected:
+            self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
+        self._passed_over.discard(key.position)
+        self._planned = (
+            strike
+            for strike in self._strikes_after(key, utc_ns)
+            if strike[0].position not in self._passed_over
+        )
 
 
 class Bench:
@@ -90,11 +111,11 @@ class Bench:
         self._epoch_utc_ns = epoch_utc_ns
         self._ahead = ahead
         self._armed: ShotKey | None = None
-        self._strike: tuple[ShotKey, float] | None = None
+        self._strike: tuple[ShotKey, int] | None = None
 
-    def hour_h(self) -> float:
-        """Hour of the experiment whose depth and temperature hold now."""
-        return self.specimen.hour_h(self.clock.utc_ns() - self._epoch_utc_ns)
+    def hour_h(self, utc_ns: int) -> float:
+        """Hour of the experiment whose depth and temperature hold at a time."""
+        return self.specimen.hour_h(utc_ns - self._epoch_utc_ns)
 
     def arm(self, key: ShotKey) -> None:
         """Let the next strike at the key's position be recorded."""
@@ -107,18 +128,14 @@ class Bench:
         self._armed = key
 
     def disarm(self) -> None:
-        """Record nothing any more and forget what was computed ahead."""
+        """Record nothing any more."""
         self._armed = self._strike = None
-        if self._ahead is not None:
-            self._ahead.clear()
 
     def strike(self, key: ShotKey) -> None:
         """Send a wave down the chain: only the first one at the armed position is recorded."""
         if self._armed is None or self._armed.position != key.position or self._strike is not None:
             return
-        self._strike = (key, self.hour_h())
-        if self._ahead is not None:
-            self._ahead.expect(*self._strike)
+        self._strike = key, self.clock.utc_ns()
 
     def read(self) -> Acquired:
         """Hand over the record of the armed shot and disarm."""
@@ -131,8 +148,7 @@ class Bench:
                 f"no strike at {armed.position!r} since the digitizer was armed; check the striker"
             )
         try:
-            compute = self.specimen.solitary_wave if self._ahead is None else self._ahead.take
-            acquired = compute(*strike)
+            acquired = self._record(*strike)
         except (SimulatorError, ValueError) as error:
             raise ConfigurationError(f"the twin cannot compute this shot: {error}") from error
         if acquired is None:
@@ -142,6 +158,11 @@ class Bench:
                 "drop height, sensitivity and level"
             )
         return acquired
+
+    def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
+        if self._ahead is None:
+            return self.specimen.solitary_wave(key, self.hour_h(utc_ns))
+        return self._ahead.record(key, utc_ns, self.hour_h)
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], what: str) -> None:
@@ -225,7 +246,7 @@ class SimulatedPulseEchoUnit:
         """Averaged record of the wall at this hour."""
         _require_timeout(timeout_s)
         _require_position(key, self._bench.specimen.probed_thickness_m, "ultrasonic probe")
-        return self._bench.specimen.echo(key, self._bench.hour_h())
+        return self._bench.specimen.echo(key, self._bench.hour_h(self._bench.clock.utc_ns()))
 
 
 def _require_timeout(timeout_s: float) -> None:
@@ -249,7 +270,7 @@ def build_bench(
     epoch_utc_ns: int,
     transducers: Mapping[str, Transducer],
     probed_thickness_m: Mapping[str, float],
-    shots_per_set: int = 10,
+    strikes_after: StrikesAfter | None = None,
     executor: Executor | None = None,
 ) -> SimulatedInstruments:
     """Instruments around one specimen.
@@ -264,12 +285,15 @@ def build_bench(
         By position: chain and physics of each solitary-wave transducer.
     probed_thickness_m
         By position: pristine thickness under each ultrasonic probe.
-    shots_per_set, executor
-        With an executor, the records of a set's next shots are computed ahead in it; without, each
-        when it is read. The records are the same to the last bit. The caller owns the executor.
+    strikes_after, executor
+        With an executor, the records of the next planned strikes are computed ahead in it; without, each
+        when it is read. The records are the same to the last bit. The caller owns the executor and
+        cancels what is pending when it closes.
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
-    ahead = None if executor is None else RecordsAhead(specimen, executor, shots_per_set=shots_per_set)
+    ahead = None
+    if executor is not None and strikes_after is not None:
+        ahead = RecordsAhead(specimen, executor, strikes_after)
     bench = Bench(specimen, clock, epoch_utc_ns=epoch_utc_ns, ahead=ahead)
     return SimulatedInstruments(
         striker=SimulatedStriker(bench),

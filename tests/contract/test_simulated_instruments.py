@@ -1,6 +1,7 @@
 """The twin's instruments keep the contracts of the real ones."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 from digitizer_contract import DigitizerContract
@@ -19,6 +20,11 @@ from simulator.specimen import Transducer
 EPOCH_NS = 1_704_067_200_000_000_000
 
 
+def _the_next_three(key, utc_ns):
+    for index in range(key.shot_index + 1, key.shot_index + 4):
+        yield replace(key, shot_index=index), utc_ns
+
+
 @pytest.fixture(params=["computed when read", "computed ahead"])
 def bench(request):
     """Two transducers on infinite plates, which need no reduction, and a probe."""
@@ -31,6 +37,7 @@ def bench(request):
             epoch_utc_ns=EPOCH_NS,
             transducers={name: Transducer(chain=chain, model=model) for name in ("C", "D")},
             probed_thickness_m={"A": 6.35e-3},
+            strikes_after=_the_next_three,
             executor=executor if request.param == "computed ahead" else None,
         )
 

@@ -13,7 +13,7 @@ from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import ShotKey
 from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.instruments import build_bench
+from simulator.instruments import RECORDS_AHEAD, build_bench
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scenario import (
@@ -73,6 +73,7 @@ def make_bench(model, clock):
             epoch_utc_ns=EPOCH_NS,
             transducers={name: Transducer(chain=CHAIN, model=model) for name in ("B", "D")},
             probed_thickness_m={"A": 6.35e-3},
+            strikes_after=strikes_after,
             executor=executor,
         )
 
@@ -166,30 +167,79 @@ def test_every_part_of_the_key_and_the_seed_give_another_shot(make_bench):
     assert len({a.waveform.counts.tobytes() for a in acquired}) == len(acquired)
 
 
+def strikes_after(shot, utc_ns):
+    """Two positions of ten shots 4 s apart, every half hour."""
+    order = [(position, index) for position in ("B", "D") for index in range(10)]
+    slot = order.index((shot.position, shot.shot_index)) + 1
+    set_index, start_ns = shot.set_index, utc_ns - (slot - 1) * 4 * NS_PER_S
+    while True:
+        for number, (position, index) in enumerate(order[slot:], slot):
+            yield key(index, set_index, position), start_ns + number * 4 * NS_PER_S
+        set_index, start_ns, slot = set_index + 1, start_ns + 1_800 * NS_PER_S, 0
+
+
+class Recording:
+    """An executor that remembers what it was given."""
+
+    def __init__(self, pool):
+        self.pool = pool
+        self.submitted = []
+        self.futures = []
+
+    def submit(self, function, *arguments):
+        self.submitted.append(arguments[0])
+        self.futures.append(self.pool.submit(function, *arguments))
+        return self.futures[-1]
+
+
 class TestAhead:
     """Records computed ahead are those that would be computed when read."""
 
     @pytest.fixture
     def executor(self):
-        with ThreadPoolExecutor(max_workers=1) as executor:
-            yield executor
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            yield Recording(pool)
 
-    def test_a_whole_set_is_the_same(self, make_bench, clock, executor):
+    @pytest.fixture
+    def held(self):
+        """Its only worker is busy until the test ends, so that nothing starts."""
+        gate = threading.Event()
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            pool.submit(gate.wait)
+            yield Recording(pool)
+            gate.set()
+
+    def strike_all(self, bench, clock, shots, hour_h):
+        """Acquire the shots 4 s apart, starting at an hour."""
+        start_ns = EPOCH_NS + round(hour_h * 3600 * NS_PER_S)
+        for number, shot in enumerate(shots):
+            clock.now_ns = start_ns + number * 4 * NS_PER_S
+            yield shoot(bench, shot)
+
+    def test_sets_are_the_same(self, make_bench, clock, executor):
         ahead, plain = make_bench(executor=executor), make_bench()
-        for set_index, hour_h in ((0, 0.5), (300, 225.0)):
-            for position in ("B", "D"):
-                for shot_index in range(10):
-                    clock.go_to_hour(hour_h + shot_index * 4.0 / 3600.0)
-                    shot = key(shot_index, set_index, position)
-                    assert_same(shoot(ahead, shot), shoot(plain, shot))
+        for set_index, hour_h in ((0, 0.5), (1, 1.0), (300, 225.0)):
+            shots = [key(i, set_index, position) for position in ("B", "D") for i in range(10)]
+            both = zip(
+                self.strike_all(ahead, clock, shots, hour_h),
+                self.strike_all(plain, clock, shots, hour_h),
+                strict=True,
+            )
+            for first, second in both:
+                assert_same(first, second)
+
+    def test_any_order_is_the_same(self, make_bench, clock, executor):
+        ahead, plain = make_bench(executor=executor), make_bench()
+        shots = [key(i, j, position) for position in ("D", "B") for j in (2, 1) for i in (3, 0, 4)]
+        for first, shot in zip(self.strike_all(ahead, clock, shots, 100.0), shots, strict=True):
+            assert_same(first, shoot(plain, shot))
 
     def test_a_set_across_an_update_of_the_wall_is_the_same(self, make_bench, clock, executor):
         ahead, plain = make_bench(executor=executor), make_bench()
-        hours_h = 100.0 + (590.0 + 4.0 * np.arange(10)) / 3600.0
         depths = set()
-        for shot_index, hour_h in enumerate(hours_h):
-            clock.go_to_hour(float(hour_h))
-            acquired = shoot(ahead, key(shot_index))
+        for shot_index, acquired in enumerate(
+            self.strike_all(ahead, clock, [key(i) for i in range(10)], 100.0 + 590.0 / 3600.0)
+        ):
             depths.add(acquired.truth["depth_fraction"])
             assert_same(acquired, shoot(plain, key(shot_index)))
         assert len(depths) == 2
@@ -202,43 +252,75 @@ class TestAhead:
         ahead.digitizer.disarm()
         assert_same(shoot(ahead, key(2)), shoot(plain, key(2)))
 
-    def test_the_next_shots_are_under_way_while_the_first_is_stored(self, make_bench, model):
-        pool = ThreadPoolExecutor(max_workers=1)
-        submitted = []
+    def test_the_next_shots_are_under_way_and_none_is_computed_twice(self, make_bench, clock, executor):
+        bench = make_bench(executor=executor)
+        shots = [key(i, j, position) for j in (0, 1) for position in ("B", "D") for i in range(10)]
+        first_set = list(self.strike_all(bench, clock, shots[:20], 0.5))
+        # The first was computed by its reader; at the last one those of the next set are under way.
+        assert executor.submitted[:39] == shots[1:]
+        assert len(executor.submitted) == 19 + RECORDS_AHEAD
+        list(self.strike_all(bench, clock, shots[20:], 1.0))
+        assert len(set(executor.submitted)) == len(executor.submitted) == 39 + RECORDS_AHEAD
+        assert len(first_set) == 20
 
-        class Recording:
-            def submit(self, function, *arguments):
-                submitted.append(arguments[0])
-                return pool.submit(function, *arguments)
+    def test_never_more_than_so_many_wait(self, make_bench, clock, held):
+        bench = make_bench(executor=held)
+        shoot(bench, key(0))
+        assert len(held.futures) == RECORDS_AHEAD
 
-        with pool:
-            bench = make_bench(executor=Recording())
-            shoot(bench, key(0))
-            assert submitted == [key(i) for i in range(10)]
-            for i in range(1, 10):
-                shoot(bench, key(i))
-            assert len(submitted) == 10
+    def test_a_strike_that_nobody_planned_waits_for_no_other(self, make_bench, held):
+        # The worker is held up: this would never end if the strike were queued behind those to come.
+        bench = make_bench(executor=held)
+        shoot(bench, key(0))
+        assert_same(shoot(bench, key(0, attempt=1)), shoot(make_bench(), key(0, attempt=1)))
+        assert len(held.futures) == RECORDS_AHEAD  # all of them are still expected
 
-    def test_nothing_is_left_to_compute_after_disarming(self, make_bench):
-        gate = threading.Event()
-        futures = []
-        with ThreadPoolExecutor(max_workers=1) as pool:
+    def test_what_is_expected_no_more_is_dropped(self, make_bench, clock, held):
+        bench = make_bench(executor=held)
+        shoot(bench, key(0))
+        clock.go_to_hour(50.0)
+        shoot(bench, key(0, set_index=100))
+        assert [future.cancelled() for future in held.futures[:RECORDS_AHEAD]] == [True] * RECORDS_AHEAD
+        assert held.submitted[RECORDS_AHEAD] == key(1, set_index=100)
 
-            class Recording:
-                def submit(self, function, *arguments):
-                    futures.append(pool.submit(function, *arguments))
-                    return futures[-1]
+    def test_a_retired_position_is_expected_again_once_it_strikes(self, make_bench, clock, executor):
+        bench = make_bench(executor=executor)
+        list(self.strike_all(bench, clock, [key(9, 0, "B")], 0.5))
+        for set_index in (1, 2):  # position D strikes no more
+            executor.submitted.clear()
+            shots = [key(i, set_index) for i in range(10)]
+            list(self.strike_all(bench, clock, shots, 0.5 + 0.5 * set_index))
+        assert {shot.position for shot in executor.submitted} == {"B"}
+        executor.submitted.clear()
+        list(self.strike_all(bench, clock, [key(0, 2, "D")], 1.6))
+        assert key(0, 3, "D") in executor.submitted
 
-            try:
-                pool.submit(gate.wait)  # the only worker is busy, so nothing else starts
-                bench = make_bench(executor=Recording())
-                bench.digitizer.arm(key(0))
-                bench.striker.strike(key(0))
-                bench.digitizer.disarm()
-                cancelled = [future.cancelled() for future in futures]
-            finally:
-                gate.set()  # or the pool would never end
-        assert cancelled == [True] * 10
+    def test_an_error_of_the_worker_surfaces_at_its_own_strike(self, make_bench, clock, model, executor):
+        """The third drop is one that the physics refuses; the others are none the worse."""
+
+        class Failing:
+            def shot(self, **strike):
+                if strike["drop_height_m"] == bad_drop_m:
+                    raise ValueError("the energy balance is off")
+                return model.shot(**strike)
+
+        plain = make_bench()
+        bad_drop_m = shoot(plain, key(2)).truth["drop_height_m"]
+        bench = build_bench(
+            TWIN,
+            clock=clock,
+            epoch_utc_ns=EPOCH_NS,
+            transducers={name: Transducer(chain=CHAIN, model=Failing()) for name in ("B", "D")},
+            probed_thickness_m={},
+            strikes_after=strikes_after,
+            executor=executor,
+        )
+        for shot_index in range(5):
+            if shot_index == 2:
+                with pytest.raises(ConfigurationError, match="energy balance is off"):
+                    shoot(bench, key(2))
+            else:
+                assert_same(shoot(bench, key(shot_index)), shoot(plain, key(shot_index)))
 
 
 def quiet(twin=TWIN):
