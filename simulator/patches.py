@@ -84,28 +84,21 @@ def patch_lines(corrosion: CorrosionParameters) -> tuple[list[float], list[float
 
 def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
     """Tell whether plate, contact and patches are their own mirror image in x, and in y."""
-    patches = set(_plain(corrosion))
+    patches = set(corrosion.patches)
     in_x = plate.contact_x_m == 0.0 and {replace(p, offset_x_m=-p.offset_x_m) for p in patches} == patches
     in_y = plate.contact_y_m == 0.0 and {replace(p, offset_y_m=-p.offset_y_m) for p in patches} == patches
     return in_x, in_y
 
 
-def _plain(corrosion: CorrosionParameters) -> list[PatchParameters]:
-    """All patches as such: the first one brings depth and further patches with it."""
-    first = PatchParameters(
-        shape=corrosion.shape,
-        size_m=corrosion.size_m,
-        size_y_m=corrosion.size_y_m,
-        offset_x_m=corrosion.offset_x_m,
-        offset_y_m=corrosion.offset_y_m,
-        profile=corrosion.profile,
-        depth_factor=corrosion.depth_factor,
-    )
-    return [first, *corrosion.further]
+def patch_fraction(
+    x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
+) -> FloatArray:
+    """Fraction of each element's area within one outline, the first one of `CorrosionParameters`.
 
-
-def patch_fraction(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
-    """Fraction of each element's area that lies within one outline, shape (len(x) - 1, len(y) - 1)."""
+    Returns
+    -------
+    float64, shape (len(x) - 1, len(y) - 1)
+    """
     x, y = x_m - patch.offset_x_m, y_m - patch.offset_y_m
     if patch.shape != "round":
         inside = [

@@ -129,27 +129,32 @@ class PlateParameters:
             )
 
 
+PatchShape = Literal["square", "round", "rectangular"]
+PatchSize = Annotated[float, Gt(0.0), Le(100.0)]
+PatchOffset = Annotated[float, Ge(-100.0), Le(100.0)]
+PatchProfile = Literal["flat", "bowl", "cosine"]
+DepthFactor = Annotated[float, Gt(0.0), Le(1.0)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PatchParameters:
-    """Outline and profile of one thinned patch; the mid-surface stays where it is (paper, section 3)."""
+    """Outline and profile of one thinned patch."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
-    shape: Literal["square", "round", "rectangular"] = "square"
+    shape: PatchShape = "square"
     """Outline of the patch."""
-    size_m: Annotated[float, Gt(0.0), Le(100.0)] = 25.4e-3
-    """Edge of a square patch, diameter of a round one (paper: 25.4 mm at B, 50.8 mm at C); a rectangle's
-    edge along x."""
-    size_y_m: Annotated[float, Gt(0.0), Le(100.0)] | None = None
-    """Edge of a rectangular patch along y."""
-    offset_x_m: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    size_m: PatchSize = 25.4e-3
+    """Edge of a square patch, diameter of a round one, edge along x of a rectangle."""
+    size_y_m: PatchSize | None = None
+    """Edge of a rectangle along y; other outlines have none."""
+    offset_x_m: PatchOffset = 0.0
     """Centre of the patch from the contact, along x."""
-    offset_y_m: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    offset_y_m: PatchOffset = 0.0
     """Centre of the patch from the contact, along y."""
-    profile: Literal["flat", "bowl", "cosine"] = "flat"
-    """Depth over the patch, deepest in its middle: `flat` (paper), `bowl` 1 - (r / R)^2 or `cosine`
-    (1 + cos(pi r / R)) / 2; over a square or rectangle their products along x and y."""
-    depth_factor: Annotated[float, Gt(0.0), Le(1.0)] = 1.0
+    profile: PatchProfile = "flat"
+    """Depth over the patch, as in `corrosion.profile`."""
+    depth_factor: DepthFactor = 1.0
     """Largest depth of this patch over the depth of the position."""
 
     def __post_init__(self) -> None:
@@ -167,11 +172,27 @@ class PatchParameters:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CorrosionParameters(PatchParameters):
-    """The thinned patch under the contact, its depth, and further patches."""
+class CorrosionParameters:
+    """Thinned patch at the contact and further ones; the mid-surface stays as it is (paper, section 3)."""
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
+    shape: PatchShape = "square"
+    """Outline of the patch."""
+    size_m: PatchSize = 25.4e-3
+    """Edge of a square patch, diameter of a round one (paper: 25.4 mm at B, 50.8 mm at C), edge along x of a
+    rectangle."""
+    size_y_m: PatchSize | None = None
+    """Edge of a rectangle along y; other outlines have none."""
+    offset_x_m: PatchOffset = 0.0
+    """Centre of the patch from the contact, along x."""
+    offset_y_m: PatchOffset = 0.0
+    """Centre of the patch from the contact, along y."""
+    profile: PatchProfile = "flat"
+    """Depth over the patch, largest in its middle: `flat` (paper), `bowl` 1 - (r / R)^2 or `cosine`
+    (1 + cos(pi r / R)) / 2; over a square or a rectangle the product of these along x and y."""
+    depth_factor: DepthFactor = 1.0
+    """Largest depth of this patch over `depth_fraction`; below 1 where a further patch is deeper."""
     further: tuple[PatchParameters, ...] = ()
     """More patches, as `[[corrosion.further]]`, all thinning with the one `depth_fraction`; none may
     overlap."""
@@ -179,14 +200,28 @@ class CorrosionParameters(PatchParameters):
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
-        PatchParameters.__post_init__(self)
         check_bounds(self)
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"
             )
+        _ = self.patches  # the first one must make sense, too
 
     @property
     def patches(self) -> tuple[PatchParameters, ...]:
         """All patches, the first one first."""
-        return self, *self.further
+        first = PatchParameters(
+            shape=self.shape,
+            size_m=self.size_m,
+            size_y_m=self.size_y_m,
+            offset_x_m=self.offset_x_m,
+            offset_y_m=self.offset_y_m,
+            profile=self.profile,
+            depth_factor=self.depth_factor,
+        )
+        return first, *self.further
+
+    @property
+    def half_sizes_m(self) -> tuple[float, float]:
+        """Half the first patch's extent along x and y."""
+        return self.patches[0].half_sizes_m
