@@ -17,7 +17,14 @@ import click
 from daq_service.demo_rig import DemoRig, running_rig
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.folder import prepare_data_folder
-from daq_service.run import STOPPED, check_owner, child_plans, log_to, stop_on_signals
+from daq_service.run import (
+    STOPPED,
+    check_owner,
+    child_plans,
+    log_to,
+    stop_on_signals,
+    write_configuration,
+)
 from daq_service.schedule import due_hours
 from daq_service.settings import Settings
 from daq_service.summary import print_summary, summarise_run
@@ -28,8 +35,6 @@ WATCHABLE_PACE_H_PER_S = 5.0
 
 PATIENCE_S = 16.0
 """Longest wait for the first set before the dashboard's address is printed."""
-
-CONFIGURATION_FILE = "configuration.json"
 
 
 def run_demo(
@@ -65,7 +70,7 @@ def _run_on(
     settings = running.settings
     prepare_data_folder(folder)
     check_owner(settings, folder)
-    config = _write_configuration(settings, folder)
+    config = write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
@@ -119,15 +124,6 @@ def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dic
     if pace is not None:
         overrides["clock"] = {"pace_h_per_s": pace}
     return overrides
-
-
-def _write_configuration(settings: Settings, folder: Path) -> Path:
-    """Write the file that the children read, and `solimon run` later; pace and end may change."""
-    config = folder / CONFIGURATION_FILE
-    partial = config.with_suffix(".tmp")
-    partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
-    partial.replace(config)
-    return config
 
 
 def _new_folder() -> Path:

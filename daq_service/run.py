@@ -28,6 +28,9 @@ log = logging.getLogger(__name__)
 
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
+CONFIGURATION_FILE = "configuration.json"
+"""What a test that nobody wrote a configuration for was run with."""
+
 LOG_BYTES, LOG_FILES = 5_000_000, 5
 """Each child's log is rotated: at most 25 MB."""
 
@@ -53,6 +56,15 @@ def check_owner(settings: Settings, folder: Path) -> None:
             catalogue.check_owner(settings.configuration_hash())
     except NoDataYetError:
         return  # nobody's yet
+
+
+def write_configuration(settings: Settings, folder: Path) -> Path:
+    """Write the file that the children read, and `solimon run` later; pace and end may change."""
+    config = folder / CONFIGURATION_FILE
+    partial = config.with_suffix(".tmp")
+    partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
+    partial.replace(config)
+    return config
 
 
 @contextmanager
