@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
@@ -20,25 +20,40 @@ _COMPARISONS: tuple[tuple[type, str, str, Callable[[Any, Any], bool]], ...] = (
     (Le, "le", "at most", lambda value, bound: value <= bound),
 )
 
-_resolved: dict[type, dict[str, Any]] = {}
+_Bound = tuple[str, Any, Callable[[Any, Any], bool]]
+
+_resolved: dict[type, list[tuple[str, list[_Bound]]]] = {}
 
 
-def _annotations(parameters: type) -> dict[str, Any]:
-    """Resolve the annotations of a class once: every shot with its own scatter checks its bounds."""
+def _bounds(parameters: type) -> list[tuple[str, list[_Bound]]]:
+    """Resolve the bounds of a class once: every shot with its own scatter checks them."""
     if parameters not in _resolved:
-        _resolved[parameters] = get_type_hints(parameters, include_extras=True)
+        hints = get_type_hints(parameters, include_extras=True)
+        _resolved[parameters] = [(field.name, _of_hint(hints[field.name])) for field in fields(parameters)]
     return _resolved[parameters]
+
+
+def _of_hint(hint: Any) -> list[_Bound]:
+    """Bounds of a type, also where it may be absent: ``Annotated[float, Gt(0.0)] | None``."""
+    marks = getattr(hint, "__metadata__", ())
+    if not marks:
+        marks = [mark for part in get_args(hint) for mark in getattr(part, "__metadata__", ())]
+    return [
+        (words, getattr(mark, attribute), holds)
+        for mark in marks
+        for kind, attribute, words, holds in _COMPARISONS
+        if isinstance(mark, kind)
+    ]
 
 
 def check_bounds(parameters: Any) -> None:
     """Raise ValueError naming the field, its value and its limit if a bound is broken."""
-    hints = _annotations(type(parameters))
-    for field in fields(parameters):
-        value = getattr(parameters, field.name)
+    for name, bounds in _bounds(type(parameters)):
+        value = getattr(parameters, name)
+        if value is None:
+            continue
         if isinstance(value, float) and not math.isfinite(value):
-            raise ValueError(f"{field.name} is {value}; it must be a finite number")
-        for mark in getattr(hints[field.name], "__metadata__", ()):
-            for kind, attribute, words, holds in _COMPARISONS:
-                if isinstance(mark, kind) and not holds(value, getattr(mark, attribute)):
-                    limit = getattr(mark, attribute)
-                    raise ValueError(f"{field.name} is {value}; it must be {words} {limit}")
+            raise ValueError(f"{name} is {value}; it must be a finite number")
+        for words, limit, holds in bounds:
+            if not holds(value, limit):
+                raise ValueError(f"{name} is {value}; it must be {words} {limit}")

@@ -2,10 +2,11 @@
 
 Unknowns are the displacements u_i from the static equilibrium and, for every contact, the impulse
 
-    B(t) = integral (F - F_static) dt = integral (A d^(3/2) - F_static) dt + gamma ([d]_+ - d_static),
+    B(t) = integral (F - F_static) dt = integral (A d^(3/2) - F_static) dt + g ([d]_+^q - d_static^q),
 
-because the impulse of a dashpot that acts only in contact is gamma [d]_+. Written this way the law of
-`granular_chain` has a continuous right-hand side although its force jumps at every release:
+because the impulse of a dashpot that acts only in contact is g [d]_+^q with q = p + 1 and
+``g = gamma / (q d_r^p)``; gamma [d]_+ for the linear one. Written this way the law of `granular_chain` has a
+continuous right-hand side although its force jumps at every release:
 
     v_i = v_i(0) + (B_(i-1) - B_i) / m_i,    du_i/dt = v_i.
 
@@ -65,6 +66,32 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @_compiled
+def _raised(overlap: float, exponent: float) -> float:
+    """``overlap^(1 + exponent)`` for the exponents of the laws of damping, by square roots only."""
+    if exponent == 0.0:
+        return overlap
+    root = math.sqrt(overlap)
+    if exponent == 0.25:
+        return overlap * math.sqrt(root)
+    if exponent == 0.5:
+        return overlap * root
+    return overlap * overlap * root
+
+
+@_compiled
+def _raised_slope(overlap: float, exponent: float) -> float:
+    """Differentiate `_raised` by the overlap."""
+    if exponent == 0.0:
+        return 1.0
+    root = math.sqrt(overlap)
+    if exponent == 0.25:
+        return 1.25 * math.sqrt(root)
+    if exponent == 0.5:
+        return 1.5 * root
+    return 2.5 * overlap * root
+
+
+@_compiled
 def integrate(
     mass: FloatArray,
     stiffness: FloatArray,
@@ -80,14 +107,17 @@ def integrate(
     own_weights: FloatArray,
     residual_compliance: float,
     mobility: float,
+    exponent: float,
+    precompression: float,
     sensor_force: FloatArray,
+    contact_force: FloatArray,
 ) -> tuple[float, int]:
-    """Integrate a shot; fill `sensor_force`, float64, shape (n_steps,).
+    """Integrate a shot; fill `sensor_force`, float64, shape (n_steps,), and `contact_force`.
 
     Parameters
     ----------
-    mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor
-        The fields of `granular_chain.Chain`.
+    mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor, precompression
+        The fields of `granular_chain.Chain`; `damping` is its `dashpot_impulse_n_s_per_m`.
     retainer_force
         Constant force that carries the last sphere where there is no specimen; zero elsewhere.
     step
@@ -103,6 +133,10 @@ def integrate(
         C of the modes above the cut, m/N.
     mobility
         Speed per force of an infinite thin plate, m/(s N); zero for every other specimen.
+    exponent
+        p of the dashpots: 0, 1/4, 1/2 or 3/2.
+    contact_force
+        Float64, shape (n_bodies, n_steps) for the force of every contact, (0, 0) where nobody asks.
 
     Returns
     -------
@@ -150,9 +184,15 @@ def integrate(
     a_plate = stiffness[last]
     g_plate = damping[last]
     n_plate = static_force[last]
+    s_plate = g_plate * _raised(static_overlap[last], exponent)
+    static_raised = np.empty(n_bodies)
+    for i in range(n_bodies):
+        static_raised[i] = _raised(static_overlap[i], exponent)
+    past0 = past1 = past2 = static_overlap[last]  # d at the plate now, one and two steps ago
+    observed = contact_force.shape[0] > 0
     # What 1 / gamma must make up for; see the head of this module.
     active = residual_compliance / (12.0 * step) + step / (3.0 * mass[last])
-    if g_plate * active <= ACTIVE_PART_LIMIT:
+    if exponent == 0.0 and g_plate * active <= ACTIVE_PART_LIMIT:
         rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
     else:
         rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
@@ -161,7 +201,8 @@ def integrate(
     rate2 /= step
     rate3 /= step
     soft = a_plate * (h38 * (h38 / mass[last] + w_per_i) + residual_compliance)
-    drag = 1.0 + g_plate * (h38 / mass[last] + w_per_s + residual_compliance * rate0)
+    yielding = h38 / mass[last] + w_per_s + residual_compliance * rate0
+    drag = 1.0 + g_plate * yielding
 
     dissipated = 0.0  # times the step
     worst = 0.0
@@ -176,6 +217,8 @@ def integrate(
     largest = 0.0
     reflection_step = 0
     sensor_force[0] = 0.5 * (static_force[sensor - 1] + static_force[sensor])
+    if observed:
+        contact_force[:, 0] = static_force
 
     for n in range(1, n_steps):
         # The plate's deflection but for this step's own impulse.
@@ -200,12 +243,12 @@ def integrate(
             total[i] = (
                 impulse[i]
                 + h24 * (9.0 * f + 19.0 * f0[i] - 5.0 * f1[i] + f2[i])
-                + damping[i] * (p - static_overlap[i])
+                + damping[i] * (_raised(p, exponent) - static_raised[i])
             )
 
         # Solve the plate's contact: p + (..) p + (..) p^(3/2) = overlap without any new force.
         known = impulse[last] + h24 * (19.0 * f0[last] - 5.0 * f1[last] + f2[last] - 9.0 * n_plate)
-        open_s = -g_plate * static_overlap[last]
+        open_s = -s_plate
         past_rate = rate1 * s0 + rate2 * s1 + rate3 * s2
         w_known = w_free + w_per_i * known + w_per_s * open_s
         w_known += residual_compliance * (past_rate + rate0 * open_s - n_plate)
@@ -222,13 +265,18 @@ def integrate(
             p = d_free / drag if overlap[last] <= 0.0 else overlap[last]
             for _ in range(60):
                 root = math.sqrt(p)
-                change = (d_free - (drag + soft * root) * p) / (drag + 1.5 * soft * root)
+                if exponent == 0.0:
+                    change = (d_free - (drag + soft * root) * p) / (drag + 1.5 * soft * root)
+                else:
+                    miss = d_free - (1.0 + soft * root) * p - g_plate * yielding * _raised(p, exponent)
+                    slope = 1.0 + 1.5 * soft * root + g_plate * yielding * _raised_slope(p, exponent)
+                    change = miss / slope
                 p = max(p + change, 0.0)
                 if abs(change) <= 1e-13 * p:
                     break
             d_plate = p
         old_total = total[last]
-        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * p + open_s
+        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * _raised(p, exponent) + open_s
 
         # Correct velocities and displacements.
         above = mass[0] * (impact_speed + gravity * (n * step))
@@ -251,7 +299,8 @@ def integrate(
             f1[i] = f0[i]
             f0[i] = f
             if i < last:
-                dissipated += damping[i] * (p - overlap[i]) * (d - gap[i])
+                given = _raised(p, exponent) - _raised(overlap[i], exponent)
+                dissipated += damping[i] * given * (d - gap[i])
                 gap[i] = d
                 overlap[i] = p
         old_overlap = overlap[last]
@@ -261,7 +310,7 @@ def integrate(
         i0 = impulse[last]
         s2 = s1
         s1 = s0
-        s0 = g_plate * (overlap[last] - static_overlap[last])
+        s0 = g_plate * _raised(overlap[last], exponent) - s_plate
 
         # What the plate's contact and, at its release, the cut modes lose.
         old_stretch, old_stored = stretch, stored
@@ -273,10 +322,11 @@ def integrate(
             stored = 0.4 * a_plate * p * p * math.sqrt(p) + 0.5 * residual_compliance * force**2
         impulse_step = total[last] - old_total
         if p > 0.0 and old_overlap > 0.0:
-            dissipated += g_plate * (p - old_overlap) ** 2
+            given = _raised(p, exponent) - _raised(old_overlap, exponent)
+            dissipated += g_plate * given * (p - old_overlap)
         elif p > 0.0:  # touching for the part of the step in which `stretch` is positive
             part = stretch / (stretch - old_stretch) if old_stretch < 0.0 < stretch else 1.0
-            dissipated += g_plate * p * p / part
+            dissipated += g_plate * _raised(p, exponent) * p / part
         else:
             work = (impulse_step + n_plate * step) * (stretch - old_stretch)
             dissipated += work - step * (stored - old_stored)
@@ -285,15 +335,28 @@ def integrate(
             largest = f0[last]
             reflection_step = n
 
+        # The plate's speed is not known: its contact closes at the rate of the last four d.
+        closing = (11.0 * d_plate - 18.0 * past0 + 9.0 * past1 - 2.0 * past2) / (6.0 * step)
+        past2 = past1
+        past1 = past0
+        past0 = d_plate
         mean = 0.0
         for i in range(sensor - 1, sensor + 1):
             if overlap[i] > 0.0:
-                mean += f0[i] + static_force[i] + damping[i] * (v0[i] - v0[i + 1])
+                rate = v0[i] - v0[i + 1] if i < last else closing
+                mean += f0[i] + static_force[i] + damping[i] * _raised_slope(overlap[i], exponent) * rate
         sensor_force[n] = 0.5 * mean
+        if observed:
+            for i in range(n_bodies):
+                contact_force[i, n] = 0.0
+                if overlap[i] > 0.0:
+                    rate = v0[i] - v0[i + 1] if i < last else closing
+                    slope = _raised_slope(overlap[i], exponent)
+                    contact_force[i, n] = f0[i] + static_force[i] + damping[i] * slope * rate
 
         if n % ENERGY_INTERVAL_STEPS == 0 or n == n_steps - 1:
             energy = dissipated / step + retainer_force * u[last]
-            energy += n_plate * (u[last] - stretch + rest) + stored
+            energy += n_plate * (u[last] - stretch + rest) + stored - precompression * u[1]
             for i in range(n_bodies):
                 p = overlap[i]
                 energy += 0.5 * mass[i] * v0[i] ** 2 - mass[i] * gravity * u[i]

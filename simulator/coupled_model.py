@@ -25,6 +25,7 @@ from simulator.chain_parameters import ChainParameters
 from simulator.coupled_kernel import integrate, modal_weights
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.granular_chain import Chain, build_chain
+from simulator.hertz_contact import indentation_m
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.one_thread import one_blas_thread
 from simulator.plate_models import modal_plate
@@ -85,6 +86,9 @@ class ShotForce:
     reflection_time_s
         When the force between chain and specimen was largest: no reflected wave reaches the sensor
         before. None at a hole.
+    contact_force_n
+        float64, shape (n_bodies, n), where asked for: force of the contact below each body, the striker
+        first, static force included. A sensor in place of body i > 0 would see the mean of rows i - 1 and i.
     """
 
     time_s: FloatArray
@@ -93,6 +97,7 @@ class ShotForce:
     energy_residual: float
     step_s: float
     reflection_time_s: float | None = None
+    contact_force_n: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -162,6 +167,7 @@ class ShotModel:
         depth_fraction: float | None = None,
         drop_height_m: float | None = None,
         tilt_rad: float | None = None,
+        contact_forces: bool = False,
     ) -> ShotForce:
         """Force at the sensor for one strike.
 
@@ -169,6 +175,8 @@ class ShotModel:
         ----------
         depth_fraction, drop_height_m, tilt_rad
             Replace those of the parameters for this shot.
+        contact_forces
+            Keep the force at every contact of the chain, too.
 
         Raises
         ------
@@ -187,16 +195,22 @@ class ShotModel:
         def specimen(step: float, wide: bool) -> _Propagator:
             return self._propagator(depth, step, wide)
 
-        force = self._converged(chain, specimen, self._shortest_record_s)
+        force = self._converged(chain, specimen, self._shortest_record_s, contact_forces=contact_forces)
         if self._chosen_duration_s is None:
             for _ in range(EXTENSIONS):
                 needed = TURN_TO_END * (force.reflection_time_s or 0.0)
                 if force.time_s[-1] >= needed:
                     break
-                force = self._converged(chain, specimen, needed)
+                force = self._converged(chain, specimen, needed, contact_forces=contact_forces)
         return force
 
-    def shot_at_hole(self, *, drop_height_m: float | None = None, tilt_rad: float | None = None) -> ShotForce:
+    def shot_at_hole(
+        self,
+        *,
+        drop_height_m: float | None = None,
+        tilt_rad: float | None = None,
+        contact_forces: bool = False,
+    ) -> ShotForce:
         """Force at the sensor above a through hole: an incident wave and no reflected one."""
         chain = self._struck(drop_height_m, tilt_rad)
         weight = float(chain.static_force_n[-1])
@@ -208,7 +222,11 @@ class ShotModel:
             static_overlap_m=_without_last(chain.static_overlap_m),
         )
         force = self._converged(
-            free_end, lambda step, wide: _UNMOVED, self._shortest_record_s, retainer_force_n=weight
+            free_end,
+            lambda step, wide: _UNMOVED,
+            self._shortest_record_s,
+            retainer_force_n=weight,
+            contact_forces=contact_forces,
         )
         return replace(force, reflection_time_s=None)
 
@@ -227,6 +245,7 @@ class ShotModel:
         duration_s: float,
         *,
         retainer_force_n: float = 0.0,
+        contact_forces: bool = False,
     ) -> ShotForce:
         """Integrate with ever smaller steps, then also more modes, until the energy balance closes."""
         samples = round(duration_s / self._step_s) + 1
@@ -235,7 +254,10 @@ class ShotModel:
             every = 2**halving
             step = self._step_s / every
             force = np.empty((samples - 1) * every + 1)
-            defect_j, reflection = _integrate(chain, specimen(step, wide), step, retainer_force_n, force)
+            contacts = np.empty((len(chain.mass_kg), force.size) if contact_forces else (0, 0))
+            defect_j, reflection = _integrate(
+                chain, specimen(step, wide), step, retainer_force_n, force, contacts
+            )
             defect = defect_j / chain.impact_energy_j
             if defect <= ENERGY_TOLERANCE:
                 return ShotForce(
@@ -245,6 +267,7 @@ class ShotModel:
                     energy_residual=defect,
                     step_s=step,
                     reflection_time_s=reflection * step,
+                    contact_force_n=np.ascontiguousarray(contacts[:, ::every]) if contact_forces else None,
                 )
         raise IntegrationError(
             f"the energy balance is off by {defect:.3g} of the impact energy with a step of {step:.3g} s; "
@@ -292,18 +315,23 @@ def _specimen_without_modes(plate: PlateParameters) -> _Propagator:
     if plate.model == "rigid_wall":
         return _UNMOVED
     impedance = thin_plate_impedance_n_s_per_m(
-        plate.youngs_modulus_pa, plate.poisson_ratio, plate.density_kg_per_m3, plate.thickness_m
+        plate.warm_youngs_modulus_pa, plate.poisson_ratio, plate.density_kg_per_m3, plate.thickness_m
     )
     return replace(_UNMOVED, mobility_m_per_n_s=1.0 / impedance)
 
 
 def _integrate(
-    chain: Chain, specimen: _Propagator, step: float, retainer_force_n: float, force: FloatArray
+    chain: Chain,
+    specimen: _Propagator,
+    step: float,
+    retainer_force_n: float,
+    force: FloatArray,
+    contacts: FloatArray,
 ) -> tuple[float, int]:
     defect_j, reflection = integrate(
         chain.mass_kg,
         chain.stiffness_n_per_m15,
-        chain.damping_n_s_per_m,
+        chain.dashpot_impulse_n_s_per_m,
         chain.static_force_n,
         chain.static_overlap_m,
         chain.gravity_m_per_s2,
@@ -315,7 +343,10 @@ def _integrate(
         specimen.own_weights,
         specimen.residual_compliance_m_per_n,
         specimen.mobility_m_per_n_s,
+        chain.damping_exponent,
+        chain.precompression_n,
         force,
+        contacts,
     )
     return float(defect_j), int(reflection)
 
@@ -341,6 +372,8 @@ def resolving_step_s(chain: Chain) -> float:
     m = float(chain.mass_kg.min())
     omega = 2.0 * math.sqrt(stiffest_contact_n_per_m(chain) / m)
     rate = float(chain.damping_n_s_per_m[:-1].max()) / m
+    if chain.damping_exponent:
+        rate *= (peak_overlap_m(chain) / chain.damping_reference_overlap_m) ** chain.damping_exponent
     longest = PHASE_PER_STEP_RAD / max(omega, rate)
     decade: float = 10.0 ** math.floor(math.log10(longest))
     # Rounding of the logarithm must not lose a step that is a power of ten.
@@ -349,10 +382,18 @@ def resolving_step_s(chain: Chain) -> float:
 
 
 def stiffest_contact_n_per_m(chain: Chain) -> float:
-    """Estimate dF/dd of a contact at its peak, from two spheres that collide at the striker's speed."""
+    """Estimate dF/dd of a contact at its peak."""
+    return 1.5 * float(chain.stiffness_n_per_m15.max()) * math.sqrt(peak_overlap_m(chain))
+
+
+def peak_overlap_m(chain: Chain) -> float:
+    """Estimate the largest overlap, from two spheres that collide at the striker's speed.
+
+    A precompressed contact is pressed that much further.
+    """
     a = float(chain.stiffness_n_per_m15.max())
-    overlap = (0.625 * float(chain.mass_kg.max()) * chain.impact_speed_m_per_s**2 / a) ** 0.4
-    return 1.5 * a * math.sqrt(overlap)
+    overlap: float = (0.625 * float(chain.mass_kg.max()) * chain.impact_speed_m_per_s**2 / a) ** 0.4
+    return overlap + indentation_m(chain.precompression_n, float(chain.stiffness_n_per_m15.min()))
 
 
 def record_duration_s(chain: Chain) -> float:

@@ -3,12 +3,16 @@
 Body i = 0 is the striker, contact i lies between body i and body i + 1, the last contact between the
 last sphere and the specimen. The force of a contact with overlap d is
 
-    F = (A d^(3/2) + gamma dd/dt) H(d)
+    F = (A d^(3/2) + gamma (d / d_r)^p dd/dt) H(d)
 
-with Heaviside's step H: equation 1 with the dashpot's units put right. The law is used as it stands:
+with Heaviside's step H: for p = 0 equation 1 with the dashpot's units put right; p = 1/4 is the law of
+Tsuji (doi:10.1016/0032-5910(92)88030-L), 1/2 of Kuwabara and Kono (doi:10.1143/JJAP.26.1230), 3/2 of Hunt
+and Crossley (doi:10.1115/1.3423596). d_r is a reference overlap, so that gamma is in N s/m throughout; a
+published constant in N s/m^(1 + p) is ``gamma / d_r^p``. The law is used as it stands:
 while two bodies part, the dashpot may pull harder than the spring pushes, and F turns slightly
 negative just before d = 0 (below 1 % of the peak with the paper's gamma). Its impulse from touch to
-release is zero, ``integral gamma dd/dt H(d) dt = gamma [d]_+``, which is what the integrator uses.
+release is zero, ``integral gamma (d / d_r)^p dd/dt H(d) dt = gamma [d]_+^(p + 1) / ((p + 1) d_r^p)``, which
+is what the integrator uses.
 """
 
 from __future__ import annotations
@@ -19,8 +23,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.chain_parameters import ChainParameters
-from simulator.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
+from simulator.chain_parameters import Body, ChainParameters
+from simulator.hertz_contact import Surface, contact_stiffness, indentation_m
 from simulator.plate_parameters import PlateParameters
 
 FREE_FALL_M_PER_S2 = 9.81
@@ -28,6 +32,9 @@ FREE_FALL_M_PER_S2 = 9.81
 
 TILT_DAMPING_PER_RAD2 = 2.5e4
 """Our assumption: see `tilted_damping`."""
+
+DAMPING_EXPONENTS = {"linear": 0.0, "tsuji": 0.25, "kuwabara_kono": 0.5, "hunt_crossley": 1.5}
+"""p of `ChainParameters.damping_law`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -41,9 +48,10 @@ class Chain:
     stiffness_n_per_m15
         float64, shape (n_bodies,): A of the contact below each body, N/m^1.5.
     damping_n_s_per_m
-        float64, shape (n_bodies,): gamma of the same contacts.
+        float64, shape (n_bodies,): gamma of the same contacts, at the reference overlap.
     static_force_n
-        float64, shape (n_bodies,): weight carried by each contact before the strike; none under the striker.
+        float64, shape (n_bodies,): weight and precompression carried by each contact before the strike;
+        none under the striker.
     static_overlap_m
         float64, shape (n_bodies,): d of the same contacts.
     gravity_m_per_s2
@@ -52,6 +60,10 @@ class Chain:
         ``sqrt(2 g h_s)``.
     sensor
         Index of the sensor's body: its two contacts are ``sensor - 1`` and ``sensor``.
+    precompression_n
+        Constant force on the body below the striker.
+    damping_exponent, damping_reference_overlap_m
+        p and d_r of the dashpots.
     """
 
     mass_kg: NDArray[np.float64]
@@ -62,6 +74,16 @@ class Chain:
     gravity_m_per_s2: float
     impact_speed_m_per_s: float
     sensor: int
+    precompression_n: float = 0.0
+    damping_exponent: float = 0.0
+    damping_reference_overlap_m: float = 1.0
+
+    @property
+    def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:
+        """``gamma / ((p + 1) d_r^p)``, shape (n_bodies,): times [d]_+^(p + 1) the dashpots' impulse."""
+        p = self.damping_exponent
+        scale: float = 1.0 / ((p + 1.0) * self.damping_reference_overlap_m**p)
+        return scale * self.damping_n_s_per_m
 
     @property
     def impact_energy_j(self) -> float:
@@ -91,23 +113,26 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     The plate's Young's modulus and Poisson's ratio enter the last contact.
     """
     sensor = parameters.spheres_above
-    bodies = sensor + 1 + parameters.spheres_below
-    radius, modulus, nu = parameters.radius_m, parameters.youngs_modulus_pa, parameters.poisson_ratio
-
-    mass = np.full(bodies, parameters.mass_kg)
-    stiffness = np.full(bodies, sphere_on_sphere_stiffness(radius, modulus, nu))
-    damping = np.full(bodies, parameters.damping_n_s_per_m)
-    if parameters.sensor == "disk":
-        mass[sensor] = parameters.sensor_mass_kg
-        stiffness[sensor - 1 : sensor + 1] = sphere_on_flat_stiffness(radius, modulus, nu, modulus, nu)
-    damping[sensor - 1 : sensor + 1] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
-    stiffness[-1] = sphere_on_flat_stiffness(
-        radius, modulus, nu, plate.youngs_modulus_pa, plate.poisson_ratio
+    bodies = [parameters.body(i) for i in range(parameters.bodies)]
+    below = [_surface(body) for body in bodies[1:]]
+    below.append(
+        Surface(
+            radius_m=math.inf,
+            youngs_modulus_pa=plate.warm_youngs_modulus_pa,
+            poisson_ratio=plate.poisson_ratio,
+        )
     )
+    stiffness = np.array(
+        [contact_stiffness(_surface(body), other) for body, other in zip(bodies, below, strict=True)]
+    )
+    damping = np.full(len(bodies), parameters.damping_n_s_per_m)
+    damping[sensor - 1 : sensor + 1] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
     damping[-1] = parameters.contact_damping_n_s_per_m
 
+    mass = np.array([body.mass_kg for body in bodies])
     weight = mass * parameters.gravity_m_per_s2
     static_force = np.cumsum(weight) - weight[0]
+    static_force[1:] += parameters.precompression_n
     overlap = np.array([indentation_m(f, a) for f, a in zip(static_force, stiffness, strict=True)])
     return Chain(
         mass_kg=mass,
@@ -118,4 +143,13 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
         gravity_m_per_s2=parameters.gravity_m_per_s2,
         impact_speed_m_per_s=math.sqrt(2.0 * FREE_FALL_M_PER_S2 * parameters.drop_height_m),
         sensor=sensor,
+        precompression_n=parameters.precompression_n,
+        damping_exponent=DAMPING_EXPONENTS[parameters.damping_law],
+        damping_reference_overlap_m=parameters.damping_reference_overlap_m,
+    )
+
+
+def _surface(body: Body) -> Surface:
+    return Surface(
+        radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
     )

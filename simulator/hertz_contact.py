@@ -3,8 +3,55 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from simulator.materials import plane_modulus_pa
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """One side of a contact.
+
+    Attributes
+    ----------
+    radius_m
+        Radius of curvature; infinity for a flat.
+    """
+
+    radius_m: float
+    youngs_modulus_pa: float
+    poisson_ratio: float
+
+
+def contact_stiffness(above: Surface, below: Surface) -> float:
+    """Stiffness of a contact of any two bodies, at least one of them round, in N/m^1.5.
+
+    ``A = (4/3) sqrt(R) [(1 - nu_1^2) / E_1 + (1 - nu_2^2) / E_2]^-1`` with ``1 / R = 1 / R_1 + 1 / R_2``
+    (Hertz 1882; Johnson, Contact Mechanics, 1985, section 4.2). Equation 2 is its two special cases.
+
+    Raises
+    ------
+    ValueError
+        Both sides are flat: that contact has no law of Hertz.
+    """
+    if math.isinf(above.radius_m) and math.isinf(below.radius_m):
+        raise ValueError("two flat faces touch; Hertz's law needs a round body: put a sphere between")
+    if above == below:  # equation 2 as it is printed, to its last bit
+        return sphere_on_sphere_stiffness(above.radius_m, above.youngs_modulus_pa, above.poisson_ratio)
+    if math.isinf(above.radius_m):
+        above, below = below, above
+    if math.isinf(below.radius_m):
+        return sphere_on_flat_stiffness(
+            above.radius_m,
+            above.youngs_modulus_pa,
+            above.poisson_ratio,
+            below.youngs_modulus_pa,
+            below.poisson_ratio,
+        )
+    radius = above.radius_m * below.radius_m / (above.radius_m + below.radius_m)
+    compliance = 1.0 / plane_modulus_pa(above.youngs_modulus_pa, above.poisson_ratio)
+    compliance += 1.0 / plane_modulus_pa(below.youngs_modulus_pa, below.poisson_ratio)
+    return 4.0 * math.sqrt(radius) / 3.0 / compliance
 
 
 def sphere_on_sphere_stiffness(radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
