@@ -157,13 +157,9 @@ class RefittedModel(ShotModel):
 
 
 def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
-    """Chain with worn contacts and another dashpot to the plate; masses and geometry stay.
-
-    The radius enters a chain only through the stiffness of its contacts, equation 2.
-    """
+    """Chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
     return replace(
-        chain,
-        radius_m=chain.radius_m * faults.radius_factor,
+        chain.with_worn_contacts(faults.radius_factor),
         contact_damping_n_s_per_m=chain.contact_damping_n_s_per_m * faults.contact_damping_factor,
     )
 
