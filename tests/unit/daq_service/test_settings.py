@@ -51,9 +51,19 @@ def test_a_position_inherits_the_common_tables_and_may_differ(tmp_path: Path) ->
     assert (chain.drop_height_m, chain.spheres_below, chain.spheres_above) == (4e-3, 6, 4)
 
 
+def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
+    path = write(
+        tmp_path, "[[chain.spheres]]\nbody = 2\nlast_body = 3\nradius_m = 7e-3\n[[chain.spheres]]\nbody = 8\n"
+    )
+    pair, last = load_settings(path).chain.spheres
+    assert (list(pair.bodies), pair.radius_m, pair.mass_kg, list(last.bodies)) == ([2, 3], 7e-3, None, [8])
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("[[chain.spheres]]\nbody = 1\nradius_m = 0.0", ["chain.spheres", "radius_m", "greater than 0"]),
+        ("[[chain.spheres]]\nbody = 9", ["chain", "body 9", "bodies 0 to 8"]),
         ("[corrosion]\nsize_mm = 25.4", ["corrosion.size_mm", "unknown key", "size_m"]),
         ("[chain]\nmass_kg = -0.0282", ["chain.mass_kg", "-0.0282", "greater than 0"]),
         ("[chain]\nmass_kg = 28.2", ["chain", "density", "units"]),
