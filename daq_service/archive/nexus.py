@@ -1,6 +1,7 @@
 """Building blocks of a NeXus file in memory, below h5py's high level for speed.
 
-All data are under a checksum: large arrays are chunked with Fletcher32; small ones and attributes
+All data are under a checksum: large arrays are chunked with Fletcher32, each chunk filtered by
+`daq_service.archive.chunk` and handed over as bytes; small ones and attributes
 lie in object headers, which HDF5 guards by a checksum of its own since version 1.8 (format
 specification, version 2 object headers). Only the index of the chunks is not: a waveform that it
 leads to wrongly betrays itself by its CRC-32. Strings have a fixed length, because variable ones
@@ -21,7 +22,8 @@ import numpy as np
 from h5py import h5a, h5d, h5f, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
-GZIP_LEVEL = 1
+from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
+
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays lie in their object header: faster than a chunk, and shorter than its index."""
 _BLOCK_BYTES = 1 << 20
@@ -75,13 +77,20 @@ def add_field(
     ----------
     values
         Array or scalar of a NumPy type, a string, or a list of strings.
+    chunk
+        Its first length divides that of the values, the others are equal to theirs.
     """
     array, data_type = _stored_form(values)
     if chunk is None and array.ndim and array.nbytes > _LARGEST_COMPACT_BYTES:
         chunk = array.shape
     properties = _chunked_properties(chunk) if chunk is not None else _compact_properties()
     dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
-    dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
+    if chunk is None:
+        dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
+    else:
+        for first in range(0, array.shape[0], chunk[0]):
+            place = (first, *(0 for _ in chunk[1:]))
+            dataset.write_direct_chunk(place, filtered_chunk(array[first : first + chunk[0]]))
     set_attributes(dataset, attributes)
     return dataset
 

@@ -1,0 +1,93 @@
+"""Bytes of a chunk as HDF5's filters shuffle, deflate and Fletcher32 would read them.
+
+HDF5 deflates the shuffled bytes as one run. The low bytes of a record are mostly noise, which deflate
+searches in vain and whose statistics spoil those of the high bytes. Here each plane of bytes (all low
+bytes, all high bytes) is a run of its own, and a plane that cannot be shortened is stored as it is, as
+deflate's format allows (RFC 1951, 3.2.4). Records get shorter and cost half the time; any reader that
+knows gzip reads them. ``zlib`` releases the GIL, HDF5 would not.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+GZIP_LEVEL = 1
+_PROBE_BYTES = 4096
+"""So much of a plane tells whether deflate shortens it."""
+_NOISE_BITS_PER_BYTE = 7.75
+_LONGEST_STORED_BYTES = 65_535
+_ZLIB_HEADER = b"\x78\x01"
+"""Deflate with a window of 32 KiB, fastest level (RFC 1950)."""
+
+
+def filtered_chunk(values: NDArray[Any]) -> bytes:
+    """Shuffle, deflate and append the checksum.
+
+    Parameters
+    ----------
+    values
+        One chunk, C-contiguous, as it lies in the file (little-endian).
+    """
+    size = values.dtype.itemsize
+    planes = np.ascontiguousarray(values.reshape(-1).view(np.uint8).reshape(-1, size).T)
+    by_plane = values.dtype.kind in "iu" and size > 1
+    deflated = _deflated_planes(planes) if by_plane else _deflated(planes.tobytes())
+    return deflated + struct.pack("<I", fletcher32(deflated))
+
+
+@lru_cache(maxsize=8)
+def _deflated(content: bytes) -> bytes:
+    """Zlib stream of what is no record: time axes and provenance, the same set after set."""
+    return zlib.compress(content, GZIP_LEVEL)
+
+
+def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
+    """Zlib stream of the planes one after the other, shape (n_planes, n_bytes)."""
+    last = len(planes) - 1
+    parts = [_ZLIB_HEADER]
+    for number, plane in enumerate(planes):
+        content = plane.tobytes()
+        if _is_noise(plane[:_PROBE_BYTES]):
+            parts.append(_stored(content, final=number == last))
+        else:
+            run = zlib.compressobj(GZIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
+            parts += run.compress(content), run.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH)
+    parts.append(struct.pack(">I", zlib.adler32(planes.tobytes())))
+    return b"".join(parts)
+
+
+def _is_noise(probe: NDArray[np.uint8]) -> bool:
+    """Whether the entropy of bytes is so high that deflate would shorten them by 3 % at the most."""
+    counts = np.bincount(probe, minlength=256)
+    counts = counts[counts > 0]
+    bits = math.log2(probe.size) - float(counts @ np.log2(counts)) / probe.size
+    return bits > _NOISE_BITS_PER_BYTE
+
+
+def _stored(content: bytes, *, final: bool) -> bytes:
+    """Deflate blocks that hold the bytes as they are."""
+    parts: list[bytes] = []
+    for first in range(0, len(content), _LONGEST_STORED_BYTES):
+        part = content[first : first + _LONGEST_STORED_BYTES]
+        ends = final and first + len(part) == len(content)
+        parts += struct.pack("<BHH", ends, len(part), len(part) ^ 0xFFFF), part
+    return b"".join(parts)
+
+
+def fletcher32(content: bytes) -> int:
+    """HDF5's checksum: Fletcher's two sums of big-endian words of 16 bits, modulo 65535.
+
+    An odd byte at the end is the high byte of a last word. A sum that is a multiple of 65535 is written as
+    65535 unless every word is zero.
+    """
+    words = np.frombuffer(content + b"\0" * (len(content) % 2), dtype=">u2").astype(np.int64)
+    sums = int(words.sum()), int(words @ np.arange(words.size, 0, -1))
+    first, second = ((total - 1) % 65_535 + 1 if total else 0 for total in sums)
+    return second << 16 | first
