@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import multiprocessing
 import os
 import threading
@@ -28,9 +29,12 @@ from simulator.one_thread import one_blas_thread
 ExecutorKind = Literal["processes", "threads"]
 
 ROWS_PER_TASK = 8
-"""Small enough to stop and to tell progress soon, large enough that sending them costs nothing."""
+"""At most: small enough to stop and to tell progress soon, large enough that sending costs nothing."""
 
-TASKS_PER_WORKER = 3
+TASKS_IN_ALL = 16
+"""At least so many for each worker, where there are rows enough, so that all end together."""
+
+TASKS_PER_WORKER = 2
 """Sent ahead, so that no worker waits."""
 
 STOP_SEEN_WITHIN_S = 0.2
@@ -96,7 +100,7 @@ def compute(
     SolimonError
         A worker process died.
     """
-    tasks = iter(tasks_of(rows))
+    tasks = iter(tasks_of(rows, workers))
     running: set[Future[list[Outcome]]] = set()
     try:
         while True:
@@ -123,7 +127,7 @@ def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcom
     return executor.submit(compute_rows, plan.model, rows, plan.waveforms)
 
 
-def tasks_of(rows: Sequence[Row]) -> list[Task]:
+def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
     """Group rows by plate, then by chain; the first task of each plate comes first.
 
     So every plate is reduced once, by whoever gets its first task, and read from the cache after that.
@@ -134,11 +138,12 @@ def tasks_of(rows: Sequence[Row]) -> list[Task]:
         chain, plate, corrosion = row.specimen
         outline = plate, replace(corrosion, depth_fraction=0.0)
         plates.setdefault(outline, {}).setdefault(chain, []).append(row)
+    size = min(ROWS_PER_TASK, math.ceil(len(rows) / (TASKS_IN_ALL * workers)))
     firsts: list[Task] = []
     others: list[Task] = []
     for chains in plates.values():
         together = [row for members in chains.values() for row in members]
-        tasks = [together[k : k + ROWS_PER_TASK] for k in range(0, len(together), ROWS_PER_TASK)]
+        tasks = [together[k : k + size] for k in range(0, len(together), size)]
         firsts.append(tasks[0])
         others += tasks[1:]
     return [*firsts, *others]

@@ -36,9 +36,14 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
     for path in paths:
         if path.suffix.lower() not in SUFFIXES:
             raise UsageError(f"--out is {str(path)!r}; its name must end in {', '.join(SUFFIXES)}")
-        if not path.absolute().parent.is_dir():
+        try:
+            is_folder = path.is_dir()
+            has_folder = path.absolute().parent.is_dir()
+        except OSError as error:
+            raise StorageError(f"cannot write {path}: {error.strerror}; choose another --out") from error
+        if not has_folder:
             raise StorageError(f"there is no folder {path.absolute().parent} for {path.name}; make it first")
-        if path.is_dir():
+        if is_folder:
             raise StorageError(f"--out {path} is a folder; name a file")
     if len({path.absolute() for path in paths}) < len(paths):
         raise UsageError("--out names a file twice")

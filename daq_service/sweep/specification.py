@@ -120,7 +120,10 @@ def _values_of(item: str, text: str) -> list[Any]:
         raise UsageError(f"--sweep is {text!r}: {item!r} asks for one value, but its ends differ")
     if logarithmic and not (first > 0.0 and last > 0.0):
         raise UsageError(f"--sweep is {text!r}: both ends of a log range must be greater than 0")
-    spaced = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
+    with np.errstate(all="ignore"):
+        spaced = np.geomspace(first, last, count) if logarithmic else np.linspace(first, last, count)
+    if not np.all(np.isfinite(spaced)):
+        raise UsageError(f"--sweep is {text!r}: {item!r} is wider than floating-point numbers reach")
     return [float(value) for value in spaced]
 
 

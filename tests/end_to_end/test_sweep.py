@@ -1,0 +1,185 @@
+"""`solimon simulate --sweep` as a whole process: killed, interrupted, and through the command line."""
+
+import csv
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from daq_service.cli import cli
+from daq_service.errors import StorageError, UsageError
+
+SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+LIMIT_S = 120.0
+"""Far beyond any of these runs, on a loaded machine too: a hang ends in an error, not in silence."""
+
+ROWS = 60
+# Zener's model, because its rows take some 20 ms: time to be stopped in the middle.
+SLOW = ("--model", "zener", "--sweep", f"corrosion.depth_fraction=0:0.9:{ROWS}")
+
+posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows sends no SIGINT to a single process")
+
+
+def started(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*SOLIMON, "simulate", *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+    )
+
+
+def read_until(process: subprocess.Popen[str], pattern: str) -> None:
+    assert process.stderr is not None
+    seen = []
+    for line in process.stderr:
+        seen.append(line)
+        if re.search(pattern, line):
+            return
+    pytest.fail(f"no {pattern!r} in {seen}")
+
+
+def simulate(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, ["simulate", *arguments])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Table of an undisturbed sweep, computed in one thread."""
+    path = tmp_path_factory.mktemp("whole") / "table.csv"
+    done = simulate(*SLOW, "--workers", "1", "--out", str(path))
+    assert done.exit_code == 0, done.output
+    return path
+
+
+def test_a_killed_sweep_goes_on_and_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    output = tmp_path / "table.csv"
+    arguments = (*SLOW, "--workers", "2", "--out", str(output))
+    with started(*arguments, "--executor", "processes") as process:
+        read_until(process, r"\(2\d %\)")
+        process.kill()
+        # Ends only when the workers have ended, too: they hold the other end of these pipes.
+        process.communicate(timeout=LIMIT_S)
+    assert not output.exists()
+    done = simulate(*arguments)
+    assert done.exit_code == 0, done.output
+    match = re.search(rf"^(\d+) of {ROWS} rows were finished before$", done.stderr, flags=re.MULTILINE)
+    assert match, done.stderr
+    assert ROWS // 5 <= int(match[1]) < ROWS
+    assert output.read_bytes() == whole.read_bytes()
+    assert Path(f"{output}.json").read_bytes() == Path(f"{whole}.json").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["table.csv", "table.csv.json"]
+
+
+@posix_only
+def test_ctrl_c_ends_with_130_keeps_the_rows_and_says_how_to_go_on(whole: Path, tmp_path: Path) -> None:
+    output = tmp_path / "table.csv"
+    arguments = (*SLOW, "--workers", "2", "--out", str(output))
+    with started(*arguments, "--executor", "processes") as process:
+        read_until(process, r"\(2\d %\)")
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 130, told
+    kept = re.search(r"(\d+) of 60 rows are kept in (.*); the same command goes on", told)
+    assert kept
+    assert kept[2] == f"{output}.work"
+    done = simulate(*arguments)
+    assert f"{kept[1]} of 60 rows were finished before" in done.stderr
+    assert output.read_bytes() == whole.read_bytes()
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOLIMON_PLATE__ELEMENTS_PER_EDGE", "16")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_sweep_at_a_position_gives_the_digits_of_single_shots(tmp_path: Path) -> None:
+    output = tmp_path / "table.csv"
+    done = simulate(
+        *("--position", "C", "--tilt-rad", "0.01", "--out", str(output)),
+        *("--sweep", "chain.drop_height_m=3e-3,5e-3", "--sweep", "corrosion.depth_fraction=0,0.37"),
+    )
+    assert done.exit_code == 0, done.output
+    with output.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    facts = json.loads(Path(f"{output}.json").read_text(encoding="utf-8"))
+    assert facts["parameters"]["corrosion"]["size_m"] == 50.8e-3
+    assert facts["position"] == "C"
+    assert f"content hash {facts['content_hash']}" in done.stdout
+    assert len(rows) == 4
+    for row in rows:
+        shot = json.loads(
+            simulate(
+                *("--position", "C", "--tilt-rad", "0.01", "--json"),
+                *("--drop-height-m", row["chain.drop_height_m"], "--depth", row["corrosion.depth_fraction"]),
+            ).stdout
+        )
+        for name in facts["columns"]:
+            if name in shot:
+                assert float(row[name]) == shot[name], name
+        assert {"tof_us", "amplitude_ratio", "energy_residual", "step_s"} <= set(shot) & set(row)
+
+
+@pytest.mark.usefixtures("quick")
+def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path: Path) -> None:
+    short, long = tmp_path / "short.csv", tmp_path / "long.csv"
+    assert simulate("--depths", "0:0.8:3", "--out", str(short)).exit_code == 0
+    assert simulate("--sweep", "corrosion.depth_fraction=0:0.8:3", "--out", str(long)).exit_code == 0
+    assert short.read_bytes() == long.read_bytes()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_sweep_file_and_the_printed_table(tmp_path: Path) -> None:
+    path = tmp_path / "shots.csv"
+    path.write_text("plate.model,corrosion.depth_fraction\nmindlin,0.2\nrigid_wall,0\n", encoding="utf-8")
+    done = simulate("--sweep-file", str(path))
+    assert done.exit_code == 0, done.output
+    heading, first, second, hashed = done.stdout.splitlines()
+    assert heading.split()[:2] == ["plate.model", "corrosion.depth_fraction"]
+    assert first.split()[:2] == ["mindlin", "0.2"]
+    # 316.9 us is the anchor of the disk sensor at a rigid wall.
+    assert "316.9" in second
+    assert second.split()[-1] == "ok"
+    rows = json.loads(simulate("--sweep-file", str(path), "--json").stdout)
+    assert rows["content_hash"] in hashed
+    assert [row["plate.model"] for row in rows["shots"]] == ["mindlin", "rigid_wall"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--sweep", "chain.drop_height=0.003"], r"did you mean chain\.drop_height_m\?"),
+        (["--sweep", "chain.drop_height_m=0.003,7"], r"row 2 .* is refused"),
+        (["--sweep", "corrosion.depth_fraction=0:0.4:3", "--depth", "0.1"], "leave one out"),
+        (["--depths", "0:0.8:3", "--sweep", "corrosion.depth_fraction=0"], "swept twice"),
+        (["--sweep", "chain.mass_kg=0.02", "--sweep-file", "x.csv"], "without --sweep"),
+        (["--sweep-file", "absent.csv"], "cannot read"),
+        (["--out", "t.csv"], r"--out belongs to a sweep: give --sweep"),
+        (["--zip"], r"--zip belongs to a sweep"),
+        (["--depths", "0:0.8:3", "--skip-invalid"], r"--skip-invalid belongs to a sweep"),
+        (["--sweep", "chain.mass_kg=0.02", "--out", "t.txt"], r"must end in \.csv"),
+        (["--model", "zener", "--sweep", "chain.sensor=disk"], "no influence on --model zener"),
+        (["--model", "zener", "--sweep", "chain.mass_kg=0.02", "--waveforms"], "leave it out"),
+    ],
+)
+def test_what_cannot_be_is_a_usage_error(arguments: list[str], words: str) -> None:
+    done = simulate(*arguments)
+    assert isinstance(done.exception, UsageError)
+    assert re.search(words, str(done.exception))
+    assert done.stdout == ""
+
+
+def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
+    # No file system takes such a name, whoever asks.
+    done = simulate("--sweep", "chain.mass_kg=0.0282", "--out", str(tmp_path / f"{'t' * 300}.csv"))
+    assert isinstance(done.exception, StorageError)
+    assert "cannot write" in str(done.exception)
+    assert list(tmp_path.iterdir()) == []
