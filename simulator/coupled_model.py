@@ -28,7 +28,7 @@ from simulator.granular_chain import Chain, build_chain
 from simulator.hertz_contact import indentation_m
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.one_thread import one_blas_thread
-from simulator.plate_models import modal_plate
+from simulator.plate_models import ModalPlate, modal_plate
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.reduction_cache import DEFAULT_CACHE_FOLDER
 
@@ -127,6 +127,8 @@ class ShotModel:
     step_s
         Step of the integration and spacing of the record, for studies of convergence. None chooses
         one that resolves the chain, 0.5 us for the paper's.
+    prepared_plate
+        What `modal_plate` gives for `plate` and `corrosion`, where the caller has it for another chain.
 
     Raises
     ------
@@ -143,6 +145,7 @@ class ShotModel:
         duration_s: float | None = None,
         cache_folder: Path | None = DEFAULT_CACHE_FOLDER,
         step_s: float | None = None,
+        prepared_plate: ModalPlate | None = None,
     ) -> None:
         self._chain = chain
         self._plate = plate
@@ -155,7 +158,7 @@ class ShotModel:
         self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
         self._chosen_duration_s = duration_s
         self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
-        self._modal_plate = modal_plate(plate, corrosion, cache_folder)
+        self._modal_plate = prepared_plate or modal_plate(plate, corrosion, cache_folder)
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool], _Propagator] = OrderedDict()
