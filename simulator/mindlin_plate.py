@@ -32,7 +32,13 @@ from simulator.mindlin_element import (
     element_matrices,
     thinned_element_matrices,
 )
-from simulator.patches import check_patches, patch_fraction, patch_lines, profile_depth, symmetric_axes
+from simulator.patches import (
+    check_patches,
+    patch_fraction,
+    patch_lines,
+    profile_depth,
+    symmetric_axes,
+)
 from simulator.plate_mesh import SAME_LINE, graded_edge, graded_half_edge
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 
@@ -145,7 +151,7 @@ def build_plate(
         for edge_m, contact_m, lines, half in zip(
             (plate.width_m, plate.height_m),
             (plate.contact_x_m, plate.contact_y_m),
-            patch_lines(corrosion),
+            patch_lines(corrosion, plate.contact_element_m),
             symmetric,
             strict=True,
         )

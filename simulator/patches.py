@@ -75,11 +75,22 @@ def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
     return True
 
 
-def patch_lines(corrosion: CorrosionParameters) -> tuple[list[float], list[float]]:
-    """Coordinates x and y of the edges of all patches; a circle has those of its bounding square."""
-    along_x = {p.offset_x_m + side * p.half_sizes_m[0] for p in corrosion.patches for side in (-1.0, 1.0)}
-    along_y = {p.offset_y_m + side * p.half_sizes_m[1] for p in corrosion.patches for side in (-1.0, 1.0)}
-    return sorted(along_x), sorted(along_y)
+def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tuple[list[float], list[float]]:
+    """Coordinates x and y that need a grid line, besides the contact's.
+
+    They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
+    has lines half-way to its middle, except within the elements at the contact.
+    """
+    lines: tuple[set[float], set[float]] = set(), set()
+    for patch in corrosion.patches:
+        for along, offset_m, half_m in zip(
+            lines, (patch.offset_x_m, patch.offset_y_m), patch.half_sizes_m, strict=True
+        ):
+            along.update((offset_m - half_m, offset_m + half_m))
+            if patch.profile != "flat":
+                inner = (offset_m - 0.5 * half_m, offset_m, offset_m + 0.5 * half_m)
+                along.update(line for line in inner if abs(line) > contact_element_m)
+    return sorted(lines[0]), sorted(lines[1])
 
 
 def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:

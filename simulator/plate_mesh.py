@@ -97,8 +97,8 @@ def graded_edge(
     spare = elements - int(np.sum(~graded))
     if np.sum(graded) > spare:
         raise SpecimenError(
-            f"{elements} elements along an edge cannot have lines at the contact and at all {len(lines_m)} "
-            f"edges of patches; make plate.elements_per_edge at least {len(left) + len(left) % 2}"
+            f"{elements} elements along an edge cannot have the {len(corners)} lines that contact and "
+            f"patches need; make plate.elements_per_edge at least {len(left) + len(left) % 2}"
         )
     near = np.minimum(np.abs(left), np.abs(right))[graded] - first_m
     far = np.maximum(np.abs(left), np.abs(right))[graded] - first_m
