@@ -33,6 +33,7 @@ from analysis.record_reduction import (
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
+    mean_weights,
     reduce_record,
 )
 from hardware_drivers.measurement import Waveform
@@ -322,11 +323,11 @@ def _autocorrelation(
     if power <= 0.0 or high <= low:
         return math.nan, math.nan
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    smooth = np.convolve(gate, np.full(width, 1.0 / width))
+    smooth = np.convolve(gate, mean_weights(width))
     n_fft = next_fast_len(smooth.size + high + 2, real=True)
     spectrum = rfft(smooth, n_fft)
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
-    peak = low + int(np.argmax(correlation[low : high + 1]))
+    peak = low + int(correlation[low : high + 1].argmax())
     before, centre, after = (float(v) for v in correlation[peak - 1 : peak + 2])
     if not before <= centre >= after:
         # The highest value lies on the edge of the search window: it is no maximum, so not the PSW's.

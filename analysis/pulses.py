@@ -139,7 +139,7 @@ def _find_isw(
 def _maxima(values: FloatArray) -> list[int]:
     """Return the indices of the interior local maxima (the first sample of a plateau)."""
     rising = values[1:-1] > values[:-2]
-    return [int(i) for i in np.flatnonzero(rising & (values[1:-1] >= values[2:])) + 1]
+    return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
 
 def _leading(
@@ -171,7 +171,7 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     centre = matched_index - start
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
-    peak = low + int(np.argmax(smooth[low : centre + near + 1]))
+    peak = low + int(smooth[low : centre + near + 1].argmax())
     first, last = _above(smooth, peak, 0.5 * float(smooth[peak]))
     if last - first < 6:
         return None
@@ -202,7 +202,7 @@ def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
     if below[peak]:
         return peak, peak - 1
     # argmax gives the first True, or 0 if there is none: then the stretch reaches the end.
-    left, right = int(np.argmax(below[peak::-1])), int(np.argmax(below[peak:]))
+    left, right = int(below[peak::-1].argmax()), int(below[peak:].argmax())
     return (peak - left + 1 if left else 0), (peak + right - 1 if right else values.size - 1)
 
 
@@ -238,7 +238,7 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
     coefficients = solver @ values
     c0, c1, c2, c3, c4 = coefficients.tolist()
     # Newton from the highest grid point: a quartic may have two maxima.
-    u = float(design[int(np.argmax(design @ coefficients)), 1])
+    u = float(design[(design @ coefficients).argmax(), 1])
     for _ in range(20):
         slope = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * 4.0 * c4))
         curvature = 2.0 * c2 + u * (6.0 * c3 + u * 12.0 * c4)

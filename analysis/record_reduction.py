@@ -139,7 +139,24 @@ class ReducedRecord:
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
     """Centred mean of ``width`` (odd) neighbours, shape (n,) with n >= width; zeros outside the record."""
-    return np.convolve(values, np.full(width, 1.0 / width), "same")
+    return np.convolve(values, mean_weights(width), "same")
+
+
+@lru_cache(maxsize=64)
+def mean_weights(width: int) -> FloatArray:
+    """Equal weights whose sum is 1, shape (width,)."""
+    weights = np.full(width, 1.0 / width)
+    weights.flags.writeable = False
+    return weights
+
+
+def median(values: FloatArray) -> float:
+    """Median of numbers, shape (n,) with n >= 1: NumPy's digits without its search for NaN and axes."""
+    upper = values.size // 2
+    if values.size % 2:
+        return float(np.partition(values, upper)[upper])
+    ordered = np.partition(values, (upper - 1, upper))
+    return float(ordered[upper - 1] + ordered[upper]) / 2.0
 
 
 @lru_cache(maxsize=64)
@@ -189,7 +206,7 @@ def noise_rms(samples_v: FloatArray) -> float:
     a partition's cost. Where few large differences make the mean, the bins are too wide and the
     median is taken exactly.
     """
-    difference = np.diff(samples_v)
+    difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
     mean = float(difference.sum()) / difference.size
     if mean == 0.0:
@@ -202,7 +219,7 @@ def noise_rms(samples_v: FloatArray) -> float:
     middle = 0.5 * difference.size
     k = int(np.searchsorted(below, middle))
     if k < COARSEST_MEDIAN_BIN:
-        return float(MAD_TO_SD * np.median(difference)) / math.sqrt(2.0)
+        return MAD_TO_SD * median(difference) / math.sqrt(2.0)
     inside = (middle - (float(below[k]) - float(histogram[k]))) / float(histogram[k])
     return MAD_TO_SD * (k + inside) * mean / 64.0 / math.sqrt(2.0)
 
@@ -237,13 +254,13 @@ def reduce_record(
     blocks = np.einsum("ij->i", whole) / block_samples
 
     pretrigger_blocks = max(1, pretrigger_samples // block_samples)
-    level = float(np.median(blocks[:pretrigger_blocks]))
+    level = median(blocks[:pretrigger_blocks])
     smooth = np.abs(moving_mean(blocks - level, 2 * round(5e-6 / step_s) + 1))
-    onset = int(np.argmax(smooth >= 0.5 * smooth.max()))
+    onset = int((smooth >= 0.5 * smooth.max()).argmax())
     quiet = min(pretrigger_blocks, onset - math.ceil(0.75 * settings.isw_fwhm_s / step_s))
     if quiet * step_s < 10e-6:
         quiet = pretrigger_blocks
-    offset = float(np.median(blocks[:quiet]))
+    offset = median(blocks[:quiet])
 
     blocks -= offset
     noise = noise_rms(samples_v)

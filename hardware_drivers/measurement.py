@@ -57,8 +57,14 @@ class Calibration:
 
     def volts(self, counts: Counts) -> NDArray[np.float64]:
         """Turn counts of any shape into volts of the same shape."""
-        scaled = np.polynomial.polynomial.polyval(counts.astype(np.float64), self.coefficients_v)
-        return np.asarray(scaled, dtype=np.float64)
+        code = counts.astype(np.float64)
+        # Horner's rule in place, as numpy's polyval computes it: every shot passes here.
+        volts: NDArray[np.float64] = self.coefficients_v[-1] * code
+        volts += self.coefficients_v[-2]
+        for coefficient in self.coefficients_v[-3::-1]:
+            volts *= code
+            volts += coefficient
+        return volts
 
     @property
     def full_scale_counts(self) -> tuple[int, int]:
