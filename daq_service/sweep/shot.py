@@ -10,7 +10,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -22,8 +22,11 @@ from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotForce, ShotModel
 from simulator.errors import SimulatorError, SpecimenError
 from simulator.one_thread import one_blas_thread
+from simulator.plate_models import ModalPlate, modal_plate
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.plate_reduction import PlateModes
 from simulator.pulse_summary import summarise
+from simulator.reduction_cache import DEFAULT_CACHE_FOLDER
 from simulator.zener import reflect
 
 Specimen = tuple[ChainParameters, PlateParameters, CorrosionParameters]
@@ -49,8 +52,11 @@ NO_REFLECTION = "no reflected wave"
 INVALID = "invalid: "
 """Begins the status of parameters that cannot go together."""
 
-MODELS_KEPT = 8
-"""Prepared pairs of chain and plate a process remembers; rows come sorted by them."""
+PREPARED_KEPT = 8
+"""Plates, and chains on them, that a process remembers; rows come sorted by them."""
+
+DEPTHS_KEPT = 4096
+"""Depths of a plate whose modes it remembers: a few kB each."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -116,16 +122,29 @@ def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Out
 
 
 def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
-    """Integrate chain and plate; a model already prepared for another depth is used again."""
+    """Integrate chain and plate; what is already prepared for this chain or this plate is used again."""
     return _model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
         depth_fraction=corrosion.depth_fraction
     )
 
 
-@lru_cache(maxsize=MODELS_KEPT)
+@lru_cache(maxsize=PREPARED_KEPT)
 def _model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
-    # One for each chain, not for each plate: the integration step follows from drop height and tilt.
-    return ShotModel(chain, plate, outline)
+    # One for each chain: step and length of a shot follow from its drop height and tilt, too.
+    return ShotModel(chain, plate, outline, prepared_plate=_plate(plate, outline))
+
+
+class _RememberedPlate:
+    """A modal plate that finds the modes of a depth once, for all chains on it."""
+
+    def __init__(self, modal: ModalPlate) -> None:
+        self.modes: Callable[[float], PlateModes] = lru_cache(maxsize=DEPTHS_KEPT)(modal.modes)
+
+
+@lru_cache(maxsize=PREPARED_KEPT)
+def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _RememberedPlate | None:
+    modal = modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
+    return None if modal is None else _RememberedPlate(modal)
 
 
 def coupled_numbers(force: ShotForce) -> dict[str, Any]:
