@@ -4,6 +4,11 @@ The first back-wall echo of the first record is the reference: its absolute trav
 of its envelope. In later records it is found by correlation with that echo, coarse by the envelope of the
 correlation and fine by its carrier: the envelope cannot jump by a period, the carrier has the precision.
 A wall that thins from 6.35 to 4.2 mm moves the echo by .73 us, several periods of 5 MHz.
+
+A rough far wall sends the coherent part of an echo back weaker by exp(-2 k^2 sigma^2), k = 2 pi f / c. What
+the echo has lost of the reference's amplitude is therefore read as roughness, and the thickness gets an
+interval that grows with it: the rest of such an echo is a sum over facets, and its crest may lie anywhere
+among them.
 """
 
 from __future__ import annotations
@@ -12,9 +17,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.fft import fft, ifft, next_fast_len
 
+from analysis.echo_signal import (
+    analytic,
+    centre_of_gravity_hz,
+    complex_correlation,
+    correlation_coefficient,
+    echo_extent,
+    envelope_peak,
+    first_envelope_maximum,
+    nearest_carrier_maximum,
+    pick_sd_s,
+)
 from analysis.errors import EchoNotFoundError, InvalidInputError, RecordError
 from analysis.pulses import parabola_peak
 from analysis.record_reduction import FloatArray
@@ -27,7 +41,15 @@ TEMPLATE_FRACTION = 0.05
 """The template reaches to where the reference echo's envelope has fallen to this part."""
 GOOD_CORRELATION = 0.9
 SUSPECT_CORRELATION = 0.6
-"""Below, the echo no longer looks like the reference's and the travel time is bad."""
+"""Below, the echo no longer looks like the reference's and there is no travel time. Of white noise alone,
+without an echo, less than one record in a thousand comes that far."""
+INTERVAL_SDS = 2.0
+"""Standard deviations of the pick's noise on either side of an interval: 95 %."""
+INTERVAL_ROUGHNESS = 2.5
+"""Half the interval of a rough wall over the roughness read from the amplitude: on the twin's walls it holds
+the mean thickness under the beam in 95 % or more (``python benchmarks/echo_bias.py``)."""
+INTERVAL_LEAST_M = 2e-6
+"""Half the least interval: later echoes that run into the first one move a pick by up to 1.5 um at 1.5 mm."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,6 +66,8 @@ class EchoReference:
         Place of the envelope's peak in the template (fractional).
     delay_s
         D, the delay of the dual-element probe.
+    carrier_hz
+        Centre of gravity of the echo's power spectrum.
     thinnest_fraction, thickest_fraction
         Gate for later echoes, in parts of UT_0 - D.
     """
@@ -53,6 +77,7 @@ class EchoReference:
     template_peak_samples: float
     sample_rate_hz: float
     delay_s: float
+    carrier_hz: float
     thinnest_fraction: float
     thickest_fraction: float
 
@@ -64,7 +89,11 @@ class TravelTime:
     Attributes
     ----------
     travel_time_s
-        UT, NaN if no echo was found.
+        UT, NaN where the quality is bad: a number would be made up.
+    travel_time_sd_s
+        What the record's white noise moves the pick by (Cramer-Rao bound of a known pulse), NaN like UT.
+    amplitude_ratio
+        Of the echo over the reference's, by correlation; NaN if none was found.
     correlation_coefficient
         Of the echo with the reference's, -1..1, NaN if none was found.
     quality
@@ -74,6 +103,8 @@ class TravelTime:
     """
 
     travel_time_s: float
+    travel_time_sd_s: float
+    amplitude_ratio: float
     correlation_coefficient: float
     quality: str
     reason: str
@@ -85,6 +116,23 @@ class Thickness:
 
     thickness_m: float
     thickness_loss_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThicknessInterval:
+    """Where the mean thickness under the beam lies with 95 % confidence; NaN if there is no travel time.
+
+    Attributes
+    ----------
+    low_m, high_m
+        Its ends.
+    roughness_rms_m
+        RMS roughness of the far wall that the loss of amplitude stands for; lost coupling looks the same.
+    """
+
+    low_m: float
+    high_m: float
+    roughness_rms_m: float
 
 
 def reference_echo(
@@ -141,7 +189,7 @@ def reference_echo(
             f"the first echo is expected at {expected_s * 1e6:.2f} us, the record reaches to "
             f"{(volts.size - zero) / rate_hz * 1e6:.2f} us: record longer or correct delay_s and thickness"
         )
-    envelope = np.abs(_analytic(volts))
+    envelope = np.abs(analytic(volts))
     peak = first + int(np.argmax(envelope[first : last + 1]))
     # Median of a Rayleigh-distributed envelope is 1.18 noise rms; echoes fill little of the record.
     noise_v = float(np.median(envelope)) / 1.18
@@ -151,8 +199,8 @@ def reference_echo(
             f"{expected_s * 1e6:.2f} us (largest {envelope[peak]:.3g} V, noise {noise_v:.3g} V): check the "
             "coupling, gain, delay_s, initial_thickness_m and velocity_m_per_s"
         )
-    place = _envelope_peak(envelope, peak)
-    low, high = _echo_extent(envelope, peak, TEMPLATE_FRACTION)
+    place = envelope_peak(envelope, peak)
+    low, high = echo_extent(envelope, peak, TEMPLATE_FRACTION)
     template = np.array(volts[low : high + 1], copy=True)
     template.flags.writeable = False
     return EchoReference(
@@ -161,6 +209,7 @@ def reference_echo(
         template_peak_samples=place - low,
         sample_rate_hz=rate_hz,
         delay_s=delay_s,
+        carrier_hz=centre_of_gravity_hz(template, rate_hz),
         thinnest_fraction=thinnest_fraction,
         thickest_fraction=thickest_fraction,
     )
@@ -197,22 +246,30 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
             f"the gate for the first echo ends at {(last - offset) / rate_hz * 1e6:.2f} us, the record at "
             f"{(volts.size - zero) / rate_hz * 1e6:.2f} us: record longer"
         )
-    correlation = _complex_correlation(volts, reference.template_v)
-    coarse = _first_envelope_maximum(np.abs(correlation), first, last)
+    correlation = complex_correlation(volts, reference.template_v)
+    coarse = first_envelope_maximum(np.abs(correlation), first, last, FIRST_ECHO_FRACTION)
     if coarse is None:
         return TravelTime(
             travel_time_s=math.nan,
+            travel_time_sd_s=math.nan,
+            amplitude_ratio=math.nan,
             correlation_coefficient=math.nan,
             quality="bad",
             reason="no echo in the gate",
         )
     carrier = np.ascontiguousarray(correlation.real)
-    lag, slipped = _nearest_carrier_maximum(carrier, coarse)
+    lag, slipped = nearest_carrier_maximum(carrier, coarse)
     fine = lag + parabola_peak(*(float(v) for v in carrier[lag - 1 : lag + 2]))
-    coefficient = _coefficient(volts[lag : lag + reference.template_v.size], reference.template_v)
+    template = reference.template_v
+    segment = volts[lag : lag + template.size]
+    coefficient = correlation_coefficient(segment, template)
     quality, reason = _quality(coefficient, slipped)
+    ratio = float(segment @ template) / float(template @ template)
+    found = quality != "bad"
     return TravelTime(
-        travel_time_s=(fine - offset) / rate_hz,
+        travel_time_s=(fine - offset) / rate_hz if found else math.nan,
+        travel_time_sd_s=pick_sd_s(volts, ratio * template, rate_hz) if found else math.nan,
+        amplitude_ratio=ratio,
         correlation_coefficient=coefficient,
         quality=quality,
         reason=reason,
@@ -220,9 +277,16 @@ def travel_time(waveform: Waveform, reference: EchoReference) -> TravelTime:
 
 
 def thickness(
-    travel_time_s: float, reference_travel_time_s: float, delay_s: float, initial_thickness_m: float
+    travel_time_s: float,
+    reference_travel_time_s: float,
+    delay_s: float,
+    initial_thickness_m: float,
+    element_separation_m: float = 0.0,
 ) -> Thickness:
     """Remaining thickness: th_0 - (UT_0 - UT) / (UT_0 - D) th_0 (paper, eq. 17).
+
+    Equation 17 takes the sound's way for straight. Between the two elements of a probe it is a V of length
+    sqrt(4 th^2 + s^2), and a thinned wall is read too thick; with their distance s given, that is taken off.
 
     Parameters
     ----------
@@ -230,11 +294,18 @@ def thickness(
         UT, UT_0 and D.
     initial_thickness_m
         th_0.
+    element_separation_m
+        s; 0 is equation 17 to the letter.
+
+    Returns
+    -------
+    Thickness
+        NaN where the travel time is, and where it is too short for any wall at this separation.
 
     Raises
     ------
     InvalidInputError
-        UT_0 not above D, or th_0 not positive.
+        UT_0 not above D, th_0 not positive, or s negative.
     """
     if not reference_travel_time_s > delay_s:
         raise InvalidInputError(
@@ -242,9 +313,50 @@ def thickness(
         )
     if not initial_thickness_m > 0.0:
         raise InvalidInputError(f"initial_thickness_m is {initial_thickness_m} m; it must be positive")
+    if not element_separation_m >= 0.0:
+        raise InvalidInputError(f"element_separation_m is {element_separation_m} m; it must not be negative")
     span_s = reference_travel_time_s - delay_s
     loss = (reference_travel_time_s - travel_time_s) / span_s * initial_thickness_m
+    if element_separation_m > 0.0:
+        initial_way_m = math.hypot(2.0 * initial_thickness_m, element_separation_m)
+        way_m = (travel_time_s - delay_s) / span_s * initial_way_m
+        square_m2 = way_m**2 - element_separation_m**2
+        loss = initial_thickness_m - (0.5 * math.sqrt(square_m2) if square_m2 > 0.0 else math.nan)
     return Thickness(thickness_m=initial_thickness_m - loss, thickness_loss_m=loss)
+
+
+def thickness_interval(
+    found: TravelTime,
+    reference: EchoReference,
+    initial_thickness_m: float,
+    element_separation_m: float = 0.0,
+) -> ThicknessInterval:
+    """Interval around the thickness of one record, for its noise and the far wall's roughness.
+
+    Wave speed, delay and initial thickness are taken as exact, and so is the separation: what they are wrong
+    by comes on top. The amplitude is compared with the reference's without regard to attenuation, which in a
+    thinner wall is smaller and hides a roughness of a few hundredths of a millimetre.
+    """
+    wall = thickness(
+        found.travel_time_s,
+        reference.travel_time_s,
+        reference.delay_s,
+        initial_thickness_m,
+        element_separation_m,
+    )
+    way_m = math.hypot(2.0 * initial_thickness_m, element_separation_m)
+    velocity_m_per_s = way_m / (reference.travel_time_s - reference.delay_s)
+    wavenumber = 2.0 * math.pi * reference.carrier_hz / velocity_m_per_s
+    if math.isnan(wall.thickness_m):
+        return ThicknessInterval(low_m=math.nan, high_m=math.nan, roughness_rms_m=math.nan)
+    roughness_m = math.sqrt(max(-math.log(found.amplitude_ratio), 0.0) / 2.0) / wavenumber
+    # th moves by c / 2 a second on a straight way, and by more on a slant one.
+    slant = math.hypot(2.0 * wall.thickness_m, element_separation_m) / (2.0 * wall.thickness_m)
+    noise_m = 0.5 * velocity_m_per_s * slant * found.travel_time_sd_s
+    half_m = INTERVAL_LEAST_M + math.hypot(INTERVAL_SDS * noise_m, INTERVAL_ROUGHNESS * roughness_m)
+    return ThicknessInterval(
+        low_m=wall.thickness_m - half_m, high_m=wall.thickness_m + half_m, roughness_rms_m=roughness_m
+    )
 
 
 def _check_reference(
@@ -274,79 +386,6 @@ def _check_reference(
 def _centred(waveform: Waveform) -> FloatArray:
     volts = waveform.volts()
     return np.asarray(volts - np.median(volts), dtype=np.float64)
-
-
-def _analytic(values: FloatArray) -> NDArray[np.complex128]:
-    """Analytic signal: negative frequencies removed, positive doubled; its modulus is the envelope."""
-    n = next_fast_len(values.size)
-    return np.asarray(ifft(_one_sided(fft(values, n))))[: values.size]
-
-
-def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    half = spectrum.size // 2
-    out = np.zeros_like(spectrum)
-    out[0] = spectrum[0]
-    out[1 : (spectrum.size + 1) // 2] = 2.0 * spectrum[1 : (spectrum.size + 1) // 2]
-    if spectrum.size % 2 == 0:
-        out[half] = spectrum[half]
-    return out
-
-
-def _complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
-    """Correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
-    n = next_fast_len(values.size + template.size)
-    product = fft(values, n) * np.conj(fft(template, n))
-    return np.asarray(ifft(_one_sided(product)))[: values.size]
-
-
-def _envelope_peak(envelope: FloatArray, peak: int) -> float:
-    """Peak of the envelope: vertex of the parabola through its logarithm above half height.
-
-    Exact for a Gaussian envelope. Three samples around the peak would be thirty times noisier.
-    """
-    low, high = _echo_extent(envelope, peak, 0.5)
-    if high - low < 3:
-        return peak + parabola_peak(*(float(v) for v in envelope[peak - 1 : peak + 2]))
-    x = np.arange(low, high + 1) - peak
-    square, linear, _ = np.linalg.lstsq(np.vander(x / (high - low), 3), np.log(envelope[low : high + 1]))[0]
-    vertex = -0.5 * linear / square * (high - low)
-    return float(np.clip(peak + vertex, low, high))
-
-
-def _echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
-    """First and last sample around ``peak`` where the envelope stays above a fraction of it."""
-    low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
-    before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
-    first = int(before[-1]) + 1 if before.size else 0
-    last = int(after[0]) - 1 if after.size else envelope.size - 1
-    return first, last
-
-
-def _first_envelope_maximum(envelope: FloatArray, first: int, last: int) -> int | None:
-    gate = envelope[first - 1 : last + 2]
-    inner = gate[1:-1]
-    floor = FIRST_ECHO_FRACTION * float(inner.max())
-    found = np.flatnonzero((inner > gate[:-2]) & (inner >= gate[2:]) & (inner >= floor) & (inner > 0.0))
-    return first + int(found[0]) if found.size else None
-
-
-def _nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
-    """Lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
-
-    It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
-    echo's shape has changed then.
-    """
-    maxima = np.flatnonzero((carrier[1:-1] > carrier[:-2]) & (carrier[1:-1] >= carrier[2:])) + 1
-    k = int(np.argmin(np.abs(maxima - coarse)))
-    neighbours = maxima[max(0, k - 1) : k + 2]
-    period = float(np.diff(neighbours).mean()) if neighbours.size > 1 else math.inf
-    doubtful = carrier[neighbours].max() > carrier[maxima[k]] or abs(maxima[k] - coarse) > 0.25 * period
-    return int(maxima[k]), bool(doubtful)
-
-
-def _coefficient(segment: FloatArray, template: FloatArray) -> float:
-    norm = math.sqrt(float(segment @ segment) * float(template @ template))
-    return float(segment @ template) / norm if norm > 0.0 else math.nan
 
 
 def _quality(coefficient: float, slipped: bool) -> tuple[str, str]:

@@ -156,6 +156,8 @@ class UltrasoundSettings(Section):
     """Delay D of the dual transducer (assumption: the paper prints no value; calibrate the probe's own)."""
     velocity_m_per_s: float = Field(default=5900.0, gt=0.0, le=2e4)
     """Longitudinal velocity that finds the first echo (assumption: steel); eq. 17 itself needs none."""
+    element_separation_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Distance of a dual probe's elements: takes off their V-shaped way; 0 is the paper's equation 17."""
 
 
 class FeatureSettings(Section):

@@ -8,14 +8,21 @@ from typing import Any
 
 from analysis.errors import AnalysisError
 from analysis.sequential import AlarmRule, AlarmState, next_alarm_state
-from analysis.ultrasonic_thickness import EchoReference, reference_echo, thickness, travel_time
+from analysis.ultrasonic_thickness import (
+    EchoReference,
+    ThicknessInterval,
+    reference_echo,
+    thickness,
+    thickness_interval,
+    travel_time,
+)
 from daq_service.alarms import Condition
 from daq_service.assessment import Assessment
 from daq_service.schedule import DueSet
 from daq_service.settings import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
 
-EXTRACTOR_VERSION = "1.0"
+EXTRACTOR_VERSION = "1.1"
 """Of the travel time; changes whenever any result of any record would."""
 
 FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
@@ -54,6 +61,7 @@ class PulseEchoAssessor:
             "correlation_coefficient": None,
         }
         reason = ""
+        interval: ThicknessInterval | None = None
         try:
             if self._reference is None:
                 self._reference = self._take_reference(echo.waveform)
@@ -63,6 +71,10 @@ class PulseEchoAssessor:
                 self._reference.travel_time_s,
                 settings.delay_s,
                 settings.initial_thickness_m,
+                settings.element_separation_m,
+            )
+            interval = thickness_interval(
+                found, self._reference, settings.initial_thickness_m, settings.element_separation_m
             )
         except AnalysisError as error:
             reason = str(error)
@@ -70,20 +82,25 @@ class PulseEchoAssessor:
             reason = found.reason
             row.update(
                 quality=found.quality,
-                travel_time_s=found.travel_time_s,
-                thickness_m=wall.thickness_m,
-                thickness_loss_m=wall.thickness_loss_m,
-                correlation_coefficient=found.correlation_coefficient,
+                travel_time_s=_known(found.travel_time_s),
+                thickness_m=_known(wall.thickness_m),
+                thickness_loss_m=_known(wall.thickness_loss_m),
+                correlation_coefficient=_known(found.correlation_coefficient),
             )
+        flags = _flags(row, echo)
+        if "clipped" in flags and row["quality"] == "good":
+            # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
+            row["quality"] = "suspect"
+            reason = "the record is clipped: lower the gain or take a larger range"
         usable = row["quality"] != "bad"
         self._alarm = next_alarm_state(
             self._alarm, self._too_thin(row["thickness_loss_m"]) if usable else None, self._rule
         )
         return Assessment(
             thickness=[row],
-            conditions=[self._condition(due, row)],
+            conditions=[self._condition(due, row, interval)],
             n_valid=int(usable),
-            shot_flags={echo.sequence: (() if usable else ("no_echo",))},
+            shot_flags={echo.sequence: flags},
             invalid=frozenset(() if usable else (echo.sequence,)),
             note=reason,
         )
@@ -105,7 +122,9 @@ class PulseEchoAssessor:
             > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
         )
 
-    def _condition(self, due: DueSet, row: Mapping[str, Any]) -> Condition:
+    def _condition(
+        self, due: DueSet, row: Mapping[str, Any], interval: ThicknessInterval | None
+    ) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining = row["thickness_m"]
@@ -126,6 +145,8 @@ class PulseEchoAssessor:
                 "rule": {"k": self._rule.k, "n": self._rule.n},
                 "set_index": due.set_index,
                 "thickness_m": remaining,
+                "interval_m": None if remaining is None or interval is None else _ends(interval),
+                "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
                 "limit_m": (1.0 - fraction) * initial_m,
                 "travel_time_s": row["travel_time_s"],
                 "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
@@ -133,3 +154,19 @@ class PulseEchoAssessor:
                 "extractor_version": EXTRACTOR_VERSION,
             },
         )
+
+
+def _known(value: float) -> float | None:
+    """Return the value, None where there is none."""
+    return value if math.isfinite(value) else None
+
+
+def _ends(interval: ThicknessInterval) -> list[float]:
+    """95 % interval of the mean thickness under the beam."""
+    return [interval.low_m, interval.high_m]
+
+
+def _flags(row: Mapping[str, Any], echo: PulseEchoRecord) -> tuple[str, ...]:
+    """Return the flags of an echo; in a mean of records, clipping shows only in what the instrument says."""
+    clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
+    return (("no_echo",) if row["quality"] == "bad" else ()) + (("clipped",) if clipped else ())

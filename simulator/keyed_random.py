@@ -25,6 +25,9 @@ class Purpose(IntEnum):
     LOOSE_CONTACT = 10
     SPIKES = 11
     MAINS_HUM = 12
+    FAR_WALL = 13
+    BUBBLES = 14
+    COUPLING = 15
 
 
 def generator(

@@ -19,7 +19,9 @@ from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.chain_parameters import ChainParameters
 from simulator.corrosion import Wall, WallHistory, held_hour_h, wall_history
 from simulator.coupled_model import ShotForce, ShotModel
+from simulator.echo_records import Disturbance, ProbedWall, averaged_record, disturbance, probed_wall
 from simulator.errors import SpecimenError
+from simulator.far_wall import RoughSpot, rough_spot
 from simulator.faults import (
     NO_FAULTS,
     SOUND,
@@ -36,7 +38,7 @@ from simulator.pulse_summary import summarise
 from simulator.scatter import Strike, Temperature, scattered_strike, temperature
 from simulator.scenario import ThinningParameters, TwinParameters
 from simulator.transduction import adc_calibration, counts_of, triggered_record
-from simulator.ultrasonic_echo import echo_calibration, echo_volts, travel_time_s
+from simulator.ultrasonic_echo import echo_calibration
 
 
 class SolitaryWaveModel(Protocol):
@@ -71,12 +73,15 @@ class Specimen:
         By position: pristine thickness under each ultrasonic probe.
     walls
         By position: thinning of every position above.
+    spots
+        By position: the far wall as each ultrasonic probe sees it, None where it stays smooth.
     """
 
     twin: TwinParameters
     transducers: Mapping[str, Transducer]
     probed_thickness_m: Mapping[str, float]
     walls: Mapping[str, WallHistory]
+    spots: Mapping[str, RoughSpot | None]
     room: Temperature
     adc_calibration: Calibration
     echo_calibration: Calibration
@@ -166,28 +171,36 @@ class Specimen:
             _grid_step_s(force), first_n, _grid_step_s(second), second_n, faults.double_delay_s
         )
 
+    def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
+        """Wall under an ultrasonic probe at an hour of the experiment."""
+        return probed_wall(
+            self.probed_thickness_m[position],
+            self.walls[position].at(hour_h).depth_fraction,
+            self.spots[position],
+            self.room.at(hour_h) - self.twin.drift.mean_temperature_c,
+        )
+
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
         """Averaged pulse-echo record of one position."""
-        echo = self.twin.echo
-        wall = self.walls[key.position].at(hour_h)
-        thickness_m = self.probed_thickness_m[key.position] * (1.0 - wall.depth_fraction)
-        volts = echo_volts(thickness_m, echo)
-        if self.twin.noise.enabled:
-            random = generator(self.twin.seed, Purpose.ECHO_NOISE, key=key)
-            # The mean of n records of white noise scatters by 1 / sqrt(n) of one record.
-            volts += echo.noise_rms_v / np.sqrt(echo.averages) * random.standard_normal(volts.size)
+        echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
+        wall = self.probed_wall(key.position, hour_h)
+        found, disturbed = disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
+        volts, clipped = averaged_record(
+            wall, echo, self.echo_calibration, found, seed=seed, key=key, noisy=noisy
+        )
         waveform = Waveform(
             counts=counts_of(volts, self.echo_calibration),
             sample_rate_hz=echo.sample_rate_hz,
             pretrigger_samples=0,
             calibration=self.echo_calibration,
         )
-        truth = {
-            "thickness_m": thickness_m,
-            "travel_time_s": travel_time_s(thickness_m, echo),
-            "temperature_c": self.room.at(hour_h),
-        }
-        return Echo(waveform=waveform, truth=truth, gain_db=echo.gain_db, averages=echo.averages)
+        return Echo(
+            waveform=waveform,
+            truth=wall.truth(echo) | {"temperature_c": self.room.at(hour_h)} | disturbed,
+            gain_db=echo.gain_db,
+            averages=echo.averages,
+            settings={"clipped_records": float(clipped)},
+        )
 
 
 def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
@@ -246,6 +259,7 @@ def build_specimen(
         transducers=dict(transducers),
         probed_thickness_m=dict(probed_thickness_m),
         walls=walls,
+        spots={name: rough_spot(twin.echo, seed=twin.seed, position=name) for name in probed_thickness_m},
         room=temperature(twin.drift, seed=twin.seed),
         adc_calibration=adc_calibration(twin.adc),
         echo_calibration=echo_calibration(twin.echo),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import dataclasses
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +23,6 @@ from simulator.doubles.server import WireServer
 from simulator.scenario import NoiseParameters, TwinParameters
 from simulator.specimen import build_specimen
 from simulator.transduction import counts_of
-from simulator.ultrasonic_echo import echo_volts
 
 RESOURCE = "PXI1Slot5"
 SERIAL = 0x01C5A1F0
@@ -112,9 +110,8 @@ def codes_of_the_twin(described: Description, shot: ShotKey) -> Counts:
     specimen = build_specimen(
         described.twin, transducers={}, probed_thickness_m={"A": described.probes["A"].thickness_m}
     )
-    thickness_m = specimen.echo(shot, HOUR_H).truth["thickness_m"]
     board = described.all_scopes[0]
-    volts = echo_volts(thickness_m, dataclasses.replace(described.twin.echo))
+    volts = specimen.probed_wall(shot.position, HOUR_H).volts(described.twin.echo)
     return counts_of(volts, board.calibration(1.0, 0.0))
 
 

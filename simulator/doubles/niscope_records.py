@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.description import ProbeWiring
+from simulator.echo_records import Disturbance, disturbance, disturbed_records
 from simulator.keyed_random import Purpose, generator
 from simulator.specimen import Specimen
 from simulator.transduction import counts_of
-from simulator.ultrasonic_echo import echo_volts
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,11 +38,10 @@ def single_records(
 
     The echo is the twin's own (`Specimen.echo`) at the board's rate and length. Each record carries the
     noise of a single one, drawn for this key: their mean scatters by the square root of their number, as
-    the twin's averaged record does, but from other draws. With the noise off all records are equal.
+    the twin's averaged record does, but from other draws. With the noise off all records are equal, and
+    neither couplant nor bubbles disturb them.
     """
     twin = specimen.twin
-    wall = specimen.walls[key.position].at(hour_h)
-    thickness_m = specimen.probed_thickness_m[key.position] * (1.0 - wall.depth_fraction)
     # A record that starts later than the firing pulse shows everything earlier.
     delay_s = twin.echo.delay_s + (probe.sync_to_firing_s - shape.trigger_delay_s)
     volts = np.zeros((shape.records, shape.samples))
@@ -53,7 +52,9 @@ def single_records(
             record_samples=shape.samples,
             delay_s=delay_s,
         )
-        volts += echo_volts(thickness_m, echo)
+        found = disturbance(echo, seed=twin.seed, key=key)[0] if twin.noise.enabled else Disturbance()
+        wall = specimen.probed_wall(key.position, hour_h)
+        volts += disturbed_records(wall, echo, found, seed=twin.seed, key=key, records=shape.records)
     if twin.noise.enabled:
         random = generator(twin.seed, Purpose.ECHO_NOISE, key=key)
         volts += twin.echo.noise_rms_v * random.standard_normal(volts.shape)

@@ -119,7 +119,7 @@ def test_a_record_says_what_it_was_taken_with(unit):
 
 
 def test_clipping_is_counted_on_the_single_records():
-    loud = dataclasses.replace(rig.QUIET, echo=EchoParameters(back_wall_v=3.0))
+    loud = dataclasses.replace(rig.QUIET, echo=EchoParameters(back_wall_v=30.0))
     with rig.met_brain(rig.description(twin=loud)), open_niscope(rig.parameters()) as unit:
         settings = unit.acquire(rig.key(), rig.TIMEOUT_S).settings
     assert settings["clipped_records"] == 16.0

@@ -33,7 +33,6 @@ from simulator.doubles.statuses import Status
 from simulator.scenario import EchoParameters, NoiseParameters, TwinParameters
 from simulator.specimen import build_specimen
 from simulator.transduction import counts_of
-from simulator.ultrasonic_echo import echo_volts
 
 KEY = ShotKey(position="A", set_index=7, shot_index=0)
 HOUR_H = 120.0
@@ -129,9 +128,8 @@ def test_codes_are_the_twin_s_echo_through_the_board_s_scaling():
     scope = Scope(brain).open().configure()
     scope("InitiateAcquisition")
     records, described = scope.fetch()
-    truth = specimen.echo(KEY, HOUR_H).truth
     board = ScopeParameters().calibration(1.0, 0.0)
-    expected = counts_of(echo_volts(truth["thickness_m"], specimen.twin.echo), board)
+    expected = counts_of(specimen.probed_wall("A", HOUR_H).volts(specimen.twin.echo), board)
     np.testing.assert_array_equal(records, np.tile(expected * 4, (RECORDS, 1)))
     for _, first_s, step_s, samples, offset_v, gain_v, *_ in described:
         assert (first_s, step_s, samples) == (0.0, 1e-8, SAMPLES)
@@ -195,7 +193,7 @@ def test_a_trigger_delay_moves_the_echo():
 
 
 def test_a_pulse_beyond_the_range_is_a_warning_with_its_data():
-    scope = Scope(make_brain(echo=EchoParameters(back_wall_v=3.0))[0]).open().configure()
+    scope = Scope(make_brain(echo=EchoParameters(back_wall_v=30.0))[0]).open().configure()
     scope("InitiateAcquisition")
     with refused(ADC_OVERLOAD_WARNING) as raised:
         scope.fetch()
