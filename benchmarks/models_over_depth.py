@@ -1,0 +1,237 @@
+"""Time of flight and amplitude ratio over depth: every model of the plate, both sensors, both patches.
+
+    python benchmarks/models_over_depth.py [--models mindlin ...] [--json] [--write]
+
+Noise-free sensor force, static preload kept, the paper's chain and plate. Beside each number stands what a
+finer mesh and a quarter of the step change in it. `zener` and `infinite_kirchhoff` know no patch: the whole
+plate is as thin as the depth leaves it. `--write` renews docs/reference/models-over-depth.{csv,md}, which a
+test compares with the models. Takes some minutes with the solid plate.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+# Small dense problems: BLAS threads only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from simulator.chain_parameters import ChainParameters
+from simulator.coupled_model import ShotModel
+from simulator.errors import SpecimenError
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.pulse_summary import summarise
+from simulator.zener import reflect
+
+REFERENCE = Path(__file__).resolve().parent.parent / "docs" / "reference"
+DEPTHS = tuple(k / 10 for k in range(9))
+PATCHES_M = {"B": 25.4e-3, "C": 50.8e-3}
+SENSORS = ("disk", "sphere")
+STEP_S = 0.5e-6
+COLUMNS = (
+    "model",
+    "patch",
+    "sensor",
+    "depth_fraction",
+    "tof_us",
+    "amplitude_ratio",
+    "tof_change_us",
+    "ratio_change",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """A plate, and the same one meshed more finely; anchors have no mesh."""
+
+    plate: PlateParameters
+    finer: PlateParameters | None = None
+    has_patch: bool = True
+
+
+MINDLIN = PlateParameters()
+SPREAD = PlateParameters(contact="patch")
+MODELS = {
+    "mindlin": Model(plate=MINDLIN, finer=replace(MINDLIN, elements_per_edge=192)),
+    "mindlin, patch contact": Model(
+        plate=SPREAD, finer=replace(SPREAD, elements_per_edge=192, contact_element_m=5e-5)
+    ),
+    "infinite_kirchhoff": Model(plate=PlateParameters(model="infinite_kirchhoff"), has_patch=False),
+    "rigid_wall": Model(plate=PlateParameters(model="rigid_wall"), has_patch=False),
+}
+ZENER = "zener"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One line of the table; changes are None where there is nothing to refine."""
+
+    model: str
+    patch: str
+    sensor: str
+    depth_fraction: float
+    tof_us: float
+    amplitude_ratio: float
+    tof_change_us: float | None = None
+    ratio_change: float | None = None
+
+
+def rows_of(name: str) -> Iterator[Row]:
+    """Give every depth, patch and sensor of one model."""
+    if name == ZENER:
+        yield from zener_rows()
+        return
+    model = MODELS[name]
+    for patch, size_m in PATCHES_M.items() if model.has_patch else [("whole plate", None)]:
+        for sensor in SENSORS:
+            chain = ChainParameters(sensor=sensor)
+            values, refined = (numbers(chain, plate, size_m, step) for plate, step in variants(model))
+            for depth in DEPTHS:
+                if depth and name == "rigid_wall":
+                    break
+                tof_us, ratio = values(depth)
+                finer_tof_us, finer_ratio = refined(depth)
+                yield Row(
+                    model=name,
+                    patch=patch,
+                    sensor=sensor,
+                    depth_fraction=depth,
+                    tof_us=tof_us,
+                    amplitude_ratio=ratio,
+                    tof_change_us=finer_tof_us - tof_us,
+                    ratio_change=finer_ratio - ratio,
+                )
+
+
+def variants(model: Model) -> list[tuple[PlateParameters, float]]:
+    """Give the model as it is, and refined in space and time."""
+    return [(model.plate, STEP_S), (model.finer or model.plate, STEP_S / 4.0)]
+
+
+def numbers(
+    chain: ChainParameters, plate: PlateParameters, size_m: float | None, step_s: float
+) -> Callable[[float], tuple[float, float]]:
+    """Make a function of the depth that gives time of flight in us and amplitude ratio."""
+    if size_m is not None:
+        model = ShotModel(chain, plate, CorrosionParameters(size_m=size_m), step_s=step_s)
+        return lambda depth: told(model, depth)
+    return lambda depth: told(
+        ShotModel(
+            chain,
+            replace(plate, thickness_m=plate.thickness_m * (1.0 - depth)),
+            CorrosionParameters(),
+            step_s=step_s,
+        ),
+        0.0,
+    )
+
+
+def told(model: ShotModel, depth: float) -> tuple[float, float]:
+    """Time of flight in us and amplitude ratio of one shot."""
+    pulses = summarise(model.shot(depth_fraction=depth))
+    if pulses.tof_us is None or pulses.amplitude_ratio is None:
+        return float("nan"), float("nan")
+    return pulses.tof_us, pulses.amplitude_ratio
+
+
+def zener_rows() -> Iterator[Row]:
+    """Give the paper's analytical model, as far as it reaches; it knows no sensor and no patch."""
+    for depth in DEPTHS:
+        try:
+            found = reflect(ChainParameters(), PlateParameters(), depth_fraction=depth)
+        except SpecimenError as error:
+            print(f"\n{ZENER} ends at {depth:.0%}: {error}", file=sys.stderr)
+            return
+        yield Row(
+            model=ZENER,
+            patch="whole plate",
+            sensor="none",
+            depth_fraction=depth,
+            tof_us=1e6 * found.tof_s,
+            amplitude_ratio=found.amplitude_ratio,
+        )
+
+
+def table(names: list[str]) -> list[Row]:
+    """All rows, with progress."""
+    found: list[Row] = []
+    for name in names:
+        for row in rows_of(name):
+            found.append(row)
+            if row.depth_fraction == DEPTHS[-1]:
+                print(f"{name}: {row.patch}, {row.sensor} done", file=sys.stderr)
+    return found
+
+
+def as_csv(rows: list[Row]) -> str:
+    """Give all rows with the digits that they are good for."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for row in rows:
+        changes = row.tof_change_us, row.ratio_change
+        writer.writerow(
+            [row.model, row.patch, row.sensor, f"{row.depth_fraction:.1f}"]
+            + [f"{row.tof_us:.3f}", f"{row.amplitude_ratio:.5f}"]
+            + ["" if change is None else f"{change:.1e}" for change in changes]
+        )
+    return text.getvalue()
+
+
+def as_markdown(rows: list[Row]) -> str:
+    """Give a table a sensor and patch: models down, depths across, worst change at the end."""
+    lines = [
+        "# Models of the plate over depth",
+        "",
+        "Time of flight (us) / amplitude ratio of a noise-free shot: the paper's chain and 6.35 mm plate,",
+        "static preload kept. Last column: the largest change by a finer mesh and a quarter of the step. B:",
+        "25.4 mm square, C: 50.8 mm. Anchors and Zener's model know no patch: the whole plate is as thin as",
+        "the depth leaves it. Printed by `python benchmarks/models_over_depth.py --write`, as is",
+        "[models-over-depth.csv](models-over-depth.csv).",
+    ]
+    for sensor in (*SENSORS, "none"):
+        lines += ["", f"## Sensor: {sensor}", ""]
+        lines += ["| Model | Patch | " + " | ".join(f"{depth:.0%}" for depth in DEPTHS) + " | Change |"]
+        lines += ["|---|---|" + "---|" * (len(DEPTHS) + 1)]
+        for model, patch in dict.fromkeys((row.model, row.patch) for row in rows if row.sensor == sensor):
+            its = [row for row in rows if (row.model, row.patch, row.sensor) == (model, patch, sensor)]
+            cells = [
+                "no wave back" if math.isnan(row.tof_us) else f"{row.tof_us:.2f} / {row.amplitude_ratio:.4f}"
+                for row in its
+            ]
+            cells += ["-"] * (len(DEPTHS) - len(its))
+            changes = [
+                (abs(row.tof_change_us), abs(row.ratio_change or 0.0)) for row in its if row.tof_change_us
+            ]
+            worst = " / ".join(f"{max(column):.1g}" for column in zip(*changes, strict=True)) or "-"
+            lines.append(f"| {model} | {patch} | " + " | ".join([*cells, worst]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    every = [*MODELS, ZENER]
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--models", nargs="+", choices=every, default=every)
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--write", action="store_true", help="renew the reference tables; needs every model")
+    arguments = parser.parse_args()
+    if arguments.write and arguments.models != every:
+        parser.error("--write needs every model: leave out --models")
+    rows = table(arguments.models)
+    if arguments.write:
+        (REFERENCE / "models-over-depth.csv").write_text(as_csv(rows), encoding="utf-8", newline="\n")
+        (REFERENCE / "models-over-depth.md").write_text(as_markdown(rows), encoding="utf-8", newline="\n")
+    print(json.dumps([asdict(row) for row in rows]) if arguments.json else as_markdown(rows))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
