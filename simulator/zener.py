@@ -307,7 +307,7 @@ def reflect(
         sphere_poisson_ratio=chain.poisson_ratio,
         thickness_m=plate.thickness_m * (1.0 - patch.depth_fraction),
         plate_density_kg_per_m3=plate.density_kg_per_m3,
-        plate_youngs_modulus_pa=plate.youngs_modulus_pa,
+        plate_youngs_modulus_pa=plate.warm_youngs_modulus_pa,
         plate_poisson_ratio=plate.poisson_ratio,
     )
     if closed_form:
@@ -333,7 +333,7 @@ def reflect(
                 chain.radius_m,
                 chain.youngs_modulus_pa,
                 chain.poisson_ratio,
-                plate.youngs_modulus_pa,
+                plate.warm_youngs_modulus_pa,
                 plate.poisson_ratio,
             ),
             impact_speed_m_per_s=impact_speed,
