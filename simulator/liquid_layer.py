@@ -53,7 +53,7 @@ def sine_terms(plate: PlateParameters) -> tuple[int, int]:
             f"make the plate at most {MOST_TERMS * shortest_wave_m:.4g} m long"
         )
     along_x, along_y = (
-        max(FEWEST_TERMS, math.ceil(edge_m / shortest_wave_m)) for edge_m in (plate.width_m, plate.height_m)
+        max(FEWEST_TERMS, round(edge_m / shortest_wave_m)) for edge_m in (plate.width_m, plate.height_m)
     )
     return along_x, along_y
 
