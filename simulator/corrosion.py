@@ -3,7 +3,7 @@
 The patch thins slowly and unevenly about a linear trend, the shape of the paper's figure 15. A hole
 is a pit in a patch that is much less thinned: the mean depth enters the plate model, the pit's depth
 only decides when nothing is reflected any more. That split is our reading of the paper, which found
-holes at a time of flight only about 10 % longer.
+holes at a time of flight only about 10 % longer. A table of hours and depths replaces the trend.
 """
 
 from __future__ import annotations
@@ -57,8 +57,12 @@ class WallHistory:
         """State at an hour of the experiment."""
         onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
         since_onset_h = max(hour_h - onset_h, 0.0)
-        mean = self.thinning.depth_fraction * self._progress(since_onset_h / (reference_h - onset_h))
-        mean = min(mean, DEEPEST_PATCH_FRACTION)
+        if self.thinning.history:
+            hours, depths = zip(*self.thinning.history, strict=True)
+            mean = float(np.interp(hour_h, hours, depths))
+        else:
+            mean = self.thinning.depth_fraction * self._progress(since_onset_h / (reference_h - onset_h))
+            mean = min(mean, DEEPEST_PATCH_FRACTION)
         pit = mean
         if self.thinning.hole_h is not None:
             # Compared in hours first: rounding of the ratio must not move the hole by an interval.

@@ -8,6 +8,7 @@ how a force becomes counts. Where the paper gives a number it is named; everythi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -39,9 +40,14 @@ class ThinningParameters:
     """Largest departure of the rate from its mean, as a fraction: below 1, so the wall never grows back."""
     hole_h: float | None = None
     """Hour at which a pit in the patch goes through (depth 0.95) and nothing is reflected; absent: never."""
+    history: tuple[tuple[float, float], ...] = ()
+    """Mean depth over time instead of the law above: pairs of hour and depth, straight in between, constant
+    before the first and after the last."""
 
     def __post_init__(self) -> None:
         check_bounds(self)
+        if self.history:
+            self._check_history()
         if self.reference_h <= self.onset_h:
             raise ValueError(
                 f"reference_h is {self.reference_h} h; it must be later than onset_h ({self.onset_h} h)"
@@ -51,6 +57,30 @@ class ThinningParameters:
                 f"hole_h is {self.hole_h} h; it must be later than onset_h ({self.onset_h} h) and at most "
                 "1e6 h, or left out for a position that stays tight"
             )
+
+    def _check_history(self) -> None:
+        if self.depth_fraction != 0.0 or self.unevenness != 0.0:
+            raise ValueError(
+                f"history is given together with depth_fraction {self.depth_fraction} and unevenness "
+                f"{self.unevenness}; give one law of thinning: leave these two out, or the history"
+            )
+        before_h, before = -math.inf, 0.0
+        for hour_h, depth in self.history:
+            if not (math.isfinite(hour_h) and abs(hour_h) <= 1e6 and hour_h > before_h):
+                raise ValueError(
+                    f"history has hour {hour_h} after hour {before_h}; hours must rise, up to 1e6 h"
+                )
+            if not 0.0 <= depth <= DEEPEST_PATCH_FRACTION:
+                raise ValueError(
+                    f"history has depth {depth} at hour {hour_h}; it must be at least 0 and at most "
+                    f"{DEEPEST_PATCH_FRACTION}"
+                )
+            if depth < before:
+                raise ValueError(
+                    f"history has depth {depth} at hour {hour_h}, less than {before} at hour {before_h}: a "
+                    f"wall does not heal; make the depth {before} or more"
+                )
+            before_h, before = hour_h, depth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

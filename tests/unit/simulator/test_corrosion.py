@@ -34,9 +34,10 @@ def test_the_wall_never_grows_back_and_keeps_to_its_plan(position, seed):
 
 def test_position_a_follows_figure_15():
     history = wall_history(PAPER_THINNING["A"], seed=1, position="A")
-    assert 6.35e-3 * (1.0 - history.at(300.0).depth_fraction) == pytest.approx(4.2e-3, rel=1e-12)
-    assert history.at(150.0).depth_fraction == pytest.approx(
-        0.5 * history.at(300.0).depth_fraction, rel=1e-12
+    # The core taken at the end; the probe reads more.
+    assert 6.35e-3 * (1.0 - history.at(350.0).depth_fraction) == pytest.approx(3.8e-3, rel=1e-12)
+    assert history.at(175.0).depth_fraction == pytest.approx(
+        0.5 * history.at(350.0).depth_fraction, rel=1e-12
     )
 
 
@@ -71,6 +72,26 @@ def test_a_position_without_hole_hour_ends_at_the_deepest_patch():
     history = wall_history(ThinningParameters(reference_h=100.0, depth_fraction=0.9), seed=1, position="B")
     assert history.at(1e5).depth_fraction == DEEPEST_PATCH_FRACTION
     assert history.at(90.0).pit_depth_fraction == history.at(90.0).depth_fraction
+
+
+def test_a_table_of_depths_replaces_the_law():
+    thinning = ThinningParameters(history=((10.0, 0.1), (20.0, 0.1), (40.0, 0.5), (41.0, 0.95)))
+    hours = (-5.0, 0.0, 10.0, 15.0, 20.0, 30.0, 40.5, 41.0, 1e4)
+    expected = [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.725, 0.95, 0.95]
+    np.testing.assert_allclose(depths(thinning, hours=hours), expected, rtol=1e-14)  # rounding
+    # Whatever seed and position: nothing is drawn.
+    assert np.array_equal(depths(thinning, seed=7, position="C"), depths(thinning))
+    history = wall_history(thinning, seed=1, position="B")
+    assert not history.at(40.9).is_hole
+    assert history.at(41.0).is_hole
+
+
+def test_a_pit_grows_beside_a_table_of_depths():
+    thinning = ThinningParameters(history=((0.0, 0.0), (100.0, 0.2)), hole_h=90.0)
+    history = wall_history(thinning, seed=1, position="B")
+    assert history.at(45.0).pit_depth_fraction == pytest.approx(0.475, rel=1e-12)
+    assert history.at(90.0).is_hole
+    assert history.at(90.0).depth_fraction == pytest.approx(0.18, rel=1e-12)
 
 
 @pytest.mark.parametrize(

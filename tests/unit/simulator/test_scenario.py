@@ -21,6 +21,16 @@ from simulator.scenario import (
         (ThinningParameters, {"onset_h": 300.0, "reference_h": 300.0}, "later than onset_h"),
         (ThinningParameters, {"onset_h": 24.0, "hole_h": 20.0}, "hole_h is 20.0 h"),
         (ThinningParameters, {"hole_h": float("nan")}, "hole_h is nan"),
+        (
+            ThinningParameters,
+            {"history": ((0.0, 0.3), (10.0, 0.2))},
+            r"depth 0.2 at hour 10.0, less than 0.3 at hour 0.0: a wall does not heal",
+        ),
+        (ThinningParameters, {"history": ((5.0, 0.1), (5.0, 0.2))}, "hour 5.0 after hour 5.0"),
+        (ThinningParameters, {"history": ((0.0, 0.96),)}, "depth 0.96 at hour 0.0"),
+        (ThinningParameters, {"history": ((float("nan"), 0.1),)}, "has hour nan"),
+        (ThinningParameters, {"history": ((0.0, float("nan")),)}, "has depth nan at hour 0.0"),
+        (ThinningParameters, {"history": ((0.0, 0.1),), "depth_fraction": 0.2}, "one law of thinning"),
         (ScatterParameters, {"scale": -1.0}, "scale is -1.0; it must be at least 0.0"),
         (
             DriftParameters,
