@@ -146,16 +146,15 @@ def build_plate(
     """
     check_patches(plate, corrosion)
     symmetric = symmetric_axes(plate, corrosion)
-    x, y = (
-        _edge_lines(plate, edge_m, contact_m, lines, half)
-        for edge_m, contact_m, lines, half in zip(
-            (plate.width_m, plate.height_m),
-            (plate.contact_x_m, plate.contact_y_m),
-            patch_lines(corrosion, plate.contact_element_m),
-            symmetric,
-            strict=True,
-        )
+    along_x, along_y = zip(
+        (plate.width_m, plate.height_m),
+        (plate.contact_x_m, plate.contact_y_m),
+        patch_lines(corrosion, plate.contact_element_m),
+        symmetric,
+        strict=True,
     )
+    x = _edge_lines(plate, *along_x)
+    y = x.copy() if along_y == along_x else _edge_lines(plate, *along_y)
     if whole:
         x, y = (
             np.concatenate((-s[:0:-1], s)) if half else s for s, half in zip((x, y), symmetric, strict=True)
@@ -231,7 +230,7 @@ def assemble(
         index = number[dof[which]]
         rows = np.broadcast_to(index[:, :, None], matrices.shape)
         columns = np.broadcast_to(index[:, None, :], matrices.shape)
-        held = (rows >= 0) & (columns >= 0)
+        held = (rows >= 0) & (columns >= 0) & (matrices != 0.0)
         entries = scale * matrices[held], (rows[held], columns[held])
         return sparse.csc_matrix(entries, shape=(len(free), len(free)))
 
