@@ -4,10 +4,12 @@ import contextlib
 import io
 import json
 import re
+import shlex
 from pathlib import Path
 
 import click
 import pytest
+from click.testing import CliRunner
 from small_experiment import run, small_settings
 
 from daq_service.archive import set_files
@@ -38,6 +40,31 @@ def test_the_python_of_read_the_files_reads_the_files(tmp_path: Path) -> None:
     assert match, features
     # A coarse plate: anything between the rigid wall (317 us) and a plate softer than the paper's (339).
     assert 317.0 < float(match[1]) < 360.0
+
+
+def test_the_examples_of_the_sweep_page_print_what_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs/how-to/sweep-parameters.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    said = ""
+    for language, text in re.findall(r"```(sh|python|text)\n(.*?)```", page, flags=re.DOTALL):
+        if language == "sh":
+            done = CliRunner().invoke(cli, shlex.split(text)[1:])
+            assert done.exit_code == 0, done.output
+            said = done.stdout.partition("content hash")[0]
+        elif language == "python":
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed):
+                exec(text, {})
+            said = printed.getvalue()
+        elif ",chain." in text:
+            (tmp_path / "shots.csv").write_text(text, encoding="utf-8")
+        else:
+            assert text == said
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        *("heights.csv", "heights.csv.json", "heights.h5", "shots.csv", "zener.csv", "zener.csv.json")
+    ]
 
 
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
