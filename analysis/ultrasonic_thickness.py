@@ -45,9 +45,10 @@ SUSPECT_CORRELATION = 0.6
 without an echo, less than one record in a thousand comes that far."""
 INTERVAL_SDS = 2.0
 """Standard deviations of the pick's noise on either side of an interval: 95 %."""
-INTERVAL_ROUGHNESS = 2.5
-"""Half the interval of a rough wall over the roughness read from the amplitude: on the twin's walls it holds
-the mean thickness under the beam in 95 % or more (``python benchmarks/echo_bias.py``)."""
+INTERVAL_PER_NEPER = 1.6
+"""Half the interval of a rough wall, in units of 1 / k, for each neper that the echo is weaker than the
+reference's. Found on the twin's walls: it holds the mean thickness under the beam in 95 % of the records
+(``python benchmarks/echo_bias.py``)."""
 INTERVAL_LEAST_M = 2e-6
 """Half the least interval: later echoes that run into the first one move a pick by up to 1.5 um at 1.5 mm."""
 
@@ -349,13 +350,16 @@ def thickness_interval(
     wavenumber = 2.0 * math.pi * reference.carrier_hz / velocity_m_per_s
     if math.isnan(wall.thickness_m):
         return ThicknessInterval(low_m=math.nan, high_m=math.nan, roughness_rms_m=math.nan)
-    roughness_m = math.sqrt(max(-math.log(found.amplitude_ratio), 0.0) / 2.0) / wavenumber
+    lost_nepers = max(-math.log(found.amplitude_ratio), 0.0)
     # th moves by c / 2 a second on a straight way, and by more on a slant one.
     slant = math.hypot(2.0 * wall.thickness_m, element_separation_m) / (2.0 * wall.thickness_m)
     noise_m = 0.5 * velocity_m_per_s * slant * found.travel_time_sd_s
-    half_m = INTERVAL_LEAST_M + math.hypot(INTERVAL_SDS * noise_m, INTERVAL_ROUGHNESS * roughness_m)
+    rough_m = INTERVAL_PER_NEPER * lost_nepers / wavenumber
+    half_m = INTERVAL_LEAST_M + math.hypot(INTERVAL_SDS * noise_m, rough_m)
     return ThicknessInterval(
-        low_m=wall.thickness_m - half_m, high_m=wall.thickness_m + half_m, roughness_rms_m=roughness_m
+        low_m=wall.thickness_m - half_m,
+        high_m=wall.thickness_m + half_m,
+        roughness_rms_m=math.sqrt(lost_nepers / 2.0) / wavenumber,
     )
 
 
