@@ -143,10 +143,11 @@ def test_waveform_converges_in_the_number_of_sines(reduction_folder):
             n = min(len(one.force_n), len(other.force_n))
             difference = np.linalg.norm(one.force_n[:n] - other.force_n[:n])
             errors[highest, depth] = difference / np.linalg.norm(other.force_n[:n])
-    assert errors[64, 0.8] > 10 * errors[128, 0.8] > 50 * errors[256, 0.8]
-    # The usual number leaves a hundredth of the waveform's allowance, also over a deep patch.
-    assert errors[256, 0.0] < 1e-6
-    assert errors[256, 0.8] < 1e-6
+    assert errors[64, 0.8] > 1e-4 > 10 * errors[128, 0.8]
+    # The usual number leaves less than a twentieth of the waveform's allowance, also over a deep patch; part
+    # of it is that each liquid has a basis of its own.
+    assert errors[256, 0.0] < 5e-6
+    assert errors[256, 0.8] < 5e-6
 
 
 def test_wet_shot_balances_its_energy_and_is_told_apart_from_a_dry_one(reduction_folder):
