@@ -1,36 +1,45 @@
 """One small model of the plate for every depth of its patch.
 
-The plate is linear and driven by one force, so the vectors that matter span a Krylov space: the
-static deflection ``K^-1 b``, then ``x_1 = (K + sigma^2 M)^-1 b``, ``x_(j+1) = (K + sigma^2 M)^-1 M x_j``.
-A few dozen hold everything the plate does within a record; a sigma of the order of the wave's own
-frequencies needs far fewer than sigma = 0. Such spaces at several depths are merged into one basis V,
-and stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay cubic polynomials in the
-remaining thickness, so that a new depth costs one small eigenvalue problem.
+The plate is linear and driven by one force, so the vectors that matter span a Krylov space (`krylov`). A
+few dozen hold everything the plate does within a record. Such spaces at several depths are merged into
+one basis V, and stiffness and mass are projected onto it (Galerkin, ``V^T K V``): they stay cubic
+polynomials in the remaining thickness, so that a new depth costs one small eigenvalue problem.
+
+What a space needs most counts most in the merge: each of its modes comes with the flexibility that it
+adds at the frequency of the shift, and every space with the same weight; so do static deflections.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
-from scipy.sparse.linalg import LinearOperator
 
+from simulator.band_factor import FactorFamily
+from simulator.driven_modes import driven_modes
+from simulator.krylov import SHIFT_RAD_PER_S, krylov_vectors, lanczos
+from simulator.mindlin_element import DOF_PER_NODE
 from simulator.mindlin_plate import AffinePlate
+
+__all__ = ["BASIS", "PlateModes", "ReducedPlate", "krylov_vectors", "reduce_plate"]
 
 FloatArray = NDArray[np.float64]
 
-BASIS_DEPTHS = (0.0, 0.3, 0.6, 0.8, 0.9, 0.95)
-"""Depths whose Krylov vectors enter the basis."""
+BASIS = ((0.0, 50), (0.3, 28), (0.6, 28), (0.8, 28), (0.9, 28), (0.95, 32))
+"""Depths whose Krylov vectors enter the basis, and how many of each: what lies between can use those of
+both ends."""
 
-VECTORS_PER_DEPTH = 50
+STATIC_DEPTHS = (0.0, 0.95)
+"""Depths whose static deflections enter the basis."""
 
-SHIFT_RAD_PER_S = 6e4
-"""sigma: about the circular frequency of a solitary wave of the paper's chain (10 kHz)."""
-
-MERGE_TOLERANCE = 1e-6
+MERGE_TOLERANCE = 5e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""
+
+MODES_PER_DIRECTION = 0.75
+"""The fastest modes of so many directions are no modes of the plate, and three quarters do as well."""
 
 UNSEEN_FRACTION = 1e-9
 """Modes that give less than this part of the static deflection are left out."""
@@ -89,9 +98,10 @@ class ReducedPlate:
     Attributes
     ----------
     stiffness, mass
-        float64, shape (4, r, r): coefficients of 1, s, s^2 and s^3.
+        float64, shape (4, r, r): coefficients of 1, s, s^2 and s^3, symmetric. The last direction of the
+        basis is that of the load, no other feels it.
     load
-        float64, shape (r,).
+        float64, shape (1,): force in the last direction for a unit force of the chain.
     """
 
     stiffness: FloatArray
@@ -99,80 +109,89 @@ class ReducedPlate:
     load: FloatArray
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """All modes of the reduced plate with the patch thinned by `depth_fraction`."""
-        s = 1.0 - depth_fraction
-        k = self.stiffness[0] + s * self.stiffness[1] + s**2 * self.stiffness[2] + s**3 * self.stiffness[3]
-        m = self.mass[0] + s * self.mass[1] + s**2 * self.mass[2] + s**3 * self.mass[3]
-        eigenvalues, shapes = linalg.eigh(k, m, check_finite=False, overwrite_a=True, overwrite_b=True)
-        return PlateModes(omega_rad_per_s=np.sqrt(eigenvalues), participation=shapes.T @ self.load)
+        """Modes of the reduced plate with the patch thinned by `depth_fraction`."""
+        size = self.stiffness.shape[1]
+        powers = (1.0 - depth_fraction) ** np.arange(4.0)
+        k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
+        omega, participation, residual = driven_modes(
+            k, m, float(self.load[0]), math.ceil(MODES_PER_DIRECTION * size)
+        )
+        return PlateModes(
+            omega_rad_per_s=omega, participation=participation, residual_compliance_m_per_n=residual
+        )
 
 
-def reduce_plate(
-    plate: AffinePlate,
-    *,
-    depths: tuple[float, ...] = BASIS_DEPTHS,
-    vectors_per_depth: int = VECTORS_PER_DEPTH,
-) -> ReducedPlate:
-    """Project `plate` onto the merged Krylov spaces at `depths`."""
-    blocks = [
-        krylov_vectors(*plate.at_depth(depth), plate.load, vectors_per_depth, added_mass=plate.added_mass)
-        for depth in depths
+def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = BASIS) -> ReducedPlate:
+    """Project `plate` onto the merged Krylov spaces of `basis`, pairs of a depth and a number of vectors."""
+    order = _far_end_first(plate)
+    shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
+    factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
+    weight = np.sqrt(plate.at_depth(0.0)[1].diagonal())
+    spaces = [_space(plate, factors, depth, count) * weight for depth, count in basis]
+    spaces += [
+        static_factors.solve(static_factors.factor(1.0 - depth), plate.load)[None] * weight
+        for depth in STATIC_DEPTHS
     ]
-    basis = merge(np.vstack(blocks), plate.at_depth(0.0)[1].diagonal())
-    mass = np.stack([basis @ (matrix @ basis.T) for matrix in plate.mass])
+    vectors = merge(np.vstack([space / linalg.norm(space) for space in spaces])) / weight
+    vectors = _load_last(vectors @ plate.load) @ vectors
+    mass = _projected(plate.mass, vectors)
     if plate.added_mass is not None:
-        mass[0] += basis @ (plate.added_mass @ basis.T)
+        mass[0] += vectors @ (plate.added_mass @ vectors.T)
     return ReducedPlate(
-        stiffness=np.stack([basis @ (matrix @ basis.T) for matrix in plate.stiffness]),
-        mass=mass,
-        load=basis @ plate.load,
+        stiffness=_projected(plate.stiffness, vectors), mass=mass, load=vectors[-1:] @ plate.load
     )
 
 
-def krylov_vectors(
-    stiffness: sparse.csc_matrix,
-    mass: sparse.csc_matrix,
-    load: FloatArray,
-    count: int,
-    *,
-    added_mass: LinearOperator | None = None,
-) -> FloatArray:
-    """Mass-orthonormal: the static deflection under `load`, then the Krylov space; shape (count, n).
-
-    The mass of a liquid enters every product, but not the factor: it would fill it.
-    """
-    factor = _factorized(stiffness)
-    shifted = _factorized(stiffness + SHIFT_RAD_PER_S**2 * mass)
-    vectors = np.empty((count, len(load)))
-    mass_vectors = np.empty_like(vectors)
-    right = load
-    for j in range(count):
-        x = linalg.cho_solve_banded((shifted if j else factor, True), right, check_finite=False)
-        x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
-        mass_x = mass @ x if added_mass is None else mass @ x + added_mass @ x
-        norm = np.sqrt(x @ mass_x)
-        vectors[j] = x / norm
-        mass_vectors[j] = mass_x / norm
-        right = mass_vectors[j] if j else load
-    return vectors
+def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
+    """Order of elimination: line by line towards the first grid line, along the shorter lines."""
+    node, kind = np.divmod(plate.free, DOF_PER_NODE)
+    line, place = np.divmod(node, len(plate.y_m))
+    if len(plate.y_m) > len(plate.x_m):
+        line, place = place, line
+    return np.lexsort((kind, place, line))[::-1].copy()
 
 
-def merge(vectors: FloatArray, weight: FloatArray) -> FloatArray:
-    """Orthonormal basis (in the diagonal `weight`) of what the rows of `vectors` span, shape (r, n)."""
-    strength, directions = linalg.eigh((vectors * weight) @ vectors.T, check_finite=False)
+def _space(plate: AffinePlate, factors: FactorFamily, depth: float, count: int) -> FloatArray:
+    """Modes of a Krylov space, each as strong as its part in the response, shape (count, n)."""
+    factor = factors.factor(1.0 - depth)
+    s = 1.0 - depth
+    matrix = sum((s**power * term for power, term in enumerate(plate.mass[1:], 1) if term.nnz), plate.mass[0])
+    liquid = plate.added_mass
+
+    def mass(x: FloatArray) -> FloatArray:
+        return np.asarray(matrix @ x if liquid is None else matrix @ x + liquid @ x)
+
+    vectors, diagonal, beside = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, count)
+    inverse, shapes = linalg.eigh_tridiagonal(diagonal, beside, check_finite=False)
+    participation = (vectors @ plate.load) @ shapes
+    # The eigenvalues are 1 / (omega^2 + sigma^2): this is the root of a mode's flexibility at sigma.
+    return np.asarray((shapes * (participation * np.sqrt(np.abs(inverse)))).T @ vectors)
+
+
+def merge(vectors: FloatArray) -> FloatArray:
+    """Orthonormal basis of what the rows of `vectors` span but for the weakest directions, shape (r, n)."""
+    strength, directions = linalg.eigh(vectors @ vectors.T, check_finite=False)
     kept = strength > MERGE_TOLERANCE**2 * strength[-1]
     return np.asarray((directions[:, kept] / np.sqrt(strength[kept])).T @ vectors)
 
 
-def _factorized(matrix: sparse.csc_matrix) -> FloatArray:
-    return np.asarray(linalg.cholesky_banded(_lower_band(matrix), lower=True, check_finite=False))
+def _load_last(load: FloatArray) -> FloatArray:
+    """Reflection that turns `load` into the last direction, shape (r, r)."""
+    normal = load / linalg.norm(load)
+    normal[-1] += 1.0 if normal[-1] >= 0.0 else -1.0
+    return np.asarray(np.eye(len(load)) - 2.0 / (normal @ normal) * np.outer(normal, normal))
 
 
-def _lower_band(matrix: sparse.csc_matrix) -> FloatArray:
-    """LAPACK's lower band storage: ``band[i - j, j] = matrix[i, j]``."""
-    entries = matrix.tocoo()
-    below = entries.row - entries.col
-    lower = below >= 0
-    band = np.zeros((int(below.max()) + 1, matrix.shape[0]))
-    band[below[lower], entries.col[lower]] = entries.data[lower]
-    return band
+def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
+    """Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
+    projected = np.zeros((len(terms), len(vectors), len(vectors)))
+    columns = np.ascontiguousarray(vectors.T)
+    for term, into in zip(terms, projected, strict=True):
+        by_rows = term.T  # symmetric
+        touched = np.flatnonzero(np.diff(by_rows.indptr))
+        if len(touched) == len(columns):
+            product = vectors @ (by_rows @ columns)
+        else:  # a patch touches few unknowns
+            product = columns[touched].T @ (by_rows[touched] @ columns)
+        into[:] = 0.5 * (product + product.T)
+    return projected

@@ -76,7 +76,7 @@ def test_energy_balances_at_every_depth(paper, depth):
 def test_merged_basis_equals_a_rich_basis_of_that_depth(paper, depth):
     plate = build_plate(PlateParameters(), PATCH)
     rich = ShotModel(ChainParameters(), PlateParameters(), PATCH, cache_folder=None, duration_s=1.2e-3)
-    rich._modal_plate = reduce_plate(plate, depths=(depth,), vectors_per_depth=120)
+    rich._modal_plate = reduce_plate(plate, basis=((depth, 120),))
     expected = rich.shot(depth_fraction=depth).force_n
     found = paper.shot(depth_fraction=depth).force_n[: len(expected)]
     # A tenth of the allowance for the whole reduction, 1e-4.

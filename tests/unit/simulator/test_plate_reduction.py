@@ -8,12 +8,12 @@ from scipy.sparse.linalg import splu
 
 from simulator.mindlin_plate import build_plate
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.plate_reduction import BASIS_DEPTHS, PlateModes, krylov_vectors, reduce_plate
+from simulator.plate_reduction import BASIS, PlateModes, reduce_plate
 
 PLATE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
 UNLISTED_DEPTHS = (0.1, 0.45, 0.7, 0.85)
 
-# The basis leaves out directions below 1e-6; this is a twentieth of the waveform's allowance.
+# A twentieth of the waveform's allowance.
 USUAL_ERROR = 5e-6
 
 
@@ -27,7 +27,7 @@ def reduction(plate):
     return reduce_plate(plate)
 
 
-@pytest.mark.parametrize("depth", BASIS_DEPTHS + UNLISTED_DEPTHS)
+@pytest.mark.parametrize("depth", [depth for depth, _ in BASIS] + list(UNLISTED_DEPTHS))
 def test_static_compliance_is_kept(plate, reduction, depth):
     stiffness, _ = plate.at_depth(depth)
     exact = plate.load @ splu(stiffness).solve(plate.load)
@@ -49,13 +49,7 @@ def test_response_in_time_is_kept_where_no_vector_was_taken(plate, reduction, de
 
 
 def test_a_depth_costs_a_small_eigenvalue_problem(plate, reduction):
-    assert len(reduction.load) < 250 < len(plate.load)
-
-
-def test_vectors_are_orthonormal_in_the_mass(plate):
-    stiffness, mass = plate.at_depth(0.3)
-    vectors = krylov_vectors(stiffness, mass, plate.load, 30)
-    np.testing.assert_allclose(vectors @ (mass @ vectors.T), np.eye(30), atol=1e-12)
+    assert reduction.stiffness.shape[1] < 150 < len(plate.load)
 
 
 def test_modes_above_the_cut_stay_as_residual_compliance():
@@ -71,7 +65,9 @@ def test_modes_above_the_cut_stay_as_residual_compliance():
 
 
 def test_more_vectors_change_nothing_that_counts(plate, reduction):
-    more = reduce_plate(plate, vectors_per_depth=70).modes(0.8)
+    more = reduce_plate(plate, basis=tuple((depth, 60) for depth in (0.0, 0.3, 0.6, 0.8, 0.9, 0.95))).modes(
+        0.8
+    )
     usual = reduction.modes(0.8)
     s = 1e4 + 2j * np.pi * 2e4
     usual_response, more_response = (

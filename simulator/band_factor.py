@@ -1,0 +1,134 @@
+"""Banded Cholesky factors (LAPACK), and what the factors of a family of matrices share.
+
+The matrices of a plate at different depths of its patches differ only there. With the unknowns far from
+the contact first, the first columns of the factor are the same for all; only the rest is factored anew,
+with what the elimination so far has taken from it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.linalg import lapack
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def band_factor(band: FloatArray) -> FloatArray:
+    """Cholesky factor of a positive definite matrix in LAPACK's lower band storage, which it overwrites.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The matrix is not positive definite.
+    """
+    factor, info = lapack.dpbtrf(band, lower=1, overwrite_ab=1)
+    if info != 0:
+        raise np.linalg.LinAlgError(f"the matrix is not positive definite: pivot {info} is not positive")
+    return np.asarray(factor)
+
+
+def band_solve(factor: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve with a factor by `band_factor`; `right` has the shape (n,)."""
+    solution, _ = lapack.dpbtrs(factor, right, lower=1)
+    return np.asarray(solution)
+
+
+def lower_band(matrix: sparse.spmatrix) -> FloatArray:
+    """LAPACK's lower band storage of a symmetric matrix: ``band[i - j, j] = matrix[i, j]``."""
+    entries = _LowerEntries.of(matrix, np.arange(matrix.shape[0]))
+    band = np.zeros((int(entries.below.max()) + 1, matrix.shape[0]), order="F")
+    band[entries.below, entries.column] = entries.value
+    return band
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _LowerEntries:
+    """Lower triangle of a symmetric matrix whose unknown k stands at ``place[k]``."""
+
+    below: IntArray
+    column: IntArray
+    value: FloatArray
+
+    @classmethod
+    def of(cls, matrix: sparse.spmatrix, place: IntArray) -> _LowerEntries:
+        entries = matrix.tocoo()
+        row, column = place[entries.row], place[entries.col]
+        lower = row >= column
+        return cls(below=(row - column)[lower], column=column[lower], value=entries.data[lower])
+
+    def within(self, start: int, stop: int) -> _LowerEntries:
+        """Rows and columns from `start` to `stop`, numbered from zero."""
+        inside = (self.column >= start) & (self.column + self.below < stop)
+        return _LowerEntries(
+            below=self.below[inside], column=self.column[inside] - start, value=self.value[inside]
+        )
+
+
+class FactorFamily:
+    """Factors of ``A(s) = A_0 + s A_1 + s^2 A_2 + s^3 A_3`` for many s, all positive definite.
+
+    Parameters
+    ----------
+    coefficients
+        A_0 to A_3: sparse, symmetric, shape (n, n).
+    order
+        Numbers of the unknowns in the order of their elimination. The longer the part before the first
+        unknown that A_1, A_2 or A_3 touch, the less there is to do for each s.
+    """
+
+    def __init__(self, coefficients: tuple[sparse.spmatrix, ...], order: IntArray) -> None:
+        n = len(order)
+        self._order = order
+        self._place = np.empty(n, dtype=np.int64)
+        self._place[order] = np.arange(n)
+        entries = [_LowerEntries.of(matrix, self._place) for matrix in coefficients]
+        self._bandwidth = max(int(one.below.max(initial=0)) for one in entries)
+        self._fixed = min(int(one.column.min(initial=n)) for one in entries[1:])
+        self._rest = [one.within(self._fixed, n) for one in entries]
+        window = min(self._bandwidth, n - self._fixed)  # what the first columns reach into
+        self._factor = np.empty((self._bandwidth + 1, n), order="F")
+        end = self._fixed + window
+        head = self._band([one.within(0, end) for one in entries], 1.0, end)
+        before = _lower_corner(head[:, self._fixed :])
+        head = band_factor(head)
+        self._factor[:, : self._fixed] = head[:, : self._fixed]
+        corner = _lower_corner(head[:, self._fixed :])
+        self._taken = before - np.tril(corner @ corner.T)
+
+    def factor(self, s: float) -> FloatArray:
+        """Factor of A(s) in the order of elimination; the next call overwrites it.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            A(s) is not positive definite.
+        """
+        rest = self._band(self._rest, s, len(self._order) - self._fixed)
+        for column in range(len(self._taken)):
+            rest[: len(self._taken) - column, column] -= self._taken[column:, column]
+        self._factor[:, self._fixed :] = band_factor(rest)
+        return self._factor
+
+    def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
+        """Solve with a factor by `factor`; `right` and the answer have the matrices' own order."""
+        return np.asarray(band_solve(factor, right[self._order])[self._place])
+
+    def _band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
+        band = np.zeros((self._bandwidth + 1, size), order="F")
+        for power, one in enumerate(entries):
+            band[one.below, one.column] += s**power * one.value
+        return band
+
+
+def _lower_corner(band: FloatArray) -> FloatArray:
+    """Lower triangle of the last columns of a matrix in band storage, as a square matrix."""
+    size = band.shape[1]
+    corner = np.zeros((size, size))
+    for column in range(size):
+        corner[column:, column] = band[: size - column, column]
+    return corner
