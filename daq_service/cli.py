@@ -264,6 +264,28 @@ def simulate(**options: Any) -> None:
     print_simulation(**options)
 
 
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for figures, tables and report; default: a new one here.",
+)
+@click.option(
+    "--from",
+    "data_dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Data folder of a test; default: the paper's test is run on the twin.",
+)
+@click.option("--only", metavar="NAMES", help="Some of them only, for example fig12,table2.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+@JSON
+def reproduce(**options: Any) -> None:
+    """Draw the paper's figures and tables from a test and the models, and say where they deviate."""
+    from daq_service.reproduce.run import reproduce as carry_out
+
+    sys.exit(carry_out(**options))
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:

@@ -1,0 +1,404 @@
+"""The command ``solimon reproduce``: start the test and the models, draw what is ready, tell how it compares.
+
+The test on the twin runs in its own process, the models in another; figures are drawn here, those of the
+models first, since they are ready before the test is. Every file is written as soon as it is made, so an
+interruption leaves what is finished.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
+from daq_service.provenance import PACKAGES
+from daq_service.reproduce.comparison import Row, compare, not_made
+from daq_service.reproduce.evidence import Evidence, read_evidence
+from daq_service.reproduce.experiment import check_test_folder, run_test, twin_settings
+from daq_service.reproduce.item import Item, Job, Material, NotAvailableError, Product
+from daq_service.reproduce.items import chosen_items
+from daq_service.reproduce.output import (
+    DATA_FOLDER,
+    RECORD,
+    REPORT,
+    csv_bytes,
+    prepare_output,
+    write_json,
+    write_whole,
+)
+from daq_service.reproduce.page import Report, Section, report_page
+from daq_service.reproduce.style import house_style, rendered
+from daq_service.run import stop_on_signals
+from daq_service.settings import Settings
+from simulator.errors import SimulatorError
+
+TITLE = "The paper's evaluation, reproduced"
+POLL_S = 0.1
+SLIPS = "slips"
+
+Say = Callable[[str], None]
+
+
+class _StoppedError(Exception):
+    """The operator interrupted."""
+
+
+@dataclass(slots=True)
+class _Run:
+    """What one reproduction has come to."""
+
+    out: Path
+    started_s: float
+    facts: dict[str, Any]
+    sections: list[Section] = field(default_factory=list)
+    slips: list[dict[str, str]] = field(default_factory=list)
+
+    @property
+    def rows(self) -> list[Row]:
+        return [row for section in self.sections for row in section.rows]
+
+
+def reproduce(
+    *, out: Path | None, data_dir: Path | None, only: str | None, seed: int | None, as_json: bool
+) -> int:
+    """Carry out the command; the exit code."""
+    if seed is not None and data_dir is not None:
+        raise UsageError(
+            "--seed is for a new test on the twin; the test of --from has been run: leave one out"
+        )
+    items = chosen_items(only)
+    folder = (out or _new_folder()).absolute()
+
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    with stop_on_signals() as stop, ExitStack() as stack:
+        executor = stack.enter_context(_pool())
+        try:
+            result, finished = reproduce_into(
+                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=say
+            )
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)
+    if as_json:
+        click.echo(json.dumps(result))
+    else:
+        _print_result(result)
+    return EXIT_OK if finished else EXIT_INTERRUPTED
+
+
+def reproduce_into(
+    out: Path,
+    items: Sequence[Item],
+    *,
+    data_dir: Path | None,
+    seed: int | None,
+    executor: Executor,
+    stop: threading.Event,
+    say: Say,
+) -> tuple[dict[str, Any], bool]:
+    """Make `items` in the folder `out`.
+
+    Parameters
+    ----------
+    data_dir
+        Data folder of an earlier test; None runs the paper's test on the twin where an item needs one.
+    executor
+        Carries out the models' jobs.
+    stop
+        Set to interrupt: what is finished stays, and the report says what is missing.
+
+    Returns
+    -------
+    dict, bool
+        What ``--json`` prints, and whether nothing interrupted it.
+
+    Raises
+    ------
+    StorageError, UsageError
+        The output folder, or the test's, cannot be used: before anything is computed.
+    """
+    needed = _needs_test(items)
+    settings = twin_settings(seed) if needed and data_dir is None else None
+    if data_dir is not None:
+        read_evidence(data_dir.absolute(), with_traces=False)
+    elif settings is not None:
+        check_test_folder(settings, out / DATA_FOLDER)
+    prepare_output(out)
+    run = _Run(out=out, started_s=time.monotonic(), facts=_versions())
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
+        evidence = None
+        if data_dir is not None and needed:
+            evidence = tests.submit(read_evidence, data_dir.absolute())
+        elif settings is not None:
+            evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, say)
+        jobs = dict.fromkeys(job for item in items for job in item.jobs.values())
+        futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
+        try:
+            for item in sorted(items, key=lambda item: (item.needs_test, item.name == SLIPS)):
+                _make(run, item, futures, evidence, stop, say)
+        except _StoppedError:
+            say("interrupted: what is finished stays; the same command with the same --out goes on")
+        except BaseException:
+            stop.set()  # ends the recorder, which the thread waits for
+            raise
+    order = [item.name for item in items]
+    run.sections.sort(key=lambda section: order.index(section.name))
+    return _finish(run, items, interrupted=stop.is_set()), not stop.is_set()
+
+
+def _needs_test(items: Sequence[Item]) -> bool:
+    """Whether an item draws measurements; the slips take a test that is there and do not ask for one."""
+    return any(item.needs_test for item in items)
+
+
+# The test and the models ---------------------------------------------------------------------------
+
+
+def _pool() -> ProcessPoolExecutor:
+    """One process: the recorder has the other core. Spawned, as on every system and beside threads."""
+    return ProcessPoolExecutor(
+        max_workers=1, mp_context=get_context("spawn"), initializer=_leave_signals_alone
+    )
+
+
+def _leave_signals_alone() -> None:
+    """Ctrl-C goes to the whole group; the parent decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, say: Say) -> Evidence:
+    say(f"test on the twin (seed {settings.twin.seed}) in {folder}")
+    if not run_test(settings, folder, stop=stop, progress=_Tenths(say).progress):
+        raise _StoppedError
+    return read_evidence(folder)
+
+
+class _Tenths:
+    """Tells every tenth of the test."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self._told = -1
+
+    def progress(self, done: int, planned: int, due_h: float) -> None:
+        tenth = 10 * done // max(planned, 1)
+        if tenth > self._told:
+            self._told = tenth
+            self._say(f"test: hour {due_h:g}, set {done} of {planned}")
+
+
+def _wait(future: Future[Any], stop: threading.Event) -> Any:
+    while not future.done():
+        if stop.wait(POLL_S):
+            raise _StoppedError
+    return future.result()
+
+
+# One item ------------------------------------------------------------------------------------------
+
+
+def _make(
+    run: _Run,
+    item: Item,
+    futures: Mapping[Job, Future[Any]],
+    evidence: Future[Evidence] | None,
+    stop: threading.Event,
+    say: Say,
+) -> None:
+    """Wait for what an item needs, make it, write its files."""
+    results: dict[str, Any] = {}
+    for name, job in item.jobs.items():
+        try:
+            results[name] = _wait(futures[job], stop)
+        except (SimulatorError, ValueError) as error:
+            results[name] = error
+    wants_test = item.needs_test or item.name == SLIPS
+    test = _wait(evidence, stop) if evidence is not None and wants_test else None
+    if stop.is_set():
+        raise _StoppedError
+    if test is not None:
+        run.facts.update(_test_facts(test))
+    with house_style():
+        try:
+            product = item.make(Material(evidence=test, results=results))
+        except NotAvailableError as error:
+            say(f"{item.name}: not available: {error}")
+            run.sections.append(
+                Section(
+                    name=item.name,
+                    title=item.title,
+                    shows=item.shows,
+                    trouble=str(error),
+                    rows=not_made(item.name, str(error)),
+                )
+            )
+            return
+        pictures = {} if product.drawing is None else rendered(product.drawing)
+    run.sections.append(_written(run, item, product, pictures, origin=_origin(test)))
+    if item.name == SLIPS:
+        columns = product.tables[""].columns
+        run.slips = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    say(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
+
+
+def _written(
+    run: _Run, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
+) -> Section:
+    stem = _stem(item.name)
+    contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
+    for ending, table in product.tables.items():
+        contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
+    for name, content in contents.items():
+        write_whole(run.out / name, content)
+    return Section(
+        name=item.name,
+        title=item.title,
+        shows=item.shows,
+        files=tuple(contents),
+        png=pictures.get("png", b""),
+        table=product.tables.get("") if product.drawing is None else None,
+        rows=compare(item.name, product.found, origin=origin),
+        notes=product.notes,
+    )
+
+
+def _origin(test: Evidence | None) -> str:
+    """Whose measurements these are, for their causes."""
+    if test is not None and not test.from_twin:
+        return "specimen"
+    shipped = test is None or test.configuration_hash == twin_settings(test.seed).configuration_hash()
+    return "shipped" if shipped else "twin"
+
+
+def _stem(name: str) -> str:
+    """File name of an item: figures sort by number."""
+    return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name
+
+
+# The whole -----------------------------------------------------------------------------------------
+
+
+def _versions() -> dict[str, Any]:
+    return {
+        "seed": None,
+        "configuration_hash": None,
+        "test": None,
+        "data_dir": None,
+        "versions": {
+            **{name: version(name) for name in (*PACKAGES, "matplotlib")},
+            "python": platform.python_version(),
+        },
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def _test_facts(test: Evidence) -> dict[str, Any]:
+    return {
+        "seed": test.seed,
+        "configuration_hash": test.configuration_hash,
+        "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
+        f"strikes, {test.counts['pulse_echo_records']} echoes, {test.counts['missed_sets']} sets missed "
+        f"({'twin' if test.from_twin else 'real specimen'}, recorded by solimon {test.solimon_version})",
+        "data_dir": str(test.folder),
+    }
+
+
+def _finish(run: _Run, items: Sequence[Item], *, interrupted: bool) -> dict[str, Any]:
+    """Write report and record, and give the record."""
+    made = {section.name for section in run.sections}
+    missing = [item.name for item in items if item.name not in made]
+    elapsed_s = time.monotonic() - run.started_s
+    result: dict[str, Any] = {
+        **run.facts,
+        "elapsed_s": round(elapsed_s, 3),
+        "interrupted": interrupted,
+        "out": str(run.out),
+        "report": str(run.out / REPORT),
+        "items": {
+            section.name: {"files": list(section.files), "not_available": section.trouble or None}
+            for section in run.sections
+        },
+        "missing": missing,
+        "comparison": [_row_dict(row) for row in run.rows],
+        "slips": run.slips,
+    }
+    seed = "none: no twin behind it" if run.facts["seed"] is None else str(run.facts["seed"])
+    facts = {
+        "seed": seed,
+        "configuration": run.facts["configuration_hash"]
+        or "no test was needed; the models have the paper's parameters",
+        "test": run.facts["test"] or "-",
+        "data": run.facts["data_dir"] or "-",
+        "versions": ", ".join(f"{name} {number}" for name, number in run.facts["versions"].items()),
+        "machine": run.facts["machine"],
+        "made": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}, in {elapsed_s:.0f} s",
+    }
+    remarks = [
+        (
+            "Left the paper, right ours: every value of ours is computed in this run; the paper's are those "
+            "of its text and tables. A cause is our explanation of a deviation, not the paper's."
+        )
+    ]
+    if missing:
+        remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
+    write_whole(
+        run.out / REPORT,
+        report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
+    )
+    write_json(run.out / RECORD, result)
+    return result
+
+
+def _row_dict(row: Row) -> dict[str, Any]:
+    return {**asdict(row), "deviation_shown": row.deviation_shown}
+
+
+def _print_result(result: Mapping[str, Any]) -> None:
+    rows = result["comparison"]
+    if rows:
+        click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")
+    for row in rows:
+        unit = "" if row["unit"] == "1" else row["unit"]
+        # A terminal of any code page shows it.
+        paper = row["paper_shown"].replace("±", "+-")
+        cause = row["cause"] if row["ours"] is not None else row["ours_words"]
+        click.echo(
+            f"{row['item']:<8}{row['text']:<66}{paper:>26}{row['ours_shown']:>15}  {unit:<5}"
+            f"{row['deviation_shown']:>15}  {cause}".rstrip()
+        )
+    for slip in result["slips"]:
+        click.echo(
+            f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
+        )
+    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
+    click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
+    click.echo(f"{versions}; {result['machine']}")
+    if result["missing"]:
+        click.echo(f"not made: {', '.join(result['missing'])}")
+    click.echo(f"{result['report']} in {result['elapsed_s']:.1f} s")
+
+
+def _new_folder() -> Path:
+    """Return a folder that does not exist yet, named by the time."""
+    base = Path.cwd() / f"solimon-reproduction-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    folder, number = base, 1
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder

@@ -1,0 +1,94 @@
+"""One look for every figure: Okabe-Ito colours, print-sized type, the paper's values in black.
+
+Object-oriented API only: no window, no global state of pyplot. PNG and SVG carry no date and a fixed
+salt, so the same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+# Okabe and Ito (2008), Color Universal Design; yellow is left out, it vanishes on paper.
+BLUE, VERMILLION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
+PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#767676"
+COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
+OF_POSITION = {"A": ORANGE, "B": BLUE, "C": VERMILLION, "D": GREEN}
+
+WIDTH_IN = 7.2
+DPI = 150
+
+RULES: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.labelsize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "legend.fontsize": 7.5,
+    "legend.frameon": True,
+    "legend.framealpha": 0.85,
+    "legend.edgecolor": "none",
+    "lines.linewidth": 1.3,
+    "lines.markersize": 3,
+    "svg.hashsalt": "solimon",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+}
+PAPER_LINE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
+PAPER_MARK: dict[str, Any] = {
+    "color": BLACK,
+    "marker": "D",
+    "markersize": 4.5,
+    "linestyle": "none",
+    "zorder": 5,
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Everything drawn inside looks alike; matplotlib's own settings come back afterwards."""
+    with mpl.rc_context(RULES):
+        yield
+
+
+def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
+    """Make a figure and its axes in reading order."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
+    return figure, list(np.ravel(axes))
+
+
+def colour_of(position: str, positions: Sequence[str]) -> str:
+    """Colour of a position: the paper's letters keep theirs whatever else is there."""
+    if position in OF_POSITION:
+        return OF_POSITION[position]
+    return COLOURS[list(positions).index(position) % len(COLOURS)]
+
+
+def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
+    """Give the panels their letters and titles, as the paper does."""
+    for letter, axis, title in zip("abcdefghij", axes, titles, strict=False):
+        axis.set_title(f"({letter}) {title}")
+
+
+def rendered(figure: Figure) -> dict[str, bytes]:
+    """PNG and SVG of a figure, by the ending of the file's name; to be called in `house_style`."""
+    pictures = {}
+    for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": "solimon"})):
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=ending, dpi=DPI, metadata=metadata)
+        pictures[ending] = buffer.getvalue()
+    return pictures
