@@ -104,7 +104,7 @@ def test_shots_balance_their_energy_and_equal_those_on_a_rich_basis(case, reduct
     )
     parts = build_plate(plate, patch)
     for depth in (0.0, 0.8):
-        rich._modal_plate = reduce_plate(parts, depths=(depth,), vectors_per_depth=120)
+        rich._modal_plate = reduce_plate(parts, basis=((depth, 120),))
         found, expected = (model.shot(depth_fraction=depth) for model in (usual, rich))
         assert found.energy_residual <= 2e-5  # a fifth of what is demanded
         difference = np.linalg.norm(found.force_n - expected.force_n)
