@@ -88,11 +88,16 @@ def add_field(
     if chunk is None:
         dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
     else:
-        for first in range(0, array.shape[0], chunk[0]):
-            place = (first, *(0 for _ in chunk[1:]))
-            dataset.write_direct_chunk(place, filtered_chunk(array[first : first + chunk[0]]))
+        write_chunks(dataset, array, chunk)
     set_attributes(dataset, attributes)
     return dataset
+
+
+def write_chunks(dataset: Any, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
+    """Write an array of the stored type as chunks that are filtered already."""
+    for first in range(0, array.shape[0], chunk[0]):
+        place = (first, *(0 for _ in chunk[1:]))
+        dataset.write_direct_chunk(place, filtered_chunk(array[first : first + chunk[0]]))
 
 
 def set_attributes(target: Any, attributes: Mapping[str, Attribute]) -> None:
