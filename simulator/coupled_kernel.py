@@ -10,6 +10,10 @@ continuous right-hand side although its force jumps at every release:
 
     v_i = v_i(0) + (B_(i-1) - B_i) / m_i,    du_i/dt = v_i.
 
+Several shots that differ in speed and dashpots only are integrated side by side, one in each lane
+(`simulator.lanes`). Nothing here depends on how many there are: a shot has the same digits alone as in
+any company, on any machine.
+
 Each step of length h is linear multistep of order four: Adams-Bashforth predicts the displacements,
 Adams-Moulton corrects impulses and displacements. A mode of the plate, ``q'' + omega^2 q = phi F``, is
 in the same way ``z' = -i omega z + omega phi B`` with ``z = omega q + i (q' - phi B)``; it is advanced
@@ -36,15 +40,35 @@ cannot be written, or where NUMBA_CACHE_DIR says; if none of them can be written
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.lanes import (
+    absolute,
+    all_positive,
+    broadcast,
+    fma,
+    lane,
+    load,
+    positive,
+    sqrt,
+    store,
+    unless_within,
+    where_greater,
+)
+
 FloatArray = NDArray[np.float64]
+
+LAWS_OF_DAMPING = (0.0, 0.25, 0.5, 1.5)
+"""Exponents p of the dashpots, the linear one first."""
+
+WIDEST = 8
+"""Shots side by side: eight float64 fill a register of 512 bits, and two of 256."""
 
 ENERGY_INTERVAL_STEPS = 16
 """The energy balance is drawn up every so many steps and at the end."""
@@ -52,12 +76,28 @@ ENERGY_INTERVAL_STEPS = 16
 ACTIVE_PART_LIMIT = 0.5
 """The difference of order three is used up to this value of gamma (C / (12 h) + h / (3 m)); 1 may blow up."""
 
+NEWTON_TOLERANCE = 1e-7
+"""Last relative change of Newton's method; it converges quadratically, so the error is its square."""
+
+CHORD_TOLERANCE = 1e-9
+"""Last relative change with a slope that is off by some 1e-4: the error is that part of the change."""
+
+BLOCK = 8
+"""So many modes, or bodies, of a single shot are treated at a time."""
+
+BANK_ROWS = 16
+"""Numbers of a mode, see `modal_weights`."""
+
 GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+
+# Rows of the state of all bodies but the last, and of the contacts below them.
+U, V0, V1, V2, V3, F0, F1, F2, IMPULSE, TOTAL, GAP, OVERLAP, AHEAD, DISSIPATED = range(14)
+STIFFNESS, DAMPING, STATIC_FORCE, STATIC_OVERLAP, INVERSE_MASS, ROWS = range(14, 20)
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    # Sums may be reordered (vector units); not-a-number and infinity keep their meaning.
-    options: dict[str, Any] = {"nogil": True, "fastmath": {"reassoc", "contract", "nsz", "arcp"}}
+    # No fast mathematics: each lane is rounded as if it were alone.
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:
         compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # no folder for the machine code can be written
@@ -66,319 +106,449 @@ def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @_compiled
-def _raised(overlap: float, exponent: float) -> float:
-    """``overlap^(1 + exponent)`` for the exponents of the laws of damping, by square roots only."""
-    if exponent == 0.0:
+def _raised(overlap: Any, law: int) -> Any:
+    """``overlap^(1 + p)``, by square roots only."""
+    if law == 0:
         return overlap
-    root = math.sqrt(overlap)
-    if exponent == 0.25:
-        return overlap * math.sqrt(root)
-    if exponent == 0.5:
+    root = sqrt(overlap)
+    if law == 1:
+        return overlap * sqrt(root)
+    if law == 2:
         return overlap * root
     return overlap * overlap * root
 
 
 @_compiled
-def _raised_slope(overlap: float, exponent: float) -> float:
+def _raised_slope(overlap: Any, law: int) -> Any:
     """Differentiate `_raised` by the overlap."""
-    if exponent == 0.0:
-        return 1.0
-    root = math.sqrt(overlap)
-    if exponent == 0.25:
-        return 1.25 * math.sqrt(root)
-    if exponent == 0.5:
+    if law == 0:
+        return overlap * 0.0 + 1.0
+    root = sqrt(overlap)
+    if law == 1:
+        return 1.25 * sqrt(root)
+    if law == 2:
         return 1.5 * root
     return 2.5 * overlap * root
 
 
-@_compiled
-def integrate(
-    mass: FloatArray,
-    stiffness: FloatArray,
-    damping: FloatArray,
-    static_force: FloatArray,
-    static_overlap: FloatArray,
-    gravity: float,
-    impact_speed: float,
-    sensor: int,
-    retainer_force: float,
-    step: float,
-    weights: FloatArray,
-    own_weights: FloatArray,
-    residual_compliance: float,
-    mobility: float,
-    exponent: float,
-    precompression: float,
-    sensor_force: FloatArray,
-    contact_force: FloatArray,
-) -> tuple[float, int]:
-    """Integrate a shot; fill `sensor_force`, float64, shape (n_steps,), and `contact_force`.
+@cache
+def kernel(width: int, linear: bool) -> Callable[..., None]:
+    """Compile the time loop for `width` shots side by side, with linear dashpots or with any.
 
-    Parameters
-    ----------
-    mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor, precompression
-        The fields of `granular_chain.Chain`; `damping` is its `dashpot_impulse_n_s_per_m`.
+    The function returned fills its last four arguments::
+
+        integrate(mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor,
+                  retainer_force, precompression, law, step, bank, residual_compliance, mobility, interval,
+                  sensor_force, contact_force, residual_j, reflection_step)
+
+    mass, stiffness, static_force, static_overlap, gravity, sensor, precompression
+        The fields of `granular_chain.Chain`.
+    damping
+        float64, shape (n_bodies * width,): `Chain.dashpot_impulse_n_s_per_m` of every shot, the shots of
+        a contact side by side.
+    impact_speed
+        float64, shape (width,).
     retainer_force
         Constant force that carries the last sphere where there is no specimen; zero elsewhere.
+    law
+        Index of the dashpots' exponent in `LAWS_OF_DAMPING`.
     step
         h in s.
-    weights
-        float64, shape (10, n_modes). With y = phi z / omega, whose real parts add up to the deflection
-        under the chain: cos and sin of omega h, then real and imaginary weights of I one, two and
-        three steps ago and of S one step ago (`modal_weights`).
-    own_weights
-        float64, shape (6, n_modes): omega / phi, phi, real and imaginary weights of this step's own I
-        and S.
+    bank
+        float64, shape (n_blocks * BANK_ROWS * BLOCK,): `modal_weights`.
     residual_compliance
         C of the modes above the cut, m/N.
     mobility
         Speed per force of an infinite thin plate, m/(s N); zero for every other specimen.
-    exponent
-        p of the dashpots: 0, 1/4, 1/2 or 3/2.
+    interval
+        The energy balance is drawn up every so many steps and at the end.
+    sensor_force
+        float64, shape (n_steps * width,).
     contact_force
-        Float64, shape (n_bodies, n_steps) for the force of every contact, (0, 0) where nobody asks.
-
-    Returns
-    -------
+        float64, shape (n_bodies * n_steps * width,) for the force of every contact, (0,) where nobody asks.
     residual_j
-        Largest defect of the energy balance.
+        float64, shape (width,): largest defect of the energy balance.
     reflection_step
-        Step of the largest force between chain and plate: there the incident wave turns round.
+        float64, shape (width,): step of the largest force between chain and plate; there the incident
+        wave turns round.
     """
-    n_bodies = mass.shape[0]
-    last = n_bodies - 1
-    n_modes = weights.shape[1]
-    n_steps = sensor_force.shape[0]
-    h24 = step / 24.0
-    h38 = 9.0 * h24
+    return _compiled(_time_loop(width, linear))
 
-    u = np.zeros(n_bodies)
-    v0 = np.zeros(n_bodies)  # now, then one, two, three steps ago
-    v1 = np.zeros(n_bodies)
-    v2 = np.zeros(n_bodies)
-    v3 = np.zeros(n_bodies)
-    f0 = np.zeros(n_bodies)  # Hertz force less the static one
-    f1 = np.zeros(n_bodies)
-    f2 = np.zeros(n_bodies)
-    gap = static_overlap.copy()  # d, negative where open
-    overlap = static_overlap.copy()  # [d]_+
-    impulse = np.zeros(n_bodies)  # integral of f
-    total = np.zeros(n_bodies)  # B
-    # Before first touch the striker fell freely and all else stood still: an exact history.
-    v0[0] = impact_speed
-    v1[0] = impact_speed - step * gravity
-    v2[0] = impact_speed - 2.0 * step * gravity
-    v3[0] = impact_speed - 3.0 * step * gravity
 
-    cos, sin = weights[0], weights[1]
-    a_re, a_im = weights[2], weights[3]
-    b_re, b_im = weights[4], weights[5]
-    c_re, c_im = weights[6], weights[7]
-    s_re, s_im = weights[8], weights[9]
-    y_re = np.zeros(n_modes)
-    y_im = np.zeros(n_modes)
-    i0 = i1 = i2 = 0.0  # I at the plate's contact
-    s0 = s1 = s2 = 0.0  # S
-    w_per_i = mobility + own_weights[2].sum()  # deflection by this step's own I and S
-    w_per_s = mobility + own_weights[4].sum()
-    a_plate = stiffness[last]
-    g_plate = damping[last]
-    n_plate = static_force[last]
-    s_plate = g_plate * _raised(static_overlap[last], exponent)
-    static_raised = np.empty(n_bodies)
-    for i in range(n_bodies):
-        static_raised[i] = _raised(static_overlap[i], exponent)
-    past0 = past1 = past2 = static_overlap[last]  # d at the plate now, one and two steps ago
-    observed = contact_force.shape[0] > 0
-    # What 1 / gamma must make up for; see the head of this module.
-    active = residual_compliance / (12.0 * step) + step / (3.0 * mass[last])
-    if exponent == 0.0 and g_plate * active <= ACTIVE_PART_LIMIT:
-        rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
-    else:
-        rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
-    rate0 /= step
-    rate1 /= step
-    rate2 /= step
-    rate3 /= step
-    soft = a_plate * (h38 * (h38 / mass[last] + w_per_i) + residual_compliance)
-    yielding = h38 / mass[last] + w_per_s + residual_compliance * rate0
-    drag = 1.0 + g_plate * yielding
+def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
+    def integrate(
+        mass: FloatArray,
+        stiffness: FloatArray,
+        damping: FloatArray,
+        static_force: FloatArray,
+        static_overlap: FloatArray,
+        gravity: float,
+        impact_speed: FloatArray,
+        sensor: int,
+        retainer_force: float,
+        precompression: float,
+        law_of_damping: int,
+        step: float,
+        bank: FloatArray,
+        residual_compliance: float,
+        mobility: float,
+        interval: int,
+        sensor_force: FloatArray,
+        contact_force: FloatArray,
+        residual_j: FloatArray,
+        reflection_step: FloatArray,
+    ) -> None:
+        LAW = 0 if LINEAR else law_of_damping  # known while compiling where it is linear
+        last = mass.shape[0] - 1
+        n_blocks = bank.shape[0] // (BANK_ROWS * BLOCK)
+        n_steps = sensor_force.shape[0] // W
+        observed = contact_force.shape[0] > 0
+        h24 = step / 24.0
+        h38 = 9.0 * h24
+        zero = broadcast(0.0, W)
+        speed = load(impact_speed, 0, W)
 
-    dissipated = 0.0  # times the step
-    worst = 0.0
-    start = 0.5 * mass[0] * impact_speed**2 + 0.5 * residual_compliance * n_plate**2
-    for i in range(n_bodies):
-        start += 0.4 * stiffness[i] * static_overlap[i] ** 2.5
-    # Contact and cut modes in series: together compressed by `stretch`, which has no jumps.
-    rest = static_overlap[last] + residual_compliance * n_plate
-    stretch = rest
-    force = n_plate  # in the cut modes; they hold nothing while the contact is open
-    stored = 0.4 * a_plate * static_overlap[last] ** 2.5 + 0.5 * residual_compliance * force**2
-    largest = 0.0
-    reflection_step = 0
-    sensor_force[0] = 0.5 * (static_force[sensor - 1] + static_force[sensor])
-    if observed:
-        contact_force[:, 0] = static_force
-
-    for n in range(1, n_steps):
-        # The plate's deflection but for this step's own impulse.
-        w_free = 0.0
-        for k in range(n_modes):
-            re = a_re[k] * i0 + b_re[k] * i1 + c_re[k] * i2 + s_re[k] * s0
-            im = a_im[k] * i0 + b_im[k] * i1 + c_im[k] * i2 + s_im[k] * s0
-            re += cos[k] * y_re[k] + sin[k] * y_im[k]
-            im += cos[k] * y_im[k] - sin[k] * y_re[k]
-            y_re[k] = re
-            y_im[k] = im
-            w_free += re
-
-        # Predict the overlaps inside the chain and with them the impulses.
-        below = u[0] + h24 * (55.0 * v0[0] - 59.0 * v1[0] + 37.0 * v2[0] - 9.0 * v3[0])
+        # All bodies but the last, body after body, of each all shots; BLOCK numbers are treated at a time.
+        # What fills the last block up has neither stiffness nor dashpot nor speed.
+        size = -(-last * W // BLOCK) * BLOCK
+        row = size + W + BLOCK
+        x = np.zeros(ROWS * row)
         for i in range(last):
-            above = below
-            j = i + 1
-            below = u[j] + h24 * (55.0 * v0[j] - 59.0 * v1[j] + 37.0 * v2[j] - 9.0 * v3[j])
-            p = max(above - below + static_overlap[i], 0.0)
-            f = stiffness[i] * p * math.sqrt(p) - static_force[i]
-            total[i] = (
-                impulse[i]
-                + h24 * (9.0 * f + 19.0 * f0[i] - 5.0 * f1[i] + f2[i])
-                + damping[i] * (_raised(p, exponent) - static_raised[i])
-            )
+            for k in range(i * W, i * W + W):
+                x[OVERLAP * row + k] = x[GAP * row + k] = x[STATIC_OVERLAP * row + k] = static_overlap[i]
+                x[STATIC_FORCE * row + k] = static_force[i]
+                x[STIFFNESS * row + k] = stiffness[i]
+                x[DAMPING * row + k] = damping[k]
+                x[INVERSE_MASS * row + k] = 1.0 / mass[i]
+        # Before first touch the striker fell freely and all else stood still: an exact history.
+        store(x, V0 * row, speed)
+        store(x, V1 * row, speed - step * gravity)
+        store(x, V2 * row, speed - 2.0 * step * gravity)
+        store(x, V3 * row, speed - 3.0 * step * gravity)
+        # The last body.
+        u = v0 = v1 = v2 = v3 = f0 = f1 = f2 = impulse = total = zero
+        overlap = zero + static_overlap[last]
+        per_mass = 1.0 / mass[last]
 
-        # Solve the plate's contact: p + (..) p + (..) p^(3/2) = overlap without any new force.
-        known = impulse[last] + h24 * (19.0 * f0[last] - 5.0 * f1[last] + f2[last] - 9.0 * n_plate)
-        open_s = -s_plate
-        past_rate = rate1 * s0 + rate2 * s1 + rate3 * s2
-        w_known = w_free + w_per_i * known + w_per_s * open_s
-        w_known += residual_compliance * (past_rate + rate0 * open_s - n_plate)
-        u_known = u[last] + h24 * (
-            9.0 * (total[last - 1] - known - open_s) / mass[last]
-            + 19.0 * v0[last]
-            - 5.0 * v1[last]
-            + v2[last]
-        )
-        d_plate = u_known - w_known + static_overlap[last]
-        p = 0.0
-        if d_plate > 0.0:
-            d_free = d_plate
-            p = d_free / drag if overlap[last] <= 0.0 else overlap[last]
-            for _ in range(60):
-                root = math.sqrt(p)
-                if exponent == 0.0:
-                    change = (d_free - (drag + soft * root) * p) / (drag + 1.5 * soft * root)
-                else:
-                    miss = d_free - (1.0 + soft * root) * p - g_plate * yielding * _raised(p, exponent)
-                    slope = 1.0 + 1.5 * soft * root + g_plate * yielding * _raised_slope(p, exponent)
-                    change = miss / slope
-                p = max(p + change, 0.0)
-                if abs(change) <= 1e-13 * p:
-                    break
-            d_plate = p
-        old_total = total[last]
-        total[last] = known + h38 * a_plate * p * math.sqrt(p) + g_plate * _raised(p, exponent) + open_s
-
-        # Correct velocities and displacements.
-        above = mass[0] * (impact_speed + gravity * (n * step))
-        for i in range(n_bodies):
-            v = (above - total[i]) / mass[i]
-            above = total[i]
-            u[i] += h24 * (9.0 * v + 19.0 * v0[i] - 5.0 * v1[i] + v2[i])
-            v3[i] = v2[i]
-            v2[i] = v1[i]
-            v1[i] = v0[i]
-            v0[i] = v
-
-        # Correct the forces and their impulses.
-        for i in range(n_bodies):
-            d = u[i] - u[i + 1] + static_overlap[i] if i < last else d_plate
-            p = max(d, 0.0)
-            f = stiffness[i] * p * math.sqrt(p) - static_force[i]
-            impulse[i] += h24 * (9.0 * f + 19.0 * f0[i] - 5.0 * f1[i] + f2[i])
-            f2[i] = f1[i]
-            f1[i] = f0[i]
-            f0[i] = f
-            if i < last:
-                given = _raised(p, exponent) - _raised(overlap[i], exponent)
-                dissipated += damping[i] * given * (d - gap[i])
-                gap[i] = d
-                overlap[i] = p
-        old_overlap = overlap[last]
-        overlap[last] = max(d_plate, 0.0)
-        i2 = i1
-        i1 = i0
-        i0 = impulse[last]
-        s2 = s1
-        s1 = s0
-        s0 = g_plate * _raised(overlap[last], exponent) - s_plate
-
-        # What the plate's contact and, at its release, the cut modes lose.
-        old_stretch, old_stored = stretch, stored
-        p = overlap[last]
-        force = f0[last] + n_plate + rate0 * s0 + past_rate
-        stretch = d_plate + residual_compliance * force
-        stored = 0.0
-        if p > 0.0:
-            stored = 0.4 * a_plate * p * p * math.sqrt(p) + 0.5 * residual_compliance * force**2
-        impulse_step = total[last] - old_total
-        if p > 0.0 and old_overlap > 0.0:
-            given = _raised(p, exponent) - _raised(old_overlap, exponent)
-            dissipated += g_plate * given * (p - old_overlap)
-        elif p > 0.0:  # touching for the part of the step in which `stretch` is positive
-            part = stretch / (stretch - old_stretch) if old_stretch < 0.0 < stretch else 1.0
-            dissipated += g_plate * _raised(p, exponent) * p / part
+        y = np.zeros(2 * n_blocks * BLOCK * W)
+        sums = np.zeros(BLOCK * W)
+        i1 = i2 = zero  # I at the plate's contact one and two steps ago; `impulse` is the latest
+        s0 = s1 = s2 = zero  # S
+        w_per_i = w_per_s = mobility  # deflection by this step's own I and S
+        w_per_last_i = w_per_last_s = 0.0  # and by the last step's
+        for b in range(n_blocks):
+            for j in range(BLOCK):
+                k = b * BANK_ROWS * BLOCK + j
+                w_per_i += bank[k + 12 * BLOCK]
+                w_per_s += bank[k + 14 * BLOCK]
+                w_per_last_i += bank[k + 2 * BLOCK]
+                w_per_last_s += bank[k + 8 * BLOCK]
+        a_plate = stiffness[last]
+        g_plate = damping[last * W]  # of all shots
+        n_plate = static_force[last]
+        s_plate = g_plate * lane(_raised(broadcast(static_overlap[last], 1), LAW), 0)
+        # What 1 / gamma must make up for; see the head of this module.
+        active = residual_compliance / (12.0 * step) + step / (3.0 * mass[last])
+        if LINEAR and g_plate * active <= ACTIVE_PART_LIMIT:
+            rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
         else:
-            work = (impulse_step + n_plate * step) * (stretch - old_stretch)
-            dissipated += work - step * (stored - old_stored)
-        dissipated += mobility * impulse_step**2
-        if f0[last] > largest:
-            largest = f0[last]
-            reflection_step = n
+            rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
+        rate0 /= step
+        rate1 /= step
+        rate2 /= step
+        rate3 /= step
+        soft = a_plate * (h38 * (h38 * per_mass + w_per_i) + residual_compliance)
+        drag = g_plate * (h38 * per_mass + w_per_s + residual_compliance * rate0)
 
-        # The plate's speed is not known: its contact closes at the rate of the last four d.
-        closing = (11.0 * d_plate - 18.0 * past0 + 9.0 * past1 - 2.0 * past2) / (6.0 * step)
-        past2 = past1
-        past1 = past0
-        past0 = d_plate
-        mean = 0.0
-        for i in range(sensor - 1, sensor + 1):
-            if overlap[i] > 0.0:
-                rate = v0[i] - v0[i + 1] if i < last else closing
-                mean += f0[i] + static_force[i] + damping[i] * _raised_slope(overlap[i], exponent) * rate
-        sensor_force[n] = 0.5 * mean
+        dissipated = zero  # at the plate, times the step
+        worst = zero
+        start = 0.5 * mass[0] * speed * speed + 0.5 * residual_compliance * n_plate**2
+        for i in range(last + 1):
+            start = start + 0.4 * stiffness[i] * static_overlap[i] ** 2.5
+        # Contact and cut modes in series: together compressed by `stretch`, which has no jumps.
+        rest = static_overlap[last] + residual_compliance * n_plate
+        stretch = zero + rest
+        # In the cut modes; they hold nothing while the contact is open.
+        stored = zero + (0.4 * a_plate * static_overlap[last] ** 2.5 + 0.5 * residual_compliance * n_plate**2)
+        past0 = past1 = past2 = zero + static_overlap[last]  # d at the plate now, one and two steps ago
+        largest = turn = zero
+        store(sensor_force, 0, zero + 0.5 * (static_force[sensor - 1] + static_force[sensor]))
         if observed:
-            for i in range(n_bodies):
-                contact_force[i, n] = 0.0
-                if overlap[i] > 0.0:
-                    rate = v0[i] - v0[i + 1] if i < last else closing
-                    slope = _raised_slope(overlap[i], exponent)
-                    contact_force[i, n] = f0[i] + static_force[i] + damping[i] * slope * rate
+            for i in range(last + 1):
+                store(contact_force, i * n_steps * W, zero + static_force[i])
 
-        if n % ENERGY_INTERVAL_STEPS == 0 or n == n_steps - 1:
-            energy = dissipated / step + retainer_force * u[last]
-            energy += n_plate * (u[last] - stretch + rest) + stored - precompression * u[1]
-            for i in range(n_bodies):
-                p = overlap[i]
-                energy += 0.5 * mass[i] * v0[i] ** 2 - mass[i] * gravity * u[i]
-                if i < last:
-                    energy += 0.4 * stiffness[i] * p * p * math.sqrt(p)
-            for k in range(n_modes):
-                bent = y_re[k] + own_weights[2, k] * i0 + own_weights[4, k] * s0
-                speed = y_im[k] + own_weights[3, k] * i0 + own_weights[5, k] * s0
-                bent *= own_weights[0, k]
-                speed = speed * own_weights[0, k] + own_weights[1, k] * (i0 + s0)
-                energy += 0.5 * (speed * speed + bent * bent)
-            # Written so that a value that is not a number ends up in `worst` as well.
-            defect = abs(energy - start)
-            if not defect <= worst:
-                worst = defect
-    return worst, reflection_step
+        def sum_of_eight() -> Any:
+            front = (load(sums, 0, W) + load(sums, W, W)) + (load(sums, 2 * W, W) + load(sums, 3 * W, W))
+            back = load(sums, 4 * W, W) + load(sums, 5 * W, W)
+            return front + (back + (load(sums, 6 * W, W) + load(sums, 7 * W, W)))
+
+        def force_at(i: int, at_plate: Any) -> Any:
+            if i < last:
+                p = load(x, OVERLAP * row + i * W, W)
+                rate = load(x, V0 * row + i * W, W) - load(x, V0 * row + (i + 1) * W, W)
+                hertz = load(x, F0 * row + i * W, W) + static_force[i]
+            else:
+                p = overlap
+                rate = at_plate
+                hertz = f0 + n_plate
+            dashpot = load(damping, i * W, W) * _raised_slope(p, LAW) * rate
+            return where_greater(p, zero, hertz + dashpot, zero)
+
+        for n in range(1, n_steps):
+            # The plate's deflection but for this step's own impulse, in sums of every eighth mode. What the
+            # last step gave is added at the end: nothing else needs to wait for its contact.
+            if W == 1:
+                sum_of_blocks = broadcast(0.0, BLOCK)
+                i0_, i1_, i2_, s0_ = lane(impulse, 0), lane(i1, 0), lane(i2, 0), lane(s0, 0)
+                for b in range(n_blocks):
+                    k = b * BANK_ROWS * BLOCK
+                    m = 2 * b * BLOCK
+                    y_re, y_im = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
+                    cos, sin = load(bank, k, BLOCK), load(bank, k + BLOCK, BLOCK)
+                    re = fma(load(bank, k + 4 * BLOCK, BLOCK), i1_, cos * y_re)
+                    im = fma(load(bank, k + 5 * BLOCK, BLOCK), i1_, cos * y_im)
+                    re = fma(load(bank, k + 6 * BLOCK, BLOCK), i2_, re)
+                    im = fma(load(bank, k + 7 * BLOCK, BLOCK), i2_, im)
+                    re = fma(sin, y_im, re)
+                    im = fma(sin, 0.0 - y_re, im)
+                    sum_of_blocks = sum_of_blocks + re
+                    re = fma(load(bank, k + 8 * BLOCK, BLOCK), s0_, re)
+                    im = fma(load(bank, k + 9 * BLOCK, BLOCK), s0_, im)
+                    store(y, m, fma(load(bank, k + 2 * BLOCK, BLOCK), i0_, re))
+                    store(y, m + BLOCK, fma(load(bank, k + 3 * BLOCK, BLOCK), i0_, im))
+                store(sums, 0, sum_of_blocks)
+            else:
+                for j in range(BLOCK):
+                    store(sums, j * W, zero)
+                for b in range(n_blocks):
+                    for j in range(BLOCK):
+                        k = b * BANK_ROWS * BLOCK + j
+                        m = 2 * (b * BLOCK + j) * W
+                        y_re, y_im = load(y, m, W), load(y, m + W, W)
+                        cos, sin = bank[k], bank[k + BLOCK]
+                        re = fma(bank[k + 4 * BLOCK], i1, cos * y_re)
+                        im = fma(bank[k + 5 * BLOCK], i1, cos * y_im)
+                        re = fma(bank[k + 6 * BLOCK], i2, re)
+                        im = fma(bank[k + 7 * BLOCK], i2, im)
+                        re = fma(sin, y_im, re)
+                        im = fma(-sin, y_re, im)
+                        store(sums, j * W, load(sums, j * W, W) + re)
+                        re = fma(bank[k + 8 * BLOCK], s0, re)
+                        im = fma(bank[k + 9 * BLOCK], s0, im)
+                        store(y, m, fma(bank[k + 2 * BLOCK], impulse, re))
+                        store(y, m + W, fma(bank[k + 3 * BLOCK], impulse, im))
+            w_free = fma(impulse, w_per_last_i, fma(s0, w_per_last_s, sum_of_eight()))
+
+            # Predict the overlaps inside the chain and with them the impulses.
+            for k in range(0, size, BLOCK):
+                past = fma(load(x, V2 * row + k, BLOCK), 37.0, -9.0 * load(x, V3 * row + k, BLOCK))
+                past = fma(load(x, V1 * row + k, BLOCK), -59.0, past)
+                past = fma(load(x, V0 * row + k, BLOCK), 55.0, past)
+                store(x, AHEAD * row + k, fma(past, h24, load(x, U * row + k, BLOCK)))
+            past = fma(v0, 55.0, fma(v1, -59.0, fma(v2, 37.0, -9.0 * v3)))
+            store(x, AHEAD * row + last * W, fma(past, h24, u))
+            store(x, TOTAL * row, mass[0] * (speed + gravity * (n * step)))  # what moves the striker
+            for k in range(0, size, BLOCK):
+                q = load(x, STATIC_OVERLAP * row + k, BLOCK)
+                p_ = load(x, AHEAD * row + k, BLOCK) - load(x, AHEAD * row + k + W, BLOCK) + q
+                p_ = positive(p_)
+                f = load(x, STIFFNESS * row + k, BLOCK) * p_ * sqrt(p_) - load(
+                    x, STATIC_FORCE * row + k, BLOCK
+                )
+                past = fma(load(x, F1 * row + k, BLOCK), -5.0, load(x, F2 * row + k, BLOCK))
+                past = fma(load(x, F0 * row + k, BLOCK), 19.0, past)
+                given = fma(fma(f, 9.0, past), h24, load(x, IMPULSE * row + k, BLOCK))
+                given = fma(load(x, DAMPING * row + k, BLOCK), _raised(p_, LAW) - _raised(q, LAW), given)
+                store(x, TOTAL * row + k + W, given)
+            above = load(x, TOTAL * row + last * W, W)
+
+            # Correct velocities and displacements of all bodies but the last.
+            for k in range(0, size, BLOCK):
+                v = load(x, TOTAL * row + k, BLOCK) - load(x, TOTAL * row + k + W, BLOCK)
+                v = v * load(x, INVERSE_MASS * row + k, BLOCK)
+                v0_, v1_, v2_ = (
+                    load(x, V0 * row + k, BLOCK),
+                    load(x, V1 * row + k, BLOCK),
+                    load(x, V2 * row + k, BLOCK),
+                )
+                past = fma(v0_, 19.0, fma(v1_, -5.0, v2_))
+                store(x, U * row + k, fma(fma(v, 9.0, past), h24, load(x, U * row + k, BLOCK)))
+                store(x, V3 * row + k, v2_)
+                store(x, V2 * row + k, v1_)
+                store(x, V1 * row + k, v0_)
+                store(x, V0 * row + k, v)
+
+            # Solve the plate's contact: p + (..) p^q + (..) p^(3/2) = overlap without any new force, for
+            # the square root of p.
+            past_f = fma(f0, 19.0, fma(f1, -5.0, f2))
+            past_v = fma(v0, 19.0, fma(v1, -5.0, v2))
+            known = fma(past_f - 9.0 * n_plate, h24, impulse)
+            past_rate = rate1 * s0 + rate2 * s1 + rate3 * s2
+            w_known = w_free + w_per_i * known - w_per_s * s_plate
+            w_known = w_known + residual_compliance * (past_rate - (rate0 * s_plate + n_plate))
+            u_known = fma(fma((above - known + s_plate) * per_mass, 9.0, past_v), h24, u)
+            d_free = u_known - w_known + static_overlap[last]
+            # Two steps with the slope where the last three overlaps point; that slope waits for nothing.
+            root = sqrt(positive(3.0 * (past0 - past1) + past2))
+            p = root * root
+            if LINEAR:
+                slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
+            else:
+                slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, LAW)) * root
+            per_slope = 1.0 / slope
+            change = zero
+            for _ in range(2):
+                p = root * root
+                if LINEAR:
+                    change = (d_free - fma(root, soft, zero + (1.0 + drag)) * p) * per_slope
+                else:
+                    miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, LAW)
+                    change = miss * per_slope
+                root = root + change
+            # Newton's method where that has not converged or, after a touch, had no start: from the overlap
+            # that there would be without the spring.
+            going = unless_within(absolute(change), CHORD_TOLERANCE * root, zero + 1.0, zero)
+            root = where_greater(going, zero, sqrt(positive(d_free * (1.0 / (1.0 + drag)))), root)
+            going = where_greater(d_free, zero, going, zero)
+            for _ in range(60):
+                if all_positive(0.5 - going):
+                    break
+                p = root * root
+                if LINEAR:
+                    miss = d_free - fma(root, soft, zero + (1.0 + drag)) * p
+                    slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
+                else:
+                    miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, LAW)
+                    slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, LAW)) * root
+                change = miss / slope
+                root = where_greater(going, zero, root + change, root)
+                going = where_greater(absolute(change), NEWTON_TOLERANCE * root, going, zero)
+            root = where_greater(d_free, zero, root, zero)
+            p = root * root
+            hertz = a_plate * p * root
+            d_plate = where_greater(d_free, zero, p, d_free)
+            old_total = total
+            s = g_plate * _raised(p, LAW) - s_plate
+            total = known + h38 * hertz + s
+
+            # Correct the last body, too.
+            v = (above - total) * per_mass
+            u = fma(fma(v, 9.0, past_v), h24, u)
+            v3 = v2
+            v2 = v1
+            v1 = v0
+            v0 = v
+            store(x, U * row + last * W, u)
+            store(x, V0 * row + last * W, v)
+
+            # What the plate's contact and, at its release, the cut modes lose.
+            old_overlap, old_stretch, old_stored = overlap, stretch, stored
+            overlap = p
+            f = hertz - n_plate
+            i2 = i1
+            i1 = impulse
+            impulse = fma(fma(f, 9.0, past_f), h24, impulse)
+            f2 = f1
+            f1 = f0
+            f0 = f
+            force = hertz + rate0 * s + past_rate
+            stretch = d_plate + residual_compliance * force
+            stored = 0.4 * hertz * p + 0.5 * residual_compliance * force * force
+            stored = where_greater(p, zero, stored, zero)
+            impulse_step = total - old_total
+            # Touching for the part of the step in which `stretch` is positive.
+            part = where_greater(stretch, zero, stretch / (stretch - old_stretch), zero + 1.0)
+            part = where_greater(zero, old_stretch, part, zero + 1.0)
+            touching = (s + s_plate) * p / part
+            work = (impulse_step + n_plate * step) * (stretch - old_stretch)
+            opening = work - step * (stored - old_stored)
+            lost = where_greater(old_overlap, zero, (s - s0) * (p - old_overlap), touching)
+            lost = where_greater(p, zero, lost, opening)
+            dissipated = dissipated + lost + mobility * impulse_step * impulse_step
+            s2 = s1
+            s1 = s0
+            s0 = s
+            turn = where_greater(f, largest, zero + float(n), turn)
+            largest = where_greater(f, largest, f, largest)
+
+            # Correct the forces and their impulses.
+            for k in range(0, size, BLOCK):
+                d = load(x, U * row + k, BLOCK) - load(x, U * row + k + W, BLOCK)
+                d = d + load(x, STATIC_OVERLAP * row + k, BLOCK)
+                p_ = positive(d)
+                f_ = load(x, STIFFNESS * row + k, BLOCK) * p_ * sqrt(p_)
+                f_ = f_ - load(x, STATIC_FORCE * row + k, BLOCK)
+                f0_, f1_ = load(x, F0 * row + k, BLOCK), load(x, F1 * row + k, BLOCK)
+                past = fma(f0_, 19.0, fma(f1_, -5.0, load(x, F2 * row + k, BLOCK)))
+                store(x, IMPULSE * row + k, fma(fma(f_, 9.0, past), h24, load(x, IMPULSE * row + k, BLOCK)))
+                store(x, F2 * row + k, f1_)
+                store(x, F1 * row + k, f0_)
+                store(x, F0 * row + k, f_)
+                given = _raised(p_, LAW) - _raised(load(x, OVERLAP * row + k, BLOCK), LAW)
+                given = given * load(x, DAMPING * row + k, BLOCK)
+                given = fma(given, d - load(x, GAP * row + k, BLOCK), load(x, DISSIPATED * row + k, BLOCK))
+                store(x, DISSIPATED * row + k, given)
+                store(x, GAP * row + k, d)
+                store(x, OVERLAP * row + k, p_)
+
+            # The plate's speed is not known: its contact closes at the rate of the last four d.
+            closing = (11.0 * d_plate - 18.0 * past0 + 9.0 * past1 - 2.0 * past2) * (1.0 / (6.0 * step))
+            past2 = past1
+            past1 = past0
+            past0 = d_plate
+            mean = force_at(sensor - 1, closing) + force_at(sensor, closing)
+            store(sensor_force, n * W, 0.5 * mean)
+            if observed:
+                for i in range(last + 1):
+                    store(contact_force, (i * n_steps + n) * W, force_at(i, closing))
+
+            if n % interval == 0 or n == n_steps - 1:
+                spent = dissipated
+                for i in range(last):
+                    spent = spent + load(x, DISSIPATED * row + i * W, W)
+                energy = spent * (1.0 / step) + retainer_force * u
+                energy = energy + n_plate * (u - stretch + rest) + stored
+                energy = energy - precompression * load(x, U * row + W, W)
+                for i in range(last + 1):
+                    v = load(x, V0 * row + i * W, W)
+                    fallen = load(x, U * row + i * W, W)
+                    energy = energy + 0.5 * mass[i] * v * v - mass[i] * gravity * fallen
+                    if i < last:
+                        q = load(x, OVERLAP * row + i * W, W)
+                        energy = energy + 0.4 * stiffness[i] * q * q * sqrt(q)
+                for j in range(BLOCK):
+                    store(sums, j * W, zero)
+                for b in range(n_blocks):
+                    for j in range(BLOCK):
+                        k = b * BANK_ROWS * BLOCK + j
+                        if W == 1:
+                            m = 2 * b * BLOCK + j
+                            re, im = load(y, m, W), load(y, m + BLOCK, W)
+                        else:
+                            m = 2 * (b * BLOCK + j) * W
+                            re, im = load(y, m, W), load(y, m + W, W)
+                        bent = re + bank[k + 12 * BLOCK] * impulse + bank[k + 14 * BLOCK] * s0
+                        moving = im + bank[k + 13 * BLOCK] * impulse + bank[k + 15 * BLOCK] * s0
+                        bent = bent * bank[k + 10 * BLOCK]
+                        moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (impulse + s0)
+                        bent = load(sums, j * W, W) + 0.5 * (moving * moving + bent * bent)
+                        store(sums, j * W, bent)
+                defect = absolute(energy + sum_of_eight() - start)
+                # So that what is not a number ends up in `worst` as well.
+                worst = unless_within(defect, worst, defect, worst)
+        store(residual_j, 0, worst)
+        store(reflection_step, 0, turn)
+
+    return integrate
 
 
-def modal_weights(
-    omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float
-) -> tuple[FloatArray, FloatArray]:
-    """Weights and own weights of `integrate` for the modes of a plate.
+def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
+    """Bank of weights for the modes of a plate, float64, shape (n_blocks * BANK_ROWS * BLOCK,).
+
+    With y = phi z / omega, whose real parts add up to the deflection under the chain, the rows of a block
+    are: cos and sin of omega h; real and imaginary weights of I one, two and three steps ago and of S one
+    step ago; omega / phi, phi, real and imaginary weights of this step's own I and S. The last block is
+    filled up with zeros, modes that never move.
 
     Parameters
     ----------
@@ -407,7 +577,10 @@ def modal_weights(
     rows = [turn.real, -turn.imag]
     for column in (turn * own[:, 0] + own[:, 1], own[:, 2], own[:, 3], turn * own[:, 4] + own[:, 5]):
         rows += [column.real, column.imag]
-    own_rows = [omega_rad_per_s / participation, participation]
+    rows += [omega_rad_per_s / participation, participation]
     for column in (own[:, 0], own[:, 4]):
-        own_rows += [column.real, column.imag]
-    return np.ascontiguousarray(rows), np.ascontiguousarray(own_rows)
+        rows += [column.real, column.imag]
+    n_blocks = -(-len(omega_rad_per_s) // BLOCK)
+    bank = np.zeros((BANK_ROWS, n_blocks * BLOCK))
+    bank[:, : len(omega_rad_per_s)] = rows
+    return np.ascontiguousarray(bank.reshape(BANK_ROWS, n_blocks, BLOCK).swapaxes(0, 1)).ravel()

@@ -1,7 +1,8 @@
 """A shot: chain and plate integrated together from the striker's first touch.
 
 `ShotModel` is prepared once for a transducer, a plate and an outline of the patch; each shot may then
-have its own depth, drop height and tilt. Shots of one model can be computed in several threads.
+have its own depth, drop height and tilt. Shots of one model can be computed in several threads, and many
+at once side by side (`ShotModel.shots`), with the same digits.
 
 Specimens other than the finite plate: `rigid_wall` does not move; `infinite_kirchhoff` moves with
 ``(F - F_static) / (8 sqrt(D rho h))``, the static load being carried where it is. Neither has a patch.
@@ -14,7 +15,8 @@ from __future__ import annotations
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -22,9 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_kernel import integrate, modal_weights
+from simulator.coupled_kernel import (
+    ENERGY_INTERVAL_STEPS,
+    LAWS_OF_DAMPING,
+    WIDEST,
+    kernel,
+    modal_weights,
+)
 from simulator.errors import IntegrationError, SpecimenError
-from simulator.granular_chain import Chain, build_chain
+from simulator.granular_chain import Chain, build_chain, struck_again
 from simulator.hertz_contact import indentation_m
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.one_thread import one_blas_thread
@@ -65,6 +73,27 @@ EXTENSIONS = 3
 DEPTHS_KEPT = 64
 """Prepared depths a model remembers, the latest ones."""
 
+WORTH_A_WIDE_PASS = 4
+"""Shots from which on a pass of `coupled_kernel.WIDEST` lanes costs less than one after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Impact:
+    """One strike; what is None is that of the model's parameters.
+
+    Attributes
+    ----------
+    depth_fraction, drop_height_m, tilt_rad
+        Depth of the patch, height the striker falls from, tilt of the sensor disk.
+    through_hole
+        Nothing stands under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+    """
+
+    depth_fraction: float | None = None
+    drop_height_m: float | None = None
+    tilt_rad: float | None = None
+    through_hole: bool = False
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShotForce:
@@ -102,10 +131,9 @@ class ShotForce:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Propagator:
-    """What `coupled_kernel.integrate` needs to know about the specimen, for one depth and step."""
+    """What the kernel needs to know about the specimen, for one depth and step."""
 
-    weights: FloatArray
-    own_weights: FloatArray
+    bank: FloatArray
     residual_compliance_m_per_n: float = 0.0
     mobility_m_per_n_s: float = 0.0
 
@@ -150,7 +178,8 @@ class ShotModel:
         self._chain = chain
         self._plate = plate
         self._corrosion = corrosion
-        nominal = build_chain(chain, plate)
+        self._nominal = nominal = build_chain(chain, plate)
+        self._chosen_step = step_s is not None
         for name, value in (("duration_s", duration_s), ("step_s", step_s)):
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
@@ -163,6 +192,28 @@ class ShotModel:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool], _Propagator] = OrderedDict()
         self._lock = threading.Lock()
+
+    def with_chain(self, chain: ChainParameters) -> ShotModel:
+        """Another chain on the same plate; a plate's reduction takes seconds, so it is shared.
+
+        A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
+        set. It has a step of its own where that must be less than 0.4 of this model's.
+        """
+        nominal = build_chain(chain, self._plate)
+        if resolving_step_s(nominal) < 0.4 * self._step_s and not self._chosen_step:
+            return ShotModel(
+                chain,
+                self._plate,
+                self._corrosion,
+                duration_s=self._chosen_duration_s,
+                prepared_plate=self._modal_plate,
+            )
+        other = copy(self)
+        other._chain = chain
+        other._nominal = nominal
+        if self._chosen_duration_s is None:
+            other._shortest_record_s = record_duration_s(nominal)
+        return other
 
     def shot(
         self,
@@ -188,24 +239,8 @@ class ShotModel:
         IntegrationError
             The energy balance fails even with the finest step.
         """
-        depth = self._corrosion.depth_fraction if depth_fraction is None else float(depth_fraction)
-        if depth != self._corrosion.depth_fraction:
-            replace(self._corrosion, depth_fraction=depth)  # checks the bounds
-        if self._modal_plate is None and depth > 0.0:
-            raise SpecimenError(_no_patch(self._plate.model, depth))
-        chain = self._struck(drop_height_m, tilt_rad)
-
-        def specimen(step: float, wide: bool) -> _Propagator:
-            return self._propagator(depth, step, wide)
-
-        force = self._converged(chain, specimen, self._shortest_record_s, contact_forces=contact_forces)
-        if self._chosen_duration_s is None:
-            for _ in range(EXTENSIONS):
-                needed = TURN_TO_END * (force.reflection_time_s or 0.0)
-                if force.time_s[-1] >= needed:
-                    break
-                force = self._converged(chain, specimen, needed, contact_forces=contact_forces)
-        return force
+        impact = Impact(depth_fraction=depth_fraction, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
+        return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shot_at_hole(
         self,
@@ -215,66 +250,130 @@ class ShotModel:
         contact_forces: bool = False,
     ) -> ShotForce:
         """Force at the sensor above a through hole: an incident wave and no reflected one."""
-        chain = self._struck(drop_height_m, tilt_rad)
-        weight = float(chain.static_force_n[-1])
-        free_end = replace(
-            chain,
-            stiffness_n_per_m15=_without_last(chain.stiffness_n_per_m15),
-            damping_n_s_per_m=_without_last(chain.damping_n_s_per_m),
-            static_force_n=_without_last(chain.static_force_n),
-            static_overlap_m=_without_last(chain.static_overlap_m),
-        )
-        force = self._converged(
-            free_end,
+        impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
+        return self.shots([impact], contact_forces=contact_forces)[0]
+
+    def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
+        """Force at the sensor for many strikes, in their order; errors as for `shot`.
+
+        Strikes at the same depth are computed side by side. Each has the digits that it has alone.
+        """
+        by_wall: dict[tuple[float, bool], list[tuple[int, Chain]]] = {}
+        count = 0
+        for count, impact in enumerate(impacts, start=1):
+            wall = 0.0 if impact.through_hole else self._depth(impact), impact.through_hole
+            by_wall.setdefault(wall, []).append((count - 1, self._struck(impact)))
+        forces: dict[int, ShotForce] = {}
+        for (depth, is_hole), struck in by_wall.items():
+            chains = [chain for _, chain in struck]
+            found = (
+                self._over_hole(chains, contact_forces)
+                if is_hole
+                else self._over_wall(chains, depth, contact_forces)
+            )
+            forces.update(zip((order for order, _ in struck), found, strict=True))
+        return [forces[order] for order in range(count)]
+
+    def _depth(self, impact: Impact) -> float:
+        if impact.depth_fraction is None:
+            return self._corrosion.depth_fraction
+        depth = float(impact.depth_fraction)
+        if depth != self._corrosion.depth_fraction:
+            replace(self._corrosion, depth_fraction=depth)  # checks the bounds
+        if self._modal_plate is None and depth > 0.0:
+            raise SpecimenError(_no_patch(self._plate.model, depth))
+        return depth
+
+    def _struck(self, impact: Impact) -> Chain:
+        chain = self._chain
+        if impact.drop_height_m is not None:
+            chain = replace(chain, drop_height_m=float(impact.drop_height_m))
+        if impact.tilt_rad is not None:
+            chain = replace(chain, tilt_rad=float(impact.tilt_rad))
+        return self._nominal if chain is self._chain else struck_again(self._nominal, chain)
+
+    def _over_wall(self, chains: list[Chain], depth: float, contact_forces: bool) -> list[ShotForce]:
+        def specimen(step: float, wide: bool) -> _Propagator:
+            return self._propagator(depth, step, wide)
+
+        forces = self._converged(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
+        if self._chosen_duration_s is None:
+            for k, chain in enumerate(chains):
+                for _ in range(EXTENSIONS):
+                    needed = TURN_TO_END * (forces[k].reflection_time_s or 0.0)
+                    if forces[k].time_s[-1] >= needed:
+                        break
+                    forces[k] = self._converged([chain], specimen, needed, contact_forces=contact_forces)[0]
+        return forces
+
+    def _over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
+        free_ends = [
+            replace(
+                chain,
+                stiffness_n_per_m15=_without_last(chain.stiffness_n_per_m15),
+                damping_n_s_per_m=_without_last(chain.damping_n_s_per_m),
+                static_force_n=_without_last(chain.static_force_n),
+                static_overlap_m=_without_last(chain.static_overlap_m),
+            )
+            for chain in chains
+        ]
+        forces = self._converged(
+            free_ends,
             lambda step, wide: _UNMOVED,
             self._shortest_record_s,
-            retainer_force_n=weight,
+            retainer_force_n=float(self._nominal.static_force_n[-1]),
             contact_forces=contact_forces,
         )
-        return replace(force, reflection_time_s=None)
-
-    def _struck(self, drop_height_m: float | None, tilt_rad: float | None) -> Chain:
-        chain = self._chain
-        if drop_height_m is not None:
-            chain = replace(chain, drop_height_m=float(drop_height_m))
-        if tilt_rad is not None:
-            chain = replace(chain, tilt_rad=float(tilt_rad))
-        return build_chain(chain, self._plate)
+        return [replace(force, reflection_time_s=None) for force in forces]
 
     def _converged(
         self,
-        chain: Chain,
+        chains: list[Chain],
         specimen: Callable[[float, bool], _Propagator],
         duration_s: float,
         *,
         retainer_force_n: float = 0.0,
         contact_forces: bool = False,
-    ) -> ShotForce:
-        """Integrate with ever smaller steps, then also more modes, until the energy balance closes."""
+    ) -> list[ShotForce]:
+        """Integrate with ever smaller steps, then also more modes, until the energy balances close."""
         samples = round(duration_s / self._step_s) + 1
-        defect = math.inf
+        time_s = self._step_s * np.arange(samples, dtype=np.float64)
+        forces: dict[int, ShotForce] = {}
+        pending = list(range(len(chains)))
         for halving, wide in self._attempts():
             every = 2**halving
             step = self._step_s / every
-            force = np.empty((samples - 1) * every + 1)
-            contacts = np.empty((len(chain.mass_kg), force.size) if contact_forces else (0, 0))
-            defect_j, reflection = _integrate(
-                chain, specimen(step, wide), step, retainer_force_n, force, contacts
+            records = integrate(
+                [chains[k] for k in pending],
+                specimen(step, wide),
+                step,
+                (samples - 1) * every + 1,
+                retainer_force_n=retainer_force_n,
+                contact_forces=contact_forces,
             )
-            defect = defect_j / chain.impact_energy_j
-            if defect <= ENERGY_TOLERANCE:
-                return ShotForce(
-                    time_s=self._step_s * np.arange(samples, dtype=np.float64),
-                    force_n=np.ascontiguousarray(force[::every]),
-                    preload_n=chain.preload_n,
+            open_balances = {}
+            for k, record in zip(pending, records, strict=True):
+                defect = record.defect_j / chains[k].impact_energy_j
+                if not defect <= ENERGY_TOLERANCE:
+                    open_balances[k] = defect
+                    continue
+                observed = record.contact_force_n
+                forces[k] = ShotForce(
+                    time_s=time_s,
+                    force_n=np.ascontiguousarray(record.force_n[::every]),
+                    preload_n=chains[k].preload_n,
                     energy_residual=defect,
                     step_s=step,
-                    reflection_time_s=reflection * step,
-                    contact_force_n=np.ascontiguousarray(contacts[:, ::every]) if contact_forces else None,
+                    reflection_time_s=record.reflection_step * step,
+                    contact_force_n=None if observed is None else np.ascontiguousarray(observed[:, ::every]),
                 )
+            pending = list(open_balances)
+            if not pending:
+                return [forces[k] for k in range(len(chains))]
         raise IntegrationError(
-            f"the energy balance is off by {defect:.3g} of the impact energy with a step of {step:.3g} s; "
-            f"at most {ENERGY_TOLERANCE} is allowed; look for an extreme mass, stiffness or damping"
+            f"the energy balance is off by {open_balances[pending[0]]:.3g} of the impact energy with a step "
+            f"of {step:.3g} s; at most {ENERGY_TOLERANCE} is allowed; look for an extreme mass, stiffness or "
+            f"damping"
         )
 
     def _attempts(self) -> Iterator[tuple[int, bool]]:
@@ -298,10 +397,8 @@ class ShotModel:
         with one_blas_thread():
             every_mode = self._modal_plate.modes(depth)
         modes = every_mode.cut_above(phase / step, yielding)
-        weights, own_weights = modal_weights(modes.omega_rad_per_s, modes.participation, step)
         made = _Propagator(
-            weights=weights,
-            own_weights=own_weights,
+            bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
         with self._lock:
@@ -311,7 +408,7 @@ class ShotModel:
         return made
 
 
-_UNMOVED = _Propagator(weights=np.empty((10, 0)), own_weights=np.empty((6, 0)))
+_UNMOVED = _Propagator(bank=np.empty(0))
 
 
 def _specimen_without_modes(plate: PlateParameters) -> _Propagator:
@@ -323,35 +420,83 @@ def _specimen_without_modes(plate: PlateParameters) -> _Propagator:
     return replace(_UNMOVED, mobility_m_per_n_s=1.0 / impedance)
 
 
-def _integrate(
-    chain: Chain,
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Record:
+    """One shot as integrated: every step, energy not judged yet."""
+
+    force_n: FloatArray
+    contact_force_n: FloatArray | None
+    defect_j: float
+    reflection_step: int
+
+
+def integrate(
+    chains: list[Chain],
     specimen: _Propagator,
     step: float,
+    steps: int,
+    *,
     retainer_force_n: float,
-    force: FloatArray,
-    contacts: FloatArray,
-) -> tuple[float, int]:
-    defect_j, reflection = integrate(
+    contact_forces: bool,
+) -> list[_Record]:
+    """Integrate chains that differ in impact speed and sensor dashpots only, as many as fit side by side."""
+    records: list[_Record] = []
+    while len(records) < len(chains):
+        rest = len(chains) - len(records)
+        width = WIDEST if rest >= WORTH_A_WIDE_PASS else 1
+        together = chains[len(records) : len(records) + width]
+        found = _side_by_side(together, width, specimen, step, steps, retainer_force_n, contact_forces)
+        records += found
+    return records
+
+
+def _side_by_side(
+    chains: list[Chain],
+    width: int,
+    specimen: _Propagator,
+    step: float,
+    steps: int,
+    retainer_force_n: float,
+    contact_forces: bool,
+) -> list[_Record]:
+    """One pass of the kernel; lanes without a shot of their own repeat the last one."""
+    lanes = chains + [chains[-1]] * (width - len(chains))
+    chain = lanes[0]
+    bodies = len(chain.mass_kg)
+    force = np.empty((steps, width))
+    contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
+    defect_j, reflection_step = np.empty(width), np.empty(width)
+    kernel(width, chain.damping_exponent == 0.0)(
         chain.mass_kg,
         chain.stiffness_n_per_m15,
-        chain.dashpot_impulse_n_s_per_m,
+        np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
         chain.static_force_n,
         chain.static_overlap_m,
         chain.gravity_m_per_s2,
-        chain.impact_speed_m_per_s,
+        np.array([lane.impact_speed_m_per_s for lane in lanes]),
         chain.sensor,
         retainer_force_n,
+        chain.precompression_n,
+        LAWS_OF_DAMPING.index(chain.damping_exponent),
         step,
-        specimen.weights,
-        specimen.own_weights,
+        specimen.bank,
         specimen.residual_compliance_m_per_n,
         specimen.mobility_m_per_n_s,
-        chain.damping_exponent,
-        chain.precompression_n,
-        force,
-        contacts,
+        ENERGY_INTERVAL_STEPS,
+        force.ravel(),
+        contacts.ravel(),
+        defect_j,
+        reflection_step,
     )
-    return float(defect_j), int(reflection)
+    return [
+        _Record(
+            force_n=force[:, k],
+            contact_force_n=contacts[:, :, k] if contact_forces else None,
+            defect_j=float(defect_j[k]),
+            reflection_step=int(reflection_step[k]),
+        )
+        for k in range(len(chains))
+    ]
 
 
 def _without_last(values: FloatArray) -> FloatArray:

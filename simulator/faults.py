@@ -15,7 +15,6 @@ import numpy as np
 
 from hardware_drivers.measurement import ShotKey
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.fault_parameters import FaultParameters, MainsHumFault, SpikesFault
 from simulator.interference import FloatArray, Interference
 from simulator.keyed_random import Purpose, generator
@@ -141,19 +140,6 @@ def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) 
         tilt_rad=tilt_rad,
         sensor_gain_v_per_n=strike.sensor_gain_v_per_n * tilt_loss * faults.gain_factor,
     )
-
-
-class RefittedModel(ShotModel):
-    """A model's plate under a chain with other contacts.
-
-    The reduced plate, the prepared depths and the step are the model's own and shared with it: wear may
-    change with every set, and a reduction takes seconds. `ShotModel` halves the step where it does not
-    resolve the stiffer contacts.
-    """
-
-    def __init__(self, model: ShotModel, chain: ChainParameters) -> None:
-        vars(self).update(vars(model))
-        self._chain = chain
 
 
 def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:

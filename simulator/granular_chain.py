@@ -18,7 +18,7 @@ is what the integrator uses.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,6 +146,18 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
         precompression_n=parameters.precompression_n,
         damping_exponent=DAMPING_EXPONENTS[parameters.damping_law],
         damping_reference_overlap_m=parameters.damping_reference_overlap_m,
+    )
+
+
+def struck_again(chain: Chain, parameters: ChainParameters) -> Chain:
+    """Return the same bodies under a striker from another height and with another tilt of the sensor."""
+    damping = chain.damping_n_s_per_m.copy()
+    faces = slice(chain.sensor - 1, min(chain.sensor + 1, len(damping) - 1))
+    damping[faces] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
+    return replace(
+        chain,
+        damping_n_s_per_m=damping,
+        impact_speed_m_per_s=math.sqrt(2.0 * FREE_FALL_M_PER_S2 * parameters.drop_height_m),
     )
 
 

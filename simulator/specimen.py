@@ -25,7 +25,6 @@ from simulator.far_wall import RoughSpot, rough_spot
 from simulator.faults import (
     NO_FAULTS,
     SOUND,
-    RefittedModel,
     ShotFaults,
     faults_of_shot,
     faulty_chain,
@@ -212,7 +211,7 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
             f"bead_wear and loose_contact change the chain of a ShotModel; this one is a "
             f"{type(transducer.model).__name__}: take the two out of the faults"
         )
-    return RefittedModel(transducer.model, faulty_chain(transducer.chain, faults))
+    return transducer.model.with_chain(faulty_chain(transducer.chain, faults))
 
 
 def _grid_step_s(force: ShotForce) -> float:

@@ -1,0 +1,220 @@
+"""Several numbers side by side in compiled code: one vector register, one shot in each lane.
+
+LLVM vectorises loops only where it may reorder sums, and then the last digits depend on how many numbers
+it took together. Here the width is written down and every operation acts on each lane by itself, rounded
+as IEEE 754 says: a lane holds the same digits whatever the others hold and however many there are.
+
+In code compiled by numba: ``load(array, start, width)`` with a constant width, `store`, the operators
+``+ - * /`` (a number may stand on either side), and the functions below. Nothing here runs outside of it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils as numba_cgutils
+from numba.core.typing import templates as numba_templates
+from numba.extending import intrinsic as numba_intrinsic
+from numba.extending import lower_builtin as numba_lower_builtin
+from numba.extending import models as numba_models
+from numba.extending import register_model as numba_register_model
+
+# numba's functions carry no types.
+cgutils: Any = numba_cgutils
+templates: Any = numba_templates
+lower_builtin: Any = numba_lower_builtin
+models: Any = numba_models
+register_model: Any = numba_register_model
+
+
+class Lanes(types.Type):
+    """numba's type of a vector of float64."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        super().__init__(name=f"Lanes({width})")
+
+
+class _LanesModel(models.PrimitiveModel):  # type: ignore[misc]
+    def __init__(self, manager: Any, lanes: Lanes) -> None:
+        super().__init__(manager, lanes, _vector(lanes))
+
+
+register_model(Lanes)(_LanesModel)
+
+
+def _vector(lanes: Lanes) -> ir.VectorType:
+    return ir.VectorType(ir.DoubleType(), lanes.width)
+
+
+def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
+    made: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
+    return made
+
+
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector(lanes).as_pointer())
+
+
+@_intrinsic
+def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
+    """`width` numbers of a contiguous array from `start` on."""
+    lanes = Lanes(width.literal_value)
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        pointer = _pointer(context, builder, array, values[0], values[1], lanes)
+        return builder.load(pointer, align=8)
+
+    return lanes(array, types.intp, width), codegen
+
+
+@_intrinsic
+def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
+    """Write all lanes into a contiguous array from `start` on."""
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        builder.store(values[2], _pointer(context, builder, array, values[0], values[1], lanes), align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, lanes), codegen
+
+
+@_intrinsic
+def broadcast(typing: Any, number: Any, width: Any) -> Any:
+    """Put the same number in every lane."""
+    lanes = Lanes(width.literal_value)
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return _splat(builder, values[0], lanes)
+
+    return lanes(types.float64, width), codegen
+
+
+def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
+    vector = builder.insert_element(ir.Constant(_vector(lanes), ir.Undefined), number, ir.IntType(32)(0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
+    return builder.shuffle_vector(vector, ir.Constant(_vector(lanes), ir.Undefined), mask)
+
+
+def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    """Intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+
+    def typed(*given: Any) -> Any:
+        lanes = next((one for one in given if isinstance(one, Lanes)), None)
+        if lanes is None:
+            return None
+        arguments = [one if isinstance(one, Lanes) else types.float64 for one in given]
+
+        def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            wide = [
+                value if isinstance(one, Lanes) else _splat(builder, value, lanes)
+                for one, value in zip(arguments, values, strict=True)
+            ]
+            return emit(builder, wide)
+
+        return lanes(*arguments), codegen
+
+    # numba reads the number of arguments off the function.
+    if operands == 1:
+        return _intrinsic(lambda typing, a: typed(a))
+    if operands == 2:
+        return _intrinsic(lambda typing, a, b: typed(a, b))
+    if operands == 3:
+        return _intrinsic(lambda typing, a, b, c: typed(a, b, c))
+    return _intrinsic(lambda typing, a, b, c, d: typed(a, b, c, d))
+
+
+def _called(name: str) -> Callable[[Any, Any], Any]:
+    def emit(builder: Any, values: Any) -> Any:
+        kind = values[0].type
+        function_type = ir.FunctionType(kind, [kind] * len(values))
+        full_name = f"{name}.v{kind.count}f64"
+        return builder.call(cgutils.get_or_insert_function(builder.module, function_type, full_name), values)
+
+    return emit
+
+
+fma = _of_lanes(3, _called("llvm.fma"))
+"""``a b + c``, rounded once."""
+sqrt = _of_lanes(1, _called("llvm.sqrt"))
+absolute = _of_lanes(1, _called("llvm.fabs"))
+
+
+def _positive(builder: Any, values: Any) -> Any:
+    zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
+    return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
+
+
+def _where_greater(builder: Any, values: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
+
+
+def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
+    return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
+
+
+positive = _of_lanes(1, _positive)
+"""``max(a, 0)``; 0 for what is not a number."""
+where_greater = _of_lanes(4, _where_greater)
+"""c in the lanes with a > b, d in the others."""
+unless_within = _of_lanes(4, _where_not_less_or_equal)
+"""d in the lanes with a <= b, c in the others, also where one of them is not a number."""
+
+
+@_intrinsic
+def all_positive(typing: Any, lanes: Any) -> Any:
+    """Whether every lane is greater than zero."""
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        zero = ir.Constant(values[0].type, [0.0] * lanes.width)
+        above = builder.fcmp_ordered(">", values[0], zero)
+        bits = builder.bitcast(above, ir.IntType(lanes.width))
+        return builder.icmp_unsigned("==", bits, ir.Constant(bits.type, -1))
+
+    return types.boolean(lanes), codegen
+
+
+@_intrinsic
+def lane(typing: Any, lanes: Any, index: Any) -> Any:
+    """One lane, its index a constant."""
+
+    def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        return builder.extract_element(values[0], ir.IntType(32)(index.literal_value))
+
+    return types.float64(lanes, index), codegen
+
+
+def _operator(symbol: Any, method: str) -> None:
+    """Give an operator to vectors, with a vector or a number on the other side."""
+
+    class _Template(templates.AbstractTemplate):  # type: ignore[misc]
+        def generic(self, arguments: Any, keywords: Any) -> Any:
+            lanes = [one for one in arguments if isinstance(one, Lanes)]
+            if not lanes:
+                return None
+            return templates.signature(
+                lanes[0], *(one if isinstance(one, Lanes) else types.float64 for one in arguments)
+            )
+
+    templates.infer_global(symbol)(_Template)
+
+    def lowered(context: Any, builder: Any, made: Any, values: Any) -> Any:
+        wide = [
+            value if isinstance(one, Lanes) else _splat(builder, value, made.return_type)
+            for one, value in zip(made.args, values, strict=True)
+        ]
+        return getattr(builder, method)(*wide)
+
+    for pair in ((Lanes, Lanes), (Lanes, types.Float), (types.Float, Lanes)):
+        lower_builtin(symbol, *pair)(lowered)
+
+
+_operator(operator.add, "fadd")
+_operator(operator.sub, "fsub")
+_operator(operator.mul, "fmul")
+_operator(operator.truediv, "fdiv")
