@@ -1,0 +1,166 @@
+"""Processes that share an empty cache and are killed at random leave no wrong digit and nothing half-written.
+
+They are real processes, killed by the operating system (SIGKILL, TerminateProcess) after a random number
+of answers and a random moment more; each killed one has a successor. The seeds are fixed, the moments are
+not: whatever comes, the same must hold.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from simulator.array_cache import STALE_S, kept_arrays, read_arrays
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.reduction_cache import reduced_plate, reduction_key
+
+PROCESSES = 4
+
+# Small answers, so that a process spends most of its time at the disk.
+KEEPING = """
+import hashlib, sys
+from pathlib import Path
+import numpy as np
+from simulator.array_cache import kept_arrays
+
+for number in range(int(sys.argv[2]), 100_000):
+    compute = lambda: {"a": np.arange(4_000) / (number + 1.0), "b": np.array([[number, -0.0]])}
+    arrays = kept_arrays(Path(sys.argv[1]), f"key{number}", compute)
+    digest = hashlib.sha256(b"".join(values.tobytes() for values in arrays.values())).hexdigest()
+    print(number, digest, flush=True)
+"""
+
+REDUCING = """
+import hashlib, json, sys
+from pathlib import Path
+from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.reduction_cache import reduced_plate
+
+print("ready", flush=True)
+sys.stdin.readline()
+for thickness_m in json.loads(sys.argv[2]):
+    plate = PlateParameters(elements_per_edge=12, contact_element_m=2e-3, thickness_m=thickness_m)
+    found = reduced_plate(plate, CorrosionParameters(), Path(sys.argv[1]))
+    content = found.stiffness.tobytes() + found.mass.tobytes() + found.load.tobytes()
+    print(thickness_m, hashlib.sha256(content).hexdigest(), flush=True)
+"""
+
+
+def start(program, *arguments):
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        bufsize=0,  # a line that is not asked for stays in the pipe
+    )
+
+
+def end(process, *, killed):
+    """Whole lines that it had left to say."""
+    if killed:
+        process.kill()
+    output, errors = process.communicate()
+    assert errors == b""
+    assert killed or process.returncode == 0
+    return output[: output.rfind(b"\n") + 1].decode().splitlines()
+
+
+def a_moment_more(process, seconds):
+    """Let it work on: nothing but its end could come earlier, and it does not end by itself."""
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(timeout=seconds)
+
+
+def keeping_digest(number):
+    a, b = np.arange(4_000) / (number + 1.0), np.array([[number, -0.0]])
+    return hashlib.sha256(a.tobytes() + b.tobytes()).hexdigest()
+
+
+def age(folder):
+    """As if nobody had looked at the folder for long."""
+    for path in folder.iterdir():
+        when = time.time() - 2.0 * STALE_S
+        os.utime(path, (when, when))
+
+
+def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
+    chance = random.Random(20261121)
+    workers = [start(KEEPING, tmp_path, 0) for _ in range(PROCESSES)]
+    answers = []
+    for number in range(16):
+        process = workers.pop(chance.randrange(PROCESSES))
+        answers += [process.stdout.readline().decode() for _ in range(chance.randint(1, 60))]
+        a_moment_more(process, chance.uniform(0.0, 5e-3))
+        answers += end(process, killed=True)
+        workers.append(start(KEEPING, tmp_path, 40 * number))  # others may be there already
+    for process in workers:
+        answers.append(process.stdout.readline().decode())
+        answers += end(process, killed=True)
+
+    assert len(answers) > 200
+    for number, digest in {tuple(answer.split()) for answer in answers}:
+        assert digest == keeping_digest(int(number))
+    kept = sorted(tmp_path.glob("*.arrays"))
+    assert len(kept) > 40
+    for path in kept:
+        arrays = read_arrays(path)
+        assert arrays is not None
+        found = hashlib.sha256(b"".join(values.tobytes() for values in arrays.values())).hexdigest()
+        assert found == keeping_digest(int(path.stem.removeprefix("key")))
+
+    unfinished = [path for path in tmp_path.iterdir() if path not in kept]
+    assert unfinished, "no process was killed while it wrote: the test proved nothing"
+    assert {path.suffix for path in unfinished} == {".part"}
+    kept_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    assert all(path.exists() for path in unfinished)  # young: their writers might be at work
+    age(tmp_path)
+    kept_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
+    assert sorted(tmp_path.iterdir()) == kept
+
+
+def test_reductions_are_the_uncached_ones_whoever_was_killed(tmp_path):
+    chance = random.Random(4)
+    thicknesses_m = [5e-3 + 1e-4 * k for k in range(8)]
+    plates = [
+        PlateParameters(elements_per_edge=12, contact_element_m=2e-3, thickness_m=h) for h in thicknesses_m
+    ]
+    patch = CorrosionParameters()
+    expected = {}
+    for plate in plates:
+        made = reduced_plate(plate, patch, None)
+        content = made.stiffness.tobytes() + made.mass.tobytes() + made.load.tobytes()
+        expected[plate.thickness_m] = hashlib.sha256(content).hexdigest()
+
+    workers = [start(REDUCING, tmp_path, json.dumps(thicknesses_m)) for _ in range(PROCESSES)]
+    for process in workers:
+        assert process.stdout.readline() == b"ready\n" or process.stdout.readline() == b"ready\r\n"
+    for process in workers:  # all at once, on an empty folder
+        process.stdin.write(b"go\n")
+        process.stdin.flush()
+    answers = []
+    for process in workers[:2]:
+        answers += [process.stdout.readline().decode() for _ in range(chance.randint(1, 3))]
+        answers += end(process, killed=True)
+    for process in workers[2:]:
+        survived = end(process, killed=False)
+        assert len(survived) == len(plates)
+        answers += survived
+    for thickness_m, digest in (answer.split() for answer in answers):
+        assert digest == expected[float(thickness_m)]
+
+    age(tmp_path)
+    for plate in plates:
+        again = reduced_plate(plate, patch, tmp_path)
+        content = again.stiffness.tobytes() + again.mass.tobytes() + again.load.tobytes()
+        assert hashlib.sha256(content).hexdigest() == expected[plate.thickness_m]
+    names = {f"{reduction_key(plate, patch)}.arrays" for plate in plates}
+    assert {path.name for path in tmp_path.iterdir()} == names
