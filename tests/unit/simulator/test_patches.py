@@ -156,6 +156,18 @@ def test_part_of_a_symmetric_plate_is_exact(plate, corrosion):
     assert part == pytest.approx(whole, rel=1e-8)
 
 
+def test_symmetry_is_lost_with_the_contact_or_a_patch_off_the_middle():
+    assert symmetric_axes(PLATE, PATCH) == (True, True)
+    assert symmetric_axes(replace(PLATE, contact_x_m=0.02), PATCH) == (False, True)
+    assert symmetric_axes(replace(PLATE, contact_y_m=0.02), PATCH) == (True, False)
+    assert symmetric_axes(PLATE, replace(PATCH, offset_y_m=0.02)) == (True, False)
+    beside = PatchParameters(size_m=0.02, offset_x_m=0.06)
+    pair = (beside, replace(beside, offset_x_m=-0.06))
+    assert symmetric_axes(PLATE, replace(PATCH, further=pair)) == (True, True)
+    unlike = (beside, replace(beside, offset_x_m=-0.06, depth_factor=0.5))
+    assert symmetric_axes(PLATE, replace(PATCH, further=unlike)) == (False, True)
+
+
 @pytest.mark.parametrize("liquid", [None, LiquidParameters(depth_m=0.03)], ids=["dry", "wet"])
 @pytest.mark.parametrize("support", ["simply_supported", "clamped", "free"])
 def test_mirror_images_give_the_same(support, liquid):
