@@ -1,8 +1,9 @@
 """Loops over the samples of a record, compiled: one pass each where arrays would take ten.
 
-They release the GIL, so that a record computed ahead does not hold up the thread that stores the present
-one. No sum is reordered and nothing is contracted: every sample has the digits that the same formula in
-NumPy gives it. About the machine code on disk see `simulator.coupled_kernel`.
+None takes longer than some 40 us, and none releases the GIL: a record computed ahead would hand it to and
+fro with the thread that stores the present one, and each time costs both of them as much as such a loop.
+No sum is reordered and nothing is contracted: every sample has the digits that the same formula in NumPy
+gives it. About the machine code on disk see `simulator.coupled_kernel`.
 """
 
 from __future__ import annotations
@@ -19,11 +20,10 @@ FloatArray = NDArray[np.float64]
 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
     try:
-        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
+        compiled: Callable[..., Any] = numba.njit(cache=True, error_model="numpy")(function)
     except RuntimeError:  # no folder for the machine code can be written
-        compiled = numba.njit(**options)(function)
+        compiled = numba.njit(error_model="numpy")(function)
     return compiled
 
 
@@ -69,9 +69,51 @@ def cubic_samples(
 
 
 @_compiled
-def inverted_codes(
-    volts: FloatArray, offset_v: float, slope_v: float, curved: FloatArray, passes: int, low: int, high: int
+def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
+    """Time of the first passage through the level, or of the maximum if it is never reached."""
+    highest = 0
+    for k in range(volts.shape[0]):
+        if volts[k] >= level_v:
+            if k == 0:
+                break
+            return (k - (volts[k] - level_v) / (volts[k] - volts[k - 1])) * step_s
+    for k in range(volts.shape[0]):
+        if volts[k] > volts[highest]:
+            highest = k
+    return highest * step_s
+
+
+@_compiled
+def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
+    """First sample from ``first`` on that is at or above the level while the one before is below; else -1."""
+    for k in range(first, min(first + n_samples, volts.shape[0])):
+        if volts[k] >= level_v and not volts[k - 1] >= level_v:
+            return k
+    return -1
+
+
+@_compiled
+def scaled_noise(
+    white: NDArray[np.float32], white_rms: float, slow: FloatArray, slow_rms: float
 ) -> FloatArray:
+    """White and slow noise of unit variance, each at its rms, added; float64, shape (n,) of both."""
+    noise = np.empty(white.shape[0])
+    for i in range(white.shape[0]):
+        noise[i] = white[i] * white_rms + slow_rms * slow[i]
+    return noise
+
+
+@_compiled
+def inverted_codes(
+    volts: FloatArray,
+    offset_v: float,
+    slope_v: float,
+    curved: FloatArray,
+    passes: int,
+    low: int,
+    high: int,
+    codes: NDArray[Any],
+) -> None:
     """Whole codes of voltages: inverse of ``offset + slope (c + sum(curved[k] c**(k + 2)))``, clipped.
 
     Parameters
@@ -83,11 +125,8 @@ def inverted_codes(
     low, high
         Outermost codes. Beyond them the polynomial says nothing: outside 1.1 times them the line's answer
         is held.
-
-    Returns
-    -------
-    FloatArray
-        float64, shape (n,): whole numbers in low .. high.
+    codes
+        Of an integer type, shape (n,): filled with the answer.
     """
     n = volts.shape[0]
     lowest, highest = 1.1 * low, 1.1 * high
@@ -107,5 +146,4 @@ def inverted_codes(
             code[i] = line[i] - bend[i] * code[i] * code[i]
     lowest, highest = float(low), float(high)
     for i in range(n):
-        code[i] = min(max(np.rint(code[i]), lowest), highest)
-    return code
+        codes[i] = min(max(np.rint(code[i]), lowest), highest)

@@ -14,7 +14,13 @@ from scipy.fft import next_fast_len
 
 from hardware_drivers.measurement import Calibration, Counts
 from simulator.interference import Interference
-from simulator.sampling_kernel import cubic_samples, inverted_codes
+from simulator.sampling_kernel import (
+    cubic_samples,
+    first_crossing_s,
+    inverted_codes,
+    rising_edge,
+    scaled_noise,
+)
 from simulator.scenario import AdcParameters, NoiseParameters
 
 FloatArray = NDArray[np.float64]
@@ -75,9 +81,13 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
         error_counts *= bend
         passes += 1
     flat = np.ascontiguousarray(volts, dtype=np.float64).reshape(-1)
-    codes: FloatArray = inverted_codes(flat, offset_v, slope_v, curved, passes, low, high)
-    codes = codes.reshape(np.shape(volts))
-    return codes.astype(np.int16) if calibration.resolution_bits <= 16 else codes.astype(np.int32)
+    codes: Counts
+    if calibration.resolution_bits <= 16:
+        codes = np.empty(flat.size, dtype=np.int16)
+    else:
+        codes = np.empty(flat.size, dtype=np.int32)
+    inverted_codes(flat, offset_v, slope_v, curved, passes, low, high, codes)
+    return codes.reshape(np.shape(volts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,7 +144,7 @@ def triggered_record(
         The force ends before the record does.
     """
     volts = sensor_gain_v_per_n * dynamic_force_n
-    crossing_s = _first_crossing_s(volts, force_step_s, adc.trigger_level_v)
+    crossing_s: float = first_crossing_s(volts, force_step_s, adc.trigger_level_v)
     margin = round(EARLY_TRIGGER_S * adc.sample_rate_hz)
     expected_s = [crossing_s]
     if interference is not None:
@@ -150,8 +160,8 @@ def triggered_record(
             sampled += interference.volts(start_s - crossing_s, adc.sample_rate_hz, sampled.size)
         if noise.enabled:
             sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
-        trigger = _rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
-        if trigger is not None:
+        trigger: int = rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
+        if trigger >= 0:
             break
     else:
         return None
@@ -174,10 +184,11 @@ def noise_volts(
 ) -> FloatArray:
     """White and slow noise in volts, shape (n_samples,)."""
     # float32 is twice as fast and its grain, 1e-7 of the noise, is far below a code.
-    noise_v = random.standard_normal(n_samples, dtype=np.float32).astype(np.float64)
-    noise_v *= noise.rms_v
-    if noise.slow_rms_v > 0.0:
-        noise_v += noise.slow_rms_v * _slow_noise(n_samples, sample_rate_hz / noise.slow_bandwidth_hz, random)
+    white = random.standard_normal(n_samples, dtype=np.float32)
+    if noise.slow_rms_v == 0.0:
+        return white.astype(np.float64) * noise.rms_v
+    slow = _slow_noise(n_samples, sample_rate_hz / noise.slow_bandwidth_hz, random)
+    noise_v: FloatArray = scaled_noise(white, noise.rms_v, slow, noise.slow_rms_v)
     return noise_v
 
 
@@ -206,18 +217,3 @@ def _slow_noise(n_samples: int, shortest_period: float, random: np.random.Genera
     )
     fine = np.lib.stride_tricks.sliding_window_view(coarse, 4) @ lagrange
     return np.asarray(fine.reshape(-1)[:n_samples], dtype=np.float64)
-
-
-def _first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> float:
-    """Time of the first passage through the level, or of the maximum if it is never reached."""
-    k = int(np.argmax(volts >= level_v))
-    if k == 0:
-        return int(np.argmax(volts)) * step_s
-    return float(k - (volts[k] - level_v) / (volts[k] - volts[k - 1])) * step_s
-
-
-def _rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int | None:
-    """First sample from ``first`` on that is at or above the level while the one before is below."""
-    above = volts[first - 1 : first + n_samples] >= level_v
-    edges = np.flatnonzero(above[1:] & ~above[:-1])
-    return first + int(edges[0]) if edges.size else None
