@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simulator.errors import SpecimenError
-from simulator.mindlin_element import element_matrices
+from simulator.mindlin_element import GAUSS_POINTS, element_matrices, thinned_element_matrices
 from simulator.mindlin_plate import build_plate
 from simulator.patches import patch_fraction
 from simulator.plate_mesh import graded_half_edge
@@ -127,3 +127,42 @@ def test_quarter_model_is_exact_for_the_centred_load(shape, support):
         compliance.append(plate.load @ np.linalg.solve(dynamic, plate.load))
     # Both solve the same equations; the condition number of the thin plate costs six digits.
     assert compliance[0] == pytest.approx(compliance[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("s", [1.0, 0.4, 0.05])
+def test_elements_thinned_alike_at_all_points_are_thinner_elements(s):
+    sizes, p = (np.array([0.01, 0.03]), np.array([0.02, 0.05])), 0.37
+    linear, cubic = (
+        np.zeros((4, 4, 4)) + np.array(terms)[:, None, None]
+        for terms in ((1 - p, p, 0, 0), ((1 - p) ** 3, 3 * (1 - p) ** 2 * p, 3 * (1 - p) * p**2, p**3))
+    )
+    a, b = (side.ravel() for side in np.meshgrid(*sizes, indexing="ij"))
+    coefficients = thinned_element_matrices(SMALL, a, b, linear, cubic)
+    thinner = replace(SMALL, thickness_m=SMALL.thickness_m * (1 - p + s * p))
+    bending, shear, translation, rotation = element_matrices(thinner, *sizes)
+    for found, direct in zip(coefficients, (bending + shear, translation + rotation), strict=True):
+        at_s = np.tensordot(s ** np.arange(4), found, axes=1)
+        assert np.max(np.abs(at_s - direct)) <= 1e-14 * np.max(np.abs(direct))  # rounding
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_points_of_an_element_are_thinned_where_they_lie(axis):
+    """One half of the element is gone; rotations of the nodes beyond bend mostly that half."""
+    present = np.array([point[axis] < 0.0 for point in GAUSS_POINTS], dtype=np.float64)
+    terms = np.zeros((4, 4, 1))
+    terms[0, :, 0] = present
+    bent = np.zeros(12)
+    # The nodes at the upper end of the axis, their rotation across it: curvature grows with 1 + xi.
+    nodes, rotation = (((1, 2), 2), ((2, 3), 1))[axis]
+    for sign, node in zip((-1.0, 1.0) if axis == 0 else (1.0, -1.0), nodes, strict=True):
+        bent[3 * node + rotation] = sign
+    thin = replace(SMALL, thickness_m=1e-3)
+    one = np.array([0.02])
+    none = np.zeros_like(terms)
+    stiffness, _ = thinned_element_matrices(thin, one, one, none, terms)  # bending alone
+    direct = bent @ element_matrices(thin, one, one)[0][0] @ bent
+    near, far = (1 - 3**-0.5) ** 2, (1 + 3**-0.5) ** 2
+    found = bent @ stiffness[0, 0] @ bent
+    # The twist along the axis, the same at all points, takes part as well.
+    twist = (1.0 - SMALL.poisson_ratio) / 2.0 / 3.0
+    assert found / direct == pytest.approx((near + twist) / (near + far + 2 * twist), rel=1e-12)
