@@ -23,7 +23,7 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
+from simulator.coupled_model import Impact, ShotModel
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 
@@ -51,6 +51,9 @@ def measure() -> dict[str, float]:
         new = [seconds(lambda k=k: model.shot(depth_fraction=0.2 + 1e-3 * k)) for k in range(DEPTHS)]
         warm = [seconds(lambda: model.shot(drop_height_m=5.1e-3, tilt_rad=0.01)) for _ in range(WARM_SHOTS)]
         summary = [seconds(lambda: summarise(model.shot())) for _ in range(WARM_SHOTS)]
+        strikes = [Impact(drop_height_m=4e-3 + 2e-5 * k, tilt_rad=0.01) for k in range(80)]
+        model.shots(strikes)
+        batch = [seconds(lambda: model.shots(strikes)) / len(strikes) for _ in range(10)]
         with ThreadPoolExecutor(2) as pool:
             both = seconds(lambda: list(pool.map(lambda _: model.shot(), range(2 * WARM_SHOTS))))
         from_disk = seconds(
@@ -62,6 +65,7 @@ def measure() -> dict[str, float]:
         "new_depth_s": statistics.median(new),
         "warm_s": statistics.median(warm),
         "warm_with_summary_s": statistics.median(summary),
+        "batch_s_per_shot": statistics.median(batch),
         "two_threads_s_per_shot": both / (2 * WARM_SHOTS),
     }
 
