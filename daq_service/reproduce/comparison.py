@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from daq_service.reproduce.causes import cause_of
+from daq_service.reproduce.causes import GIVEN, cause_of
 from daq_service.reproduce.item import Found, missing
 from daq_service.reproduce.paper_values import PaperValue, values_of
 
@@ -23,7 +23,7 @@ class Row:
     deviation_percent
         The same relative to the paper's; None also where that is 0 or the unit is %.
     cause
-        Why they differ; empty where they agree in every printed digit.
+        Why they differ; empty where they agree to rounding, unless the twin was given the value.
     """
 
     item: str
@@ -88,8 +88,13 @@ def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
         ours_words=ours.words if ours.value is not None else ours.reason,
         deviation=deviation,
         deviation_percent=relative,
-        cause="" if agrees or ours.value is None else cause_of(value, origin=origin),
+        cause=_cause(value, ours, agrees=agrees, origin=origin),
     )
+
+
+def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+    cause = "" if ours.value is None else cause_of(value, origin=origin)
+    return "" if agrees and not cause.startswith(GIVEN) else cause
 
 
 def _paper_shown(value: PaperValue) -> str:
@@ -104,4 +109,4 @@ def _shown(number: float, value: PaperValue) -> str:
     decimals = value.decimals + 1 if value.value is not None else 2
     if value.value is not None and value.decimals == 0 and float(number).is_integer():
         decimals = 0
-    return f"{number:.{decimals}f}"
+    return f"{round(number, decimals) + 0.0:.{decimals}f}"  # no minus before a zero

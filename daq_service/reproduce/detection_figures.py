@@ -181,7 +181,7 @@ def draw_fig15(material: Material) -> Product:
     figure, axes = sheet(1, 2, height_in=3.4)
     travel, loss = axes
     colour = colour_of(probe.position, list(test.echoes))
-    travel.plot(probe.hour_h, 1e6 * probe.travel_time_s, ".", color=GREY, ms=2.5, label="travel time")
+    travel.plot(probe.hour_h, 1e6 * probe.travel_time_s, ".", color=GREY, ms=6.0, label="travel time")
     travel.set(xlabel="hour of the test (h)", ylabel="ultrasonic travel time (µs)")
     wall = travel.twinx()
     wall.grid(visible=False)

@@ -104,9 +104,12 @@ def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
 
 
 def _equation_17(probe: PulseEchoes) -> tuple[float, int] | None:
-    """Spread of ``th / (UT - D)``, which eq. 17 makes constant: ``th_0 / (UT_0 - D)``."""
+    """Spread of ``th / (UT - D)``, which eq. 17 makes constant: ``th_0 / (UT_0 - D)``.
+
+    None where the path between two elements is corrected for: then eq. 17 is not what was computed.
+    """
     present = np.isfinite(probe.thickness_m) & np.isfinite(probe.travel_time_s)
-    if probe.delay_s is None or int(present.sum()) < 2:
+    if probe.delay_s is None or probe.element_separation_m or int(present.sum()) < 2:
         return None
     ratio = probe.thickness_m[present] / (probe.travel_time_s[present] - probe.delay_s)
     return float(np.ptp(ratio) / np.abs(ratio).mean()), int(present.sum())

@@ -74,6 +74,8 @@ class PulseEchoes:
     ----------
     delay_s, initial_thickness_m
         D and th_0 of eq. 17, as configured.
+    element_separation_m
+        Distance of the probe's elements that its path is corrected for; 0: eq. 17 as it stands.
     """
 
     position: str
@@ -85,6 +87,7 @@ class PulseEchoes:
     thickness_m: FloatArray
     thickness_loss_m: FloatArray
     delay_s: float | None
+    element_separation_m: float
     initial_thickness_m: float | None
     first_alarm_h: float | None
 
@@ -267,6 +270,7 @@ def _pulse_echoes(
         thickness_m=_array(columns["thickness_m"]),
         thickness_loss_m=_array(columns["thickness_loss_m"]),
         delay_s=ultrasound.get("delay_s"),
+        element_separation_m=ultrasound.get("element_separation_m") or 0.0,
         initial_thickness_m=ultrasound.get("initial_thickness_m"),
         first_alarm_h=_first_alarm_h(catalogue, position),
     )

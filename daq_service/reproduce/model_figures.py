@@ -121,14 +121,14 @@ def draw_fig12(material: Material) -> Product:
     axes[0].plot([], [], **PAPER_MARK, label="paper's values; dashed: its model's ± band")
     axes[0].set_ylabel("time of flight (µs)")
     axes[1].set_ylabel("amplitude ratio (1)")
-    for text, quantity in (("numerical", "ar"), ("Zener", "ar_zener"), ("measured", "ar_measured")):
-        axes[1].annotate(
-            text, (1.0, printed("fig12", quantity)), (4, 4), textcoords="offset points", fontsize=7
-        )
-    for text, quantity in (("numerical", "tof"), ("Zener", "tof_zener")):
-        axes[0].annotate(
-            text, (1.0, printed("fig12", quantity)), (4, 4), textcoords="offset points", fontsize=7
-        )
+    for axis, text, quantity in (
+        (axes[0], "numerical", "tof"),
+        (axes[0], "Zener", "tof_zener"),
+        (axes[1], "numerical", "ar"),
+        (axes[1], "Zener", "ar_zener"),
+        (axes[1], "measured", "ar_measured"),
+    ):
+        _name_mark(axis, text, printed("fig12", quantity))
     figure.legend(loc="outside lower center", ncols=2)
     name_panels(axes, ("time of flight", "amplitude ratio"))
     return Product(drawing=figure, tables={"": _curve_table(curves)}, found=_isw_found(curves))

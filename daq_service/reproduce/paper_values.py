@@ -228,7 +228,12 @@ _LIMITS = (("B", 21.9, 19.7), ("C", 15.4, 17.1), ("D", 13.7, 14.4))
 FIGURE_14 = (
     *(
         _value(
-            "fig14", f"limit_{source}_{p}", f"{p}: mean + 3 SD of the baseline's distances", value, "1", where
+            "fig14",
+            f"limit_{source}_{p}",
+            f"{p}: mean + 3 SD of the baseline's distances ({source})",
+            value,
+            "1",
+            where,
         )
         for p, text, caption in _LIMITS
         for source, value, where in (
