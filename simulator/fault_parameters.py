@@ -1,6 +1,6 @@
 """Faults of the rig that the twin may show, a table for each: none of them acts by default.
 
-Random faults have a probability a shot or a rate; gradual ones begin at ``onset_h`` and reach their
+Each begins at ``onset_h``. Random faults then have a probability a shot or a rate; gradual ones reach their
 full size ``ramp_h`` later (0: at once). All sizes are assumptions of whoever writes them: the paper
 reports none of these faults. A through hole is no fault of the rig: see `ThinningParameters.hole_h`.
 """
@@ -23,6 +23,8 @@ class MissedStrikeFault:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike; a repeated strike is drawn anew."""
 
@@ -41,6 +43,8 @@ class DoubleStrikeFault:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike."""
     shortest_delay_s: Annotated[float, Gt(0.0), Le(1.0)] = 60e-6
@@ -200,6 +204,8 @@ class SpikesFault:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
     rate_hz: Annotated[float, Ge(0.0), Le(1e4)] = 0.0
     """Mean number a second; a record of the default length lasts 1.36 ms."""
     height_v: Annotated[float, Gt(0.0), Le(1e3)] = 1.0
@@ -224,6 +230,8 @@ class MainsHumFault:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
+    onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
+    """Hour at which it begins."""
     amplitude_v: Annotated[float, Ge(0.0), Le(1e3)] = 0.0
     """Amplitude at the digitizer's input; below the trigger level, or the board would trigger on it."""
     frequency_hz: Annotated[float, Ge(10.0), Le(1e3)] = 50.0

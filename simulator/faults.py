@@ -68,11 +68,14 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     truth: dict[str, float] = {}
     missed, gain_factor = False, 1.0
     if faults.missed.is_active:
-        missed = bool(generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability)
+        missed = hour_h >= faults.missed.onset_h and bool(
+            generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
+        )
         truth["fault_missed"] = float(missed)
     delay_s, height_fraction = None, 1.0
     if faults.double.is_active:
-        delay_s, height_fraction = _second_strike(faults, seed, key)
+        if hour_h >= faults.double.onset_h:
+            delay_s, height_fraction = _second_strike(faults, seed, key)
         truth["fault_double_delay_s"] = math.nan if delay_s is None else delay_s
         truth["fault_double_height_fraction"] = math.nan if delay_s is None else height_fraction
     tilt_rad = faults.tilt.tilt_rad * _grown(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
@@ -166,7 +169,7 @@ def with_second_strike(
 
 
 def interference_of_shot(
-    faults: FaultParameters, *, seed: int, key: ShotKey, adc: AdcParameters
+    faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[Interference | None, dict[str, float]]:
     """Draw hum and spikes around one strike, with their truth; None where a position has neither.
 
@@ -178,11 +181,12 @@ def interference_of_shot(
     if not (hum.is_active or spikes.is_active):
         return None, truth
     phase_rad = _hum_phase_rad(hum, seed, key)
+    hum_v = hum.amplitude_v if hour_h >= hum.onset_h else 0.0
     if hum.is_active:
-        truth |= {"fault_mains_hum_v": hum.amplitude_v, "fault_mains_hum_phase_rad": phase_rad}
-    time_s, height_v = _spikes(spikes, seed, key, adc)
+        truth |= {"fault_mains_hum_v": hum_v, "fault_mains_hum_phase_rad": phase_rad}
+    time_s, height_v = _spikes(spikes, seed, key, hour_h, adc)
     found = Interference(
-        hum_v=hum.amplitude_v,
+        hum_v=hum_v,
         hum_frequency_hz=hum.frequency_hz,
         hum_phase_rad=phase_rad,
         spike_time_s=time_s,
@@ -204,10 +208,10 @@ def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
 
 
 def _spikes(
-    spikes: SpikesFault, seed: int, key: ShotKey, adc: AdcParameters
+    spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Draw times and heights of a Poisson process from the arming to the record's end."""
-    if not spikes.is_active:
+    if not spikes.is_active or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
     random = generator(seed, Purpose.SPIKES, key=key)
     before_s = max(spikes.armed_s, adc.pretrigger_samples / adc.sample_rate_hz)

@@ -129,7 +129,7 @@ class Specimen:
         strike = self.strike(key, hour_h)
         force = self.force(wall, strike, key.position, faults)
         interference, electrical_truth = interference_of_shot(
-            self.twin.faults.get(key.position, SOUND), seed=seed, key=key, adc=adc
+            self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
         )
         record = triggered_record(
             force_step_s=_grid_step_s(force),

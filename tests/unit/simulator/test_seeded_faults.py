@@ -13,6 +13,7 @@ from scipy import stats
 from hardware_drivers.measurement import ShotKey
 from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
+from simulator.echo_parameters import EchoParameters
 from simulator.errors import SpecimenError
 from simulator.fault_parameters import (
     BeadWearFault,
@@ -32,7 +33,13 @@ from simulator.interference import Interference
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scatter import STEEPEST_TILT_RAD
-from simulator.scenario import DriftParameters, NoiseParameters, ScatterParameters, TwinParameters
+from simulator.scenario import (
+    DriftParameters,
+    NoiseParameters,
+    ScatterParameters,
+    ThinningParameters,
+    TwinParameters,
+)
 from simulator.specimen import Transducer, build_specimen
 
 CHAIN = ChainParameters()
@@ -115,8 +122,12 @@ def test_the_default_counts_are_those_from_before_faults(specimen, shot, hour_h,
     assert zlib.crc32(counts.astype("<i2").tobytes()) == crc32
 
 
-def test_the_default_echo_is_that_from_before_faults(specimen):
-    echo = specimen(TwinParameters()).echo(key(0, 9, "A"), 5.0)
+def test_a_smooth_wall_s_echo_is_that_from_before_faults_and_rough_walls(specimen):
+    smooth = EchoParameters(
+        element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
+    )
+    read = ThinningParameters(reference_h=300.0, depth_fraction=2.15 / 6.35)
+    echo = specimen(TwinParameters(echo=smooth, thinning={"A": read})).echo(key(0, 9, "A"), 5.0)
     assert zlib.crc32(echo.waveform.counts.astype("<i2").tobytes()) == 3506962529
 
 
@@ -129,15 +140,17 @@ def test_faults_that_never_act_change_no_bit_and_leave_no_truth(specimen, twin, 
     np.testing.assert_array_equal(list(inert.truth.values()), list(plain.truth.values()))
 
 
-@pytest.mark.parametrize(
-    "name", ["tilt", "bead_wear", "pzt_ageing", "loose_contact", "temperature", "clipping"]
-)
-def test_before_its_onset_a_fault_changes_no_bit(specimen, name):
-    later = replace(ACTIVE[name][0], onset_h=100.0)
+@pytest.mark.parametrize("name", ACTIVE)
+def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name):
+    fault = ACTIVE[name][0]
+    if hasattr(fault, "probability"):
+        fault = replace(fault, probability=1.0)
+    made = specimen(NOISY, **{name: replace(fault, onset_h=100.0)})
     plain = specimen(NOISY).solitary_wave(key(1, 4), 99.0)
-    early = specimen(NOISY, **{name: later}).solitary_wave(key(1, 4), 99.0)
+    early, late = made.solitary_wave(key(1, 4), 99.0), made.solitary_wave(key(1, 4), 100.0 + YEAR_H)
     np.testing.assert_array_equal(early.waveform.counts, plain.waveform.counts)
     assert plain.truth["sensor_gain_v_per_n"] == early.truth["sensor_gain_v_per_n"]
+    assert late is None or not np.array_equal(late.waveform.counts, plain.waveform.counts)
 
 
 def test_a_neighbour_s_faults_are_not_felt(specimen):
