@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -20,6 +21,9 @@ from hardware_drivers.measurement import ShotKey, Stamp
 
 CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
 """Where the doubles of a demonstration are told which shot comes and what hour it is."""
+
+STRIKES_WORTH_A_PROCESS = 2_000
+"""From so many on a process of its own for the twin saves more time than it takes to start."""
 
 Announce = Callable[[ShotKey], None]
 
@@ -51,24 +55,23 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
 
 @contextmanager
 def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    from simulator.coupled_model import ShotModel
+    from daq_service.twin_process import record, transducers_of, twin_executor
     from simulator.errors import SimulatorError
     from simulator.instruments import build_bench
-    from simulator.specimen import Transducer
 
     places, schedule = settings.positions, settings.schedule
+    sets = plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h)
+    own_process = _deserves_a_process(settings, len(sets))
     with ExitStack() as stack:
         # One worker: the physics of the next shots runs while this one is stored and judged.
-        executor = ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
+        executor: Executor = (
+            twin_executor(settings)
+            if own_process
+            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
+        )
         stack.callback(executor.shutdown, cancel_futures=True)
         try:
-            transducers = {
-                name: Transducer(
-                    chain=places[name].chain,
-                    model=ShotModel(places[name].chain, places[name].plate, places[name].corrosion),
-                )
-                for name in settings.names_of("solitary_wave")
-            }
+            transducers = transducers_of(settings)
         except SimulatorError as error:
             raise UsageError(f"the twin cannot be built as configured: {error}") from error
         bench = build_bench(
@@ -80,12 +83,13 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
                 name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")
             },
             strikes_after=strikes_after(
-                plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h),
+                sets,
                 settings.names_of("solitary_wave"),
                 shots_per_set=schedule.shots_per_set,
                 shot_interval_s=schedule.shot_interval_s,
             ),
             executor=executor,
+            compute=partial(record, settings.model_dump_json()) if own_process else None,
         )
         yield Rig(
             kind="simulated",
@@ -95,6 +99,13 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
             pulse_echo=bench.pulse_echo,
             identity={"twin": version("solimon"), "seed": str(settings.twin.seed)},
         )
+
+
+def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
+    """Whether nobody watches and the test is long: a process takes a second or two to start."""
+    unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
+    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
+    return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
 
 
 @contextmanager

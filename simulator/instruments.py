@@ -8,9 +8,10 @@ so a read without a strike times out at once.
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from itertools import islice
 
@@ -21,12 +22,17 @@ from simulator.errors import SimulatorError
 from simulator.scenario import TwinParameters
 from simulator.specimen import Specimen, Transducer, build_specimen
 
+log = logging.getLogger(__name__)
+
 COIL_EVENTS_KEPT = 1_000
 """The coil's record is a ring: the newest events of the last 500 strikes."""
 
 RECORDS_AHEAD = 32
 """Records computed before their strike, at most: those of a set of the paper, 1 MB. A set is stored and
 committed in the time that so many take."""
+
+Compute = Callable[[ShotKey, float], Acquired | None]
+"""Record of a strike at an hour of the experiment; None for one that does not trigger."""
 
 StrikesAfter = Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]
 """Strikes that are planned after one of this key at this time (UTC in ns), each with its own time."""
@@ -42,13 +48,19 @@ class RecordsAhead:
     Parameters
     ----------
     executor
-        Runs the computations. One worker thread is enough: the physics releases the GIL. Its owner
-        cancels what is left when it closes.
+        Runs the computations, in a thread or a process of its own. Its owner cancels what is left when it
+        closes. Where it breaks, every record is computed by its reader.
+    compute
+        What `executor` runs for `Specimen.solitary_wave`: another process cannot be handed a specimen.
     """
 
-    def __init__(self, specimen: Specimen, executor: Executor, strikes_after: StrikesAfter) -> None:
+    def __init__(
+        self, specimen: Specimen, executor: Executor, strikes_after: StrikesAfter, compute: Compute
+    ) -> None:
         self._specimen = specimen
         self._executor = executor
+        self._compute = compute
+        self._broken = False
         self._strikes_after = strikes_after
         self._planned: Iterator[tuple[ShotKey, int]] = iter(())
         self._pending: dict[tuple[ShotKey, float], Future[Acquired | None]] = {}
@@ -63,6 +75,15 @@ class RecordsAhead:
         hour_h
             Hour of the experiment that holds at a time (UTC in ns).
         """
+        if not self._broken:
+            try:
+                return self._record(key, utc_ns, hour_h)
+            except BrokenExecutor as error:
+                log.warning("records are not computed ahead any more: %s", error)
+                self._broken = True
+        return self._specimen.solitary_wave(key, hour_h(utc_ns))
+
+    def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         own = self._pending.pop(strike, None)
@@ -73,10 +94,10 @@ class RecordsAhead:
         for planned, planned_ns in islice(self._planned, RECORDS_AHEAD - len(self._pending)):
             coming = planned, hour_h(planned_ns)
             begun = left.pop(coming, None)
-            self._pending[coming] = begun or self._executor.submit(self._specimen.solitary_wave, *coming)
+            self._pending[coming] = begun or self._executor.submit(self._compute, *coming)
         for future in left.values():
             future.cancel()
-        return self._specimen.solitary_wave(*strike) if own is None else own.result()
+        return own.result() if own is not None else self._specimen.solitary_wave(*strike)
 
     def _plan_from(self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey]) -> None:
         """Plan anew from a strike that did not come in its turn."""
@@ -272,6 +293,7 @@ def build_bench(
     probed_thickness_m: Mapping[str, float],
     strikes_after: StrikesAfter | None = None,
     executor: Executor | None = None,
+    compute: Compute | None = None,
 ) -> SimulatedInstruments:
     """Instruments around one specimen.
 
@@ -289,11 +311,13 @@ def build_bench(
         With an executor, the records of the next planned strikes are computed ahead in it; without, each
         when it is read. The records are the same to the last bit. The caller owns the executor and
         cancels what is pending when it closes.
+    compute
+        What an executor of other processes runs for this specimen's `solitary_wave`.
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
     ahead = None
     if executor is not None and strikes_after is not None:
-        ahead = RecordsAhead(specimen, executor, strikes_after)
+        ahead = RecordsAhead(specimen, executor, strikes_after, compute or specimen.solitary_wave)
     bench = Bench(specimen, clock, epoch_utc_ns=epoch_utc_ns, ahead=ahead)
     return SimulatedInstruments(
         striker=SimulatedStriker(bench),
