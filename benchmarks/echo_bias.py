@@ -27,6 +27,8 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from simulator.echo_parameters import EchoParameters
 from simulator.echo_records import ProbedWall, averaged_record, disturbance, probed_wall
 from simulator.far_wall import gaussian_field, rough_spot
+from simulator.scenario import TwinParameters
+from simulator.specimen import build_specimen
 from simulator.transduction import counts_of
 from simulator.ultrasonic_echo import bubble_volts, echo_calibration, echo_volts
 
@@ -212,6 +214,27 @@ def print_paper(walls: int) -> None:
     )
 
 
+def print_demo() -> None:
+    """Print the default experiment, one wall of one seed: what `solimon demo` shows at position A."""
+    twin = TwinParameters()
+    specimen = build_specimen(twin, transducers={}, probed_thickness_m={"A": PRISTINE_M})
+    key = ShotKey(position="A", set_index=0, shot_index=0)
+    reference = reference_echo(
+        specimen.echo(key, 0.5).waveform, delay_s=twin.echo.delay_s, initial_thickness_m=PRISTINE_M
+    )
+    print(f"\nThe default experiment's own wall, seed {twin.seed}")
+    for hour_h in (100.0, 200.0, 300.0, 350.0):
+        echo = specimen.echo(ShotKey(position="A", set_index=round(hour_h), shot_index=0), hour_h)
+        found = travel_time(echo.waveform, reference)
+        read = thickness(found.travel_time_s, reference.travel_time_s, twin.echo.delay_s, PRISTINE_M)
+        interval = thickness_interval(found, reference, PRISTINE_M)
+        print(
+            f"  hour {hour_h:g}: wall {1e3 * echo.truth['thickness_m']:.2f} mm (rms "
+            f"{1e3 * echo.truth['roughness_rms_m']:.2f}), read {1e3 * read.thickness_m:.2f} mm in "
+            f"{1e3 * interval.low_m:.2f} to {1e3 * interval.high_m:.2f}, {found.quality}"
+        )
+
+
 def print_bubbles() -> None:
     records = bubble_volts(CORE_M, DEFAULT, np.random.default_rng(0), 400)
     echo_v = float(np.abs(echo_volts(CORE_M, SMOOTH)).max())
@@ -231,6 +254,7 @@ def main() -> None:
     print_path()
     print_rough(walls)
     print_paper(walls)
+    print_demo()
     print_bubbles()
 
 
