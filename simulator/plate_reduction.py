@@ -12,7 +12,7 @@ adds at the frequency of the shift, and every space with the same weight; so do 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,10 @@ both ends."""
 
 STATIC_DEPTHS = (0.0, 0.95)
 """Depths whose static deflections enter the basis."""
+
+LIQUID_VECTORS = 8
+"""With a liquid each depth gets so many more vectors, and as many of the dry plate: the factors know nothing
+of the liquid, so that its own space alone would stop converging at some 1e-5."""
 
 MERGE_TOLERANCE = 5e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""
@@ -127,7 +131,12 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
     shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
     factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
     weight = np.sqrt(plate.at_depth(0.0)[1].diagonal())
-    spaces = [_space(plate, factors, depth, count) * weight for depth, count in basis]
+    if plate.added_mass is None:
+        spaces = [_space(plate, factors, depth, count) * weight for depth, count in basis]
+    else:
+        dry = replace(plate, added_mass=None)
+        spaces = [_space(plate, factors, depth, count + LIQUID_VECTORS) * weight for depth, count in basis]
+        spaces += [_space(dry, factors, depth, LIQUID_VECTORS) * weight for depth, _ in basis]
     spaces += [
         static_factors.solve(static_factors.factor(1.0 - depth), plate.load)[None] * weight
         for depth in STATIC_DEPTHS
