@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import threading
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
+from simulator.array_cache import FloatArray, content_key, kept_arrays
+from simulator.one_thread import one_blas_thread
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes
 from simulator.reduction_cache import reduced_plate
+from simulator.solid_plate import check_solid
+from simulator.solid_reduction import solid_modes
 
 
 class ModalPlate(Protocol):
@@ -33,8 +41,62 @@ def modal_plate(
     Raises
     ------
     SpecimenError
-        The patch does not fit the plate.
+        The patch does not fit the plate, or the model does not know it.
     """
     if plate.model == "mindlin":
         return reduced_plate(plate, corrosion, cache_folder)
+    if plate.model == "solid":
+        return KeptSolid(plate, corrosion, cache_folder)
     return None
+
+
+class KeptSolid:
+    """Solid plate whose modes are computed for each depth once, and kept on disk.
+
+    Parameters
+    ----------
+    plate, corrosion
+        The specimen; `corrosion.depth_fraction` has no influence.
+    folder
+        None keeps nothing on disk. Kept or not, the modes are the same to the last bit.
+
+    Raises
+    ------
+    SpecimenError
+        The solid plate does not model such a plate or patch.
+    """
+
+    def __init__(self, plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None) -> None:
+        check_solid(plate, replace(corrosion, depth_fraction=0.0))
+        self._plate = plate
+        self._corrosion = corrosion
+        self._folder = folder
+        self._known: dict[float, PlateModes] = {}
+        self._lock = threading.Lock()
+
+    def modes(self, depth_fraction: float) -> PlateModes:
+        """Modes with the patch thinned by `depth_fraction`; a new depth takes about a second."""
+        with self._lock:  # two threads must not compute the same depth
+            if depth_fraction not in self._known:
+                self._known[depth_fraction] = self._kept(
+                    replace(self._corrosion, depth_fraction=depth_fraction)
+                )
+            return self._known[depth_fraction]
+
+    def _kept(self, corrosion: CorrosionParameters) -> PlateModes:
+        def compute() -> dict[str, FloatArray]:
+            with one_blas_thread():
+                modes = solid_modes(self._plate, corrosion)
+            return {
+                "omega_rad_per_s": modes.omega_rad_per_s,
+                "participation": modes.participation,
+                "residual_compliance_m_per_n": np.array(modes.residual_compliance_m_per_n),
+            }
+
+        described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
+        found = kept_arrays(self._folder, content_key(described), compute)
+        return PlateModes(
+            omega_rad_per_s=found["omega_rad_per_s"],
+            participation=found["participation"],
+            residual_compliance_m_per_n=float(found["residual_compliance_m_per_n"]),
+        )

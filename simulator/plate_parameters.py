@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
 from hardware_drivers.bounds import check_bounds
 from simulator.materials import youngs_modulus_at_pa
+from simulator.solid_mesh import SolidMesh
 
 DEEPEST_PATCH_FRACTION = 0.95
 """Beyond this the remaining membrane is no plate: the position counts as a hole."""
@@ -43,8 +44,9 @@ class PlateParameters:
 
     __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
-    model: Literal["mindlin", "infinite_kirchhoff", "rigid_wall"] = "mindlin"
-    """`mindlin`: finite Reissner-Mindlin plate; the other two are analytic anchors without a patch."""
+    model: Literal["mindlin", "solid", "infinite_kirchhoff", "rigid_wall"] = "mindlin"
+    """`mindlin`: finite Reissner-Mindlin plate; `solid`: three-dimensional; the other two are analytic
+    anchors without a patch."""
     width_m: Annotated[float, Gt(0.0), Le(100.0)] = 0.6096
     """Edge along x (paper: 609.6 mm)."""
     height_m: Annotated[float, Gt(0.0), Le(100.0)] = 0.6096
@@ -75,11 +77,13 @@ class PlateParameters:
     contact: Literal["node", "patch"] = "node"
     """Load of `mindlin`: a point force on one node (paper), or Hertz's pressure over a circle."""
     contact_radius_m: Annotated[float, Gt(0.0), Le(1.0)] = 2e-4
-    """Radius of the circle of `patch` (that of Hertz's contact at the paper's largest force)."""
+    """Radius of the circle of `patch` and `solid` (that of Hertz's contact at the paper's largest force)."""
     elements_per_edge: Annotated[int, Ge(8), Le(400)] = 96
     """Elements along each edge, an even number (paper: 96, that is 9,216 elements)."""
     contact_element_m: Annotated[float, Gt(0.0), Le(0.1)] = 1e-4
     """Size of the elements at the contact: part of the model's definition, see docs (paper: 0.1 mm)."""
+    solid: SolidMesh = field(default_factory=SolidMesh)
+    """Mesh of `solid`, which takes Hertz's pressure over `contact_radius_m`."""
 
     def __post_init__(self) -> None:
         check_bounds(self)

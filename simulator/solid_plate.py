@@ -1,83 +1,66 @@
-"""Plate as a three-dimensional solid: bricks that do not lock on a graded tensor grid.
+"""Plate as a three-dimensional solid: tensor-product elements of high degree, thinned from below.
 
 The second model of the paper (section 3). z points along the chain: 0 on the face that the last sphere
-touches, h on the other one, from which the patch is thinned. Grid lines lie on the edges of the patch
-and on its remaining thickness; the elements below are left out. A round patch leaves an element that
-the circle cuts its outer fraction of stiffness and mass.
+touches, h on the other one, from which the patch is thinned. All elements are boxes between grid lines;
+lines lie on the patch's edge and on its remaining thickness, and grow finer towards that re-entrant edge,
+where stresses are singular. Polynomials of degree three and more neither lock nor need a shear correction.
 
-A point force would press into a solid without limit. The force of the chain is spread as Hertz's
-pressure over a circle of radius a, and the deflection is averaged with the same weight. Part of it is
-the indentation of a half-space, which Hertz's law of the contact holds already; see
-`half_space_indentation_m_per_n`. What is left does not depend on a as long as a is small against the
-remaining thickness.
+Through the thickness the many layers are wanted near the edge of the patch only. Farther away the
+unknowns of a node are polynomials over the whole thickness there (`_kinds`), a subspace, so that the
+solution stays continuous.
 
-All matrices are those of the whole plate. The quarter model (exact for the centred load and patch)
-carries four times its own energy, so both give the same deflection under the same force.
+A round patch cuts elements: what the circle takes away of the lower layer is left out of their integrals
+(finite cell method: Parvizian, Duester and Rank 2007, doi:10.1007/s00466-007-0173-y).
+
+All matrices are those of the whole plate: with both symmetry planes four times a quarter's, and with the
+diagonal of a square plate as well eight times an eighth's (exact for the centred load and patch).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
-from scipy import linalg, optimize, sparse
+from scipy import sparse
 
-from hardware_drivers.bounds import check_bounds
 from simulator.errors import SpecimenError
-from simulator.materials import plane_modulus_pa
-from simulator.patches import patch_fraction
-from simulator.plate_mesh import graded_half_edge
+from simulator.materials import shear_modulus_pa
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.plate_reduction import PlateModes, krylov_vectors
-from simulator.solid_element import brick_mass, brick_stiffness
+from simulator.solid_mesh import SolidMesh
+from simulator.tensor_basis import Axis, graded_breaks_m, lagrange
 
-DOF_PER_NODE = 3
 FloatArray = NDArray[np.float64]
+Symmetry = Literal["eighth", "quarter", "none"]
 
-SOLID_VECTORS = 60
-"""Krylov vectors: the plate's response is kept to 1e-5 up to 10 kHz and to 1e-3 at 20 kHz."""
+COMPONENTS = 3
+
+MOST_DISPLACEMENTS = 3_000_000
+"""Displacements of all nodes of a mesh; more take minutes and tens of gigabytes."""
+
+UPPER_LINES = (0.0, 0.7, 0.93, 1.0)
+"""Grid lines through the thickness that the patch leaves, as fractions: finer towards its lower face."""
+
+LOWER_LINES = (0.0, 0.03, 0.15, 1.0)
+"""Grid lines through the thickness that the patch has lost, finer towards the re-entrant edge."""
+
+EDGE_STRIP = 0.4
+"""Within so many thicknesses of the patch's edge every layer keeps its own unknowns."""
+
+VOID = 1e-9
+"""Stiffness and mass of what a circle takes out of an element, relative to the metal: not quite nothing, so
+that every unknown is held."""
 
 RADIAL_POINTS = 48
 ANGULAR_POINTS = 48
 """Points over a quarter of the circle of contact: the nodal loads are sure to about 1e-4 of the largest."""
 
-SHALLOWEST_FRACTION = 1e-5
-"""A shallower patch is taken as none: rounding in so thin a layer would change more than the patch."""
-
-LEAST_FRACTION = 1e-6
-"""Less than this of an element that a circle cuts is left out: rounding, or too soft for its neighbours."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SolidMesh:
-    """Mesh of the solid plate and the circle that its load is spread over."""
-
-    elements_per_edge: Annotated[int, Ge(8), Le(200)] = 64
-    """Elements along each edge of the whole plate, an even number."""
-    layers: Annotated[int, Ge(1), Le(50)] = 3
-    """Elements through the thickness that remains under the contact, growing away from it."""
-    layers_below: Annotated[int, Ge(1), Le(50)] = 1
-    """Elements through the thickness that the patch has lost, where it is still there."""
-    contact_element_m: Annotated[float, Gt(0.0), Le(0.1)] = 2.5e-4
-    """Size of the elements at the contact, in all three directions; a single layer is as thick as it is."""
-    growth: Annotated[float, Gt(1.0), Le(3.0)] = 1.25
-    """Ratio of neighbouring elements near the contact; farther out all are equal, to carry the waves."""
-    contact_radius_m: Annotated[float, Gt(0.0), Le(0.1)] = 5e-4
-    """Radius a of the circle of contact."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
-        if self.elements_per_edge % 2:
-            raise ValueError(f"elements_per_edge is {self.elements_per_edge}; it must be even")
-        if self.contact_element_m > self.contact_radius_m:
-            raise ValueError(
-                f"contact_element_m is {self.contact_element_m} m; to resolve the circle of contact it must "
-                f"be at most contact_radius_m, {self.contact_radius_m} m"
-            )
+CUT_POINTS = 16
+"""Points of each of the integrals over an element that a circle cuts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -86,327 +69,472 @@ class SolidPlate:
 
     Attributes
     ----------
-    stiffness, mass
-        Sparse, shape (n, n) over the free unknowns.
+    parameters
+        Material and support.
+    x, y, z
+        Axes, origin at the contact.
+    upper
+        Number of intervals of z above the patch's face; the others are lost within the patch.
+    inside
+        Whether the lower layer is lost, 1, or there, 0, in each element; between if a circle cuts it.
+    cut
+        In-plane integrals over what is left of the elements that a circle cuts.
+    kinds
+        Unknowns of each node: 0 its own in every layer, 1 a polynomial over the upper layer, 2 a polynomial
+        over both.
+    shapes
+        These two polynomials at the nodes of z.
+    numbers
+        int64, shape (nodes of x, of y, of z, 3): number of each unknown, -1 where there is none.
+    columns
+        Elements by x and y, shape (columns, 2): each goes through the whole thickness.
+    repeats
+        How many times each column is there in the whole plate.
+    lift
+        Sparse: from the unknowns to the displacements of all nodes, numbered (x, y, component, z).
+    force
+        float64: unit force spread over the circle of contact, on the displacements of all nodes; also
+        averages the deflection.
     load
-        float64, shape (n,): unit force spread over the circle of contact; also averages its deflection.
-    indentation_m_per_n
-        Compliance to subtract from the averaged deflection, held by Hertz's law already.
-    x_m, y_m, z_m
-        Grid lines, origin at the contact, z along the chain.
-    free
-        int64, shape (n,): number of each free unknown among all ``3 len(x) len(y) len(z)``.
+        float64, shape (unknowns,): the same on the unknowns.
     """
 
-    stiffness: sparse.csc_matrix
-    mass: sparse.csc_matrix
+    parameters: PlateParameters
+    x: Axis
+    y: Axis
+    z: Axis
+    upper: int
+    inside: FloatArray
+    cut: Mapping[tuple[int, int], tuple[FloatArray, ...]]
+    kinds: NDArray[np.int64]
+    shapes: tuple[FloatArray, FloatArray]
+    numbers: NDArray[np.int64]
+    columns: NDArray[np.int64]
+    repeats: FloatArray
+    lift: sparse.csr_matrix
+    force: FloatArray
     load: FloatArray
-    indentation_m_per_n: float
-    x_m: FloatArray
-    y_m: FloatArray
-    z_m: FloatArray
-    free: NDArray[np.int64]
 
+    @property
+    def upper_nodes(self) -> int:
+        """Nodes of z in the upper layer, those on its lower face included."""
+        return int(self.z.first[self.upper]) + 1
 
-def half_space_indentation_m_per_n(
-    youngs_modulus_pa: float, poisson_ratio: float, contact_radius_m: float
-) -> float:
-    """Mean deflection of a half-space under a unit force of Hertz's pressure, ``0.6 (1 - nu^2) / (E a)``.
+    def displacements_of(self, ex: int, ey: int) -> NDArray[np.int64]:
+        """Numbers of the displacements of one column, shape (nodes in the plane, 3, nodes of z)."""
+        nodes_y, nodes_z = self.kinds.shape[1], self.numbers.shape[2]
+        nodes = (self.x.nodes_of(ex)[:, None] * nodes_y + self.y.nodes_of(ey)).ravel()
+        components = nodes[:, None] * COMPONENTS + np.arange(COMPONENTS)
+        return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
-    Under ``p = p0 sqrt(1 - r^2 / a^2)``, ``p0 = 3 F / (2 pi a^2)``, the surface within the circle sinks by
-    ``u(r) = pi p0 (1 - nu^2) (2 a^2 - r^2) / (4 E a)`` (Johnson 1985, Contact Mechanics, equation 3.41a,
-    doi:10.1017/CBO9781139171731). The mean of ``r^2 / a^2`` with the weight p is, with t in its place,
-    ``int t sqrt(1 - t) dt / int sqrt(1 - t) dt = (4 / 15) / (2 / 3) = 2 / 5``, so the mean of u is
-
-        pi p0 (1 - nu^2) a (2 - 2 / 5) / (4 E) = 0.4 pi p0 a (1 - nu^2) / E = 0.6 (1 - nu^2) F / (E a).
-
-    Another pressure or another weight has another factor.
-    """
-    return 0.6 / (plane_modulus_pa(youngs_modulus_pa, poisson_ratio) * contact_radius_m)
+    def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Integrals over z of one layer for nodes of `kind`, see `tensor_basis.Axis.matrices`."""
+        layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
+        integrals = self.z.matrices(layer)
+        if kind == 0:
+            return integrals
+        shape = self.shapes[kind - 1]
+        nodes = len(shape)
+        mass, slope, stiffness = (shape.T @ matrix[:nodes, :nodes] @ shape for matrix in integrals)
+        return mass, slope, stiffness
 
 
 def build_solid_plate(
-    plate: PlateParameters,
-    corrosion: CorrosionParameters,
-    mesh: SolidMesh | None = None,
-    *,
-    quarter: bool = True,
+    plate: PlateParameters, corrosion: CorrosionParameters, *, symmetry: Symmetry | None = None
 ) -> SolidPlate:
-    """Mesh and assemble the plate of `plate`, thinned by the patch of `corrosion` to its depth.
+    """Mesh the plate of `plate`, thinned by the patch of `corrosion` to its depth.
 
     Parameters
     ----------
     plate
-        Any model; size, material and support are used. Both supports hold the whole edge face: hard
-        simple support its two displacements in the face (deflection and along the edge), clamped all three.
+        Any model; size, material, support, circle of contact and the mesh `plate.solid` are used. Both
+        supports hold the whole edge face: hard simple support its two displacements in the face (deflection
+        and along the edge), clamped all three.
     corrosion
         Outline and depth of the patch.
-    mesh
-        None takes the defaults of `SolidMesh`.
-    quarter
-        One quarter with two symmetry planes, or the whole plate (for tests).
+    symmetry
+        Part of the plate that is modelled; None takes the smallest that is exact. For tests.
 
     Raises
     ------
     SpecimenError
-        The patch does not fit on the plate or the mesh, or leaves less than an element under the contact.
+        The model does not know such a plate or patch, or the mesh grows too large.
     """
-    mesh = SolidMesh() if mesh is None else mesh
-    _check_sizes(plate, corrosion, mesh)
-    x = capped_half_edge(0.5 * plate.width_m, mesh, 0.5 * corrosion.size_m)
-    y = capped_half_edge(0.5 * plate.height_m, mesh, 0.5 * corrosion.size_m)
-    if not quarter:
-        x = np.concatenate((-x[:0:-1], x))
-        y = np.concatenate((-y[:0:-1], y))
-    lost = corrosion.depth_fraction if corrosion.depth_fraction >= SHALLOWEST_FRACTION else 0.0
-    remaining_m = (1.0 - lost) * plate.thickness_m
-    z = graded_half_edge(remaining_m, mesh.layers, mesh.contact_element_m, remaining_m)
+    check_solid(plate, corrosion)
+    half_x, half_y = corrosion.half_sizes_m
+    if symmetry is None:
+        symmetry = "eighth" if plate.width_m == plate.height_m and half_x == half_y else "quarter"
+    mesh, h = plate.solid, plate.thickness_m
+    x, y = (
+        _in_plane_axis(0.5 * length, half, mesh, h, round_patch=corrosion.shape == "round")
+        for length, half in ((plate.width_m, half_x), (plate.height_m, half_y))
+    )
+    if symmetry == "none":
+        x, y = (
+            Axis(breaks_m=np.concatenate((-a.breaks_m[:0:-1], a.breaks_m)), degrees=a.degrees * 2)
+            for a in (x, y)
+        )
+    lost = corrosion.depth_fraction * corrosion.depth_factor
+    return assembled_solid(plate, corrosion, x, y, _through_axis(lost, mesh, h), symmetry)
+
+
+def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> SolidPlate:
+    """Cut what is left within the patch out of `plate`: same elements, simply supported edges."""
+    half_x, half_y = corrosion.half_sizes_m
+    x, y = (
+        Axis(breaks_m=a.breaks_m[: count + 1], degrees=a.degrees[:count])
+        for a, count in (
+            (plate.x, int(np.argmin(np.abs(plate.x.breaks_m - half_x)))),
+            (plate.y, int(np.argmin(np.abs(plate.y.breaks_m - half_y)))),
+        )
+    )
+    z = Axis(breaks_m=plate.z.breaks_m[: plate.upper + 1], degrees=plate.z.degrees[: plate.upper])
+    symmetry: Symmetry = "eighth" if len(x.degrees) == len(y.degrees) and half_x == half_y else "quarter"
+    return assembled_solid(plate.parameters, corrosion, x, y, z, symmetry, support="simply_supported")
+
+
+def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
+    """Refuse what the solid plate does not model."""
+    remedy = "use plate.model = 'mindlin'"
+    if plate.support == "free":
+        raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
+    for name, value in (("plate.contact_x_m", plate.contact_x_m), ("plate.contact_y_m", plate.contact_y_m)):
+        if value != 0.0:
+            raise SpecimenError(
+                f"{name} is {value}; on the solid plate the chain stands at the centre: {remedy}"
+            )
+    if corrosion.further:
+        raise SpecimenError(
+            f"corrosion.further has {len(corrosion.further)} patches; the solid plate has one: {remedy}"
+        )
+    for name, offset in (
+        ("corrosion.offset_x_m", corrosion.offset_x_m),
+        ("corrosion.offset_y_m", corrosion.offset_y_m),
+    ):
+        if offset != 0.0:
+            raise SpecimenError(f"{name} is {offset}; the solid plate's patch is centred: {remedy}")
+    if corrosion.profile != "flat":
+        raise SpecimenError(
+            f"corrosion.profile is {corrosion.profile!r}; the solid plate's patch is 'flat': {remedy}"
+        )
+    for name, half, length in (
+        ("corrosion.size_m", corrosion.half_sizes_m[0], plate.width_m),
+        ("corrosion.size_y_m", corrosion.half_sizes_m[1], plate.height_m),
+    ):
+        if 2.0 * half > length:
+            raise SpecimenError(
+                f"the patch is {2.0 * half} m wide, the plate only {length} m; make {name} smaller"
+            )
+        if plate.contact_radius_m > half:
+            raise SpecimenError(
+                f"plate.contact_radius_m is {plate.contact_radius_m} m, half the patch only {half} m; make "
+                f"contact_radius_m smaller or {name} larger"
+            )
+    remaining_m = (1.0 - corrosion.depth_fraction * corrosion.depth_factor) * plate.thickness_m
+    if plate.contact_radius_m > remaining_m:
+        raise SpecimenError(
+            f"plate.contact_radius_m is {plate.contact_radius_m} m, more than the {remaining_m:.4g} m of "
+            f"plate under it: no half-space; make contact_radius_m smaller"
+        )
+
+
+def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool) -> Axis:
+    features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
+    if round_patch:  # the circle crosses every line up to half_m
+        features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
+    breaks = graded_breaks_m(
+        length_m,
+        features=features,
+        growth=mesh.growth,
+        largest_m=mesh.largest_element * h,
+        stops_m=[half_m],
+    )
+    return Axis(breaks_m=breaks, degrees=(mesh.degree,) * (len(breaks) - 1))
+
+
+def _through_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
+    """Grid lines at the same fractions of both layers at any depth: shots change smoothly with it."""
+    graded = mesh.degree - 2
+    breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
+    degrees: tuple[int, ...] = (graded + 1, graded, graded)
     if lost > 0.0:
-        below_m = np.linspace(remaining_m, plate.thickness_m, mesh.layers_below + 1)
-        z = np.concatenate((z, below_m[1:]))
-    kept = np.ones((len(x) - 1, len(y) - 1, len(z) - 1))
-    below = 0.5 * (z[1:] + z[:-1]) > remaining_m
-    kept[:, :, below] -= patch_fraction(x, y, corrosion)[:, :, None]
-    kept[kept < LEAST_FRACTION] = 0.0
-    return assemble_solid(plate, x, y, z, kept, contact_radius_m=mesh.contact_radius_m, quarter=quarter)
+        below = (1.0 - lost) * h + lost * h * np.array(LOWER_LINES[1:])
+        below[-1] = h
+        breaks, degrees = np.concatenate((breaks, below)), (*degrees, graded, graded, graded)
+    return Axis(breaks_m=breaks, degrees=degrees)
 
 
-def capped_half_edge(length_m: float, mesh: SolidMesh, edge_m: float) -> FloatArray:
-    """Grid lines from 0 to `length_m` that grow from the contact up to one size, with a line at `edge_m`.
-
-    The cap follows from the number of elements: elements that grew to the edge of the plate would be
-    too long for the waves that come back from it. The line nearest to `edge_m` is moved there, and the
-    lines on either side of it are spread evenly over what it leaves them.
-
-    Returns
-    -------
-    float64, shape (elements_per_edge / 2 + 1,)
-
-    Raises
-    ------
-    SpecimenError
-        Too few elements for their growth, or a patch smaller than an element.
-    """
-    first_m, count = mesh.contact_element_m, mesh.elements_per_edge // 2
-    if edge_m < first_m:
-        raise SpecimenError(
-            f"half the patch is {edge_m} m, less than the elements at the contact ({first_m} m); "
-            f"make contact_element_m smaller"
-        )
-    grown = first_m * mesh.growth ** np.arange(count)
-    if grown.sum() < length_m:
-        raise SpecimenError(
-            f"{count} elements that grow by {mesh.growth} from {first_m} m reach {grown.sum():.4g} m of "
-            f"{length_m} m; make elements_per_edge, growth or contact_element_m larger"
-        )
-    cap_m = optimize.brentq(lambda cap: np.minimum(grown, cap).sum() - length_m, 0.0, grown[-1], rtol=1e-14)
-    lines = np.concatenate(([0.0], np.cumsum(np.minimum(grown, cap_m))))
-    lines *= length_m / lines[-1]
-    lines[-1] = length_m
-    if edge_m > length_m * (1.0 - 1e-9):
-        return np.asarray(lines)
-    moved = 1 + int(np.argmin(np.abs(lines[1:-1] - edge_m)))
-    inner = lines[:moved] * (edge_m / lines[moved])
-    outer = length_m - (length_m - lines[moved + 1 :]) * ((length_m - edge_m) / (length_m - lines[moved]))
-    return np.concatenate((inner, [edge_m], outer))
-
-
-def _check_sizes(plate: PlateParameters, corrosion: CorrosionParameters, mesh: SolidMesh) -> None:
-    shorter_m = min(plate.width_m, plate.height_m)
-    if corrosion.size_m > shorter_m:
-        raise SpecimenError(
-            f"the patch is {corrosion.size_m} m wide, the plate only {shorter_m} m; "
-            f"make corrosion.size_m smaller"
-        )
-    if mesh.contact_radius_m > 0.5 * shorter_m:
-        raise SpecimenError(
-            f"contact_radius_m is {mesh.contact_radius_m} m; the plate leaves {0.5 * shorter_m} m"
-        )
-    largest_m = shorter_m / mesh.elements_per_edge
-    if mesh.contact_element_m > largest_m:
-        raise SpecimenError(
-            f"contact_element_m is {mesh.contact_element_m} m; with {mesh.elements_per_edge} elements on the "
-            f"shorter edge it must be at most {largest_m:.4g} m"
-        )
-    remaining_m = (1.0 - corrosion.depth_fraction) * plate.thickness_m
-    if mesh.contact_element_m > remaining_m:
-        raise SpecimenError(
-            f"the patch leaves {remaining_m:.4g} m, less than the elements at the contact "
-            f"({mesh.contact_element_m} m); make contact_element_m smaller"
-        )
-    if mesh.contact_radius_m > remaining_m:
-        raise SpecimenError(
-            f"contact_radius_m is {mesh.contact_radius_m} m, more than the {remaining_m:.4g} m of "
-            f"plate under it: no half-space; make contact_radius_m and contact_element_m smaller"
-        )
-
-
-def assemble_solid(
+def assembled_solid(
     plate: PlateParameters,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    z_m: FloatArray,
-    kept: FloatArray,
-    *,
-    contact_radius_m: float,
-    quarter: bool,
+    corrosion: CorrosionParameters,
+    x: Axis,
+    y: Axis,
+    z: Axis,
+    symmetry: Symmetry,
+    support: str | None = None,
 ) -> SolidPlate:
-    """Sum the elements of any tensor grid with lines at x = 0, y = 0, z = 0 and hold its edges.
+    """Put the plate together on any axes from the contact on, the first three intervals of z above the patch.
 
-    `kept` is the fraction of each element that is there, shape (len(x) - 1, len(y) - 1, len(z) - 1);
-    elements with none of it are left out, and so are nodes that belong to no other.
+    `support` replaces that of `plate`; see `build_solid_plate` for the rest.
     """
-    there = kept.ravel() > 0.0
-    nodes = _element_nodes(len(x_m), len(y_m), len(z_m))[there]
-    points = np.stack(np.meshgrid(x_m, y_m, z_m, indexing="ij"), axis=3).reshape(-1, 3)
-    fraction = kept.ravel()[there][:, None, None] * (4.0 if quarter else 1.0)
-    corners = points[nodes]
-    stiffness = fraction * brick_stiffness(corners, plate.youngs_modulus_pa, plate.poisson_ratio)
-    mass = fraction * brick_mass(corners, plate.density_kg_per_m3)
-
-    used = np.zeros(len(points), dtype=bool)
-    used[nodes] = True
-    held = _held(plate, x_m, y_m, z_m, quarter) | ~used[:, None]
-    free = np.flatnonzero(~held.ravel())
-    number = np.full(held.size, -1)
-    number[free] = np.arange(len(free))
-    index = number.reshape(held.shape)[nodes]
-
-    load = np.zeros(held.shape)
-    load[:: len(z_m), 2] = hertz_nodal_weights(x_m, y_m, contact_radius_m, quarter=quarter).ravel()
-    # One component after another: the mass does not couple them.
-    masses = [_sparse(mass, index[:, :, component], len(free)) for component in range(DOF_PER_NODE)]
+    count = COMPONENTS * math.prod(int(axis.first[-1]) + 1 for axis in (x, y, z))
+    if count > MOST_DISPLACEMENTS:
+        raise SpecimenError(
+            f"the mesh of the solid plate has {count} displacements; at most {MOST_DISPLACEMENTS} are "
+            f"possible: make plate.solid.largest_element or edge_element larger or degree smaller"
+        )
+    upper = len(UPPER_LINES) - 1
+    upper_nodes = int(z.first[upper]) + 1
+    inside, cut = _patch(x, y, corrosion)
+    kinds = _kinds(x, y, inside, corrosion, EDGE_STRIP * plate.thickness_m)
+    q = plate.solid.degree - 1
+    z_m = z.nodes_m
+    shapes = (
+        lagrange(q, 2.0 * z_m[:upper_nodes] / z_m[upper_nodes - 1] - 1.0)[0],
+        lagrange(q, 2.0 * z_m / z_m[-1] - 1.0)[0],
+    )
+    there = _there(x, y, len(z_m), upper_nodes, inside)
+    for kind in (1, 2):
+        there[kinds == kind] = np.arange(len(z_m)) < q + 1
+    held = _held(plate.support if support is None else support, there.shape, symmetry)
+    numbers = _numbered(there[..., None] & ~held, symmetry)
+    lift = _lift(numbers, kinds, shapes)
+    weights = hertz_nodal_weights(x, y, plate.contact_radius_m, whole=symmetry == "none")
+    force = np.zeros((*kinds.shape, COMPONENTS, len(z_m)))
+    force[:, :, 2, 0] = weights
+    columns = np.argwhere(np.ones((len(x.degrees), len(y.degrees)), dtype=bool))
+    repeats = np.full(len(columns), 1.0 if symmetry == "none" else 4.0)
+    if symmetry == "eighth":
+        columns = columns[columns[:, 0] >= columns[:, 1]]
+        repeats = np.where(columns[:, 0] > columns[:, 1], 8.0, 4.0)
     return SolidPlate(
-        stiffness=_sparse(stiffness, index.reshape(len(nodes), -1), len(free)),
-        mass=(masses[0] + masses[1] + masses[2]).tocsc(),
-        load=load.ravel()[free],
-        indentation_m_per_n=half_space_indentation_m_per_n(
-            plate.youngs_modulus_pa, plate.poisson_ratio, contact_radius_m
-        ),
-        x_m=x_m,
-        y_m=y_m,
-        z_m=z_m,
-        free=free,
+        parameters=plate,
+        x=x,
+        y=y,
+        z=z,
+        upper=upper,
+        inside=inside,
+        cut=cut,
+        kinds=kinds,
+        shapes=shapes,
+        numbers=numbers,
+        columns=columns,
+        repeats=repeats,
+        lift=lift,
+        force=force.ravel(),
+        load=lift.T @ force.ravel(),
     )
 
 
-def _sparse(elements: FloatArray, index: NDArray[np.int64], size: int) -> sparse.csc_matrix:
-    rows = np.broadcast_to(index[:, :, None], elements.shape)
-    columns = np.broadcast_to(index[:, None, :], elements.shape)
-    kept = (rows >= 0) & (columns >= 0)
-    return sparse.csc_matrix((elements[kept], (rows[kept], columns[kept])), shape=(size, size))
+def _kinds(
+    x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
+) -> NDArray[np.int64]:
+    """Choose the unknowns of each node, see `SolidPlate.kinds`; where a circle cuts, all layers stay."""
+    half_x, half_y = corrosion.half_sizes_m
+    at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
+    if corrosion.shape == "round":
+        outside_m = np.hypot(at_x, at_y) - half_x
+        inside_m = -outside_m
+    else:
+        outside_m = np.hypot(np.maximum(at_x - half_x, 0.0), np.maximum(at_y - half_y, 0.0))
+        inside_m = np.minimum(half_x - at_x, half_y - at_y)
+    kinds = np.where(inside_m > strip_m, 1, np.where(outside_m > strip_m, 2, 0))
+    for ex, ey in np.argwhere((inside > 0.0) & (inside < 1.0)):
+        kinds[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = 0
+    return np.asarray(kinds)
 
 
-def _element_nodes(n_x: int, n_y: int, n_z: int) -> NDArray[np.int64]:
-    """Node numbers of each element in the order of `solid_element.CORNER_SIGNS`, shape (elements, 8)."""
-    number = np.arange(n_x * n_y * n_z).reshape(n_x, n_y, n_z)
-    steps = number[:2, :2, :2].ravel()
-    return np.asarray(number[:-1, :-1, :-1].ravel()[:, None] + steps)
+def _there(x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray) -> NDArray[np.bool_]:
+    """Tell which nodes belong to an element, shape (nodes of x, of y, of z)."""
+    there = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
+    there[:, :, :upper_nodes] = True
+    for ex, ey in np.argwhere(inside < 1.0):
+        there[np.ix_(x.nodes_of(ex), y.nodes_of(ey))] = True
+    return there
 
 
-def _held(
-    plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, z_m: FloatArray, quarter: bool
-) -> NDArray[np.bool_]:
-    """Tell which displacements the supports and the symmetry planes hold, shape (nodes, 3)."""
-    held = np.zeros((len(x_m), len(y_m), len(z_m), DOF_PER_NODE), dtype=bool)
-    clamped = plate.support == "clamped"
+def _held(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
+    """Tell which displacements the supports and the symmetry planes hold."""
+    held = np.zeros((*shape, COMPONENTS), dtype=bool)
+    clamped = support == "clamped"
     held[-1, :, :, 0] = clamped
     held[-1, :, :, 1:] = True
     held[:, -1, :, 1] |= clamped
     held[:, -1, :, ::2] = True
-    if quarter:
-        held[0, :, :, 0] = True
-        held[:, 0, :, 1] = True
-    else:
+    if symmetry == "none":
         held[0] |= held[-1]
         held[:, 0] |= held[:, -1]
-    return held.reshape(-1, DOF_PER_NODE)
+    else:
+        held[0, :, :, 0] = True
+        held[:, 0, :, 1] = True
+    return held
 
 
-def hertz_nodal_weights(x_m: FloatArray, y_m: FloatArray, radius_m: float, *, quarter: bool) -> FloatArray:
-    """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (len(x), len(y)).
+def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> NDArray[np.int64]:
+    """Give the free displacements numbers; across the diagonal of an eighth u and v change places."""
+    own = np.ones(free.shape, dtype=bool)
+    diagonal = np.arange(min(free.shape[:2]))
+    if symmetry == "eighth":
+        own &= np.tri(free.shape[0], dtype=bool)[:, :, None, None]
+        own[diagonal, diagonal, :, 1] = False
+    numbers = np.full(free.shape, -1)
+    chosen = own & free
+    numbers[chosen] = np.arange(int(chosen.sum()))
+    if symmetry == "eighth":
+        mirrored = numbers.transpose(1, 0, 2, 3)[..., [1, 0, 2]]
+        numbers = np.where(np.tri(free.shape[0], dtype=bool)[:, :, None, None], numbers, mirrored)
+        numbers[diagonal, diagonal, :, 1] = numbers[diagonal, diagonal, :, 0]
+    return numbers
 
-    On the surface a brick is bilinear. With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is
-    ``c r dr ~ c^2 dc``, smooth in c: Gauss points in c and in the angle carry the pressure, and each
-    gives its share to the four corners around it. The loads add up to one, for a quarter too.
+
+def _lift(
+    numbers: NDArray[np.int64], kinds: NDArray[np.int64], shapes: tuple[FloatArray, FloatArray]
+) -> sparse.csr_matrix:
+    """Take the unknowns to the displacements of all nodes."""
+    z_nodes = numbers.shape[2]
+    flat = numbers.reshape(-1, z_nodes, COMPONENTS)
+    rows, columns, values = [], [], []
+    for kind, shape in enumerate((np.eye(z_nodes), *shapes)):
+        nodes = np.flatnonzero(kinds.ravel() == kind)
+        at, of = np.nonzero(shape)
+        for component in range(COMPONENTS):
+            number = flat[nodes][:, of, component]
+            row = (nodes[:, None] * COMPONENTS + component) * z_nodes + at
+            rows.append(row[number >= 0])
+            columns.append(number[number >= 0])
+            values.append(np.broadcast_to(shape[at, of], number.shape)[number >= 0])
+    entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+    return sparse.csr_matrix(entries, shape=(numbers.size, int(numbers.max()) + 1))
+
+
+def _patch(
+    x: Axis, y: Axis, corrosion: CorrosionParameters
+) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
+    """Fraction of each element within the patch, and the integrals over what a circle leaves of it."""
+    half_x, half_y = corrosion.half_sizes_m
+    near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
+    far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
+    if corrosion.shape != "round":
+        within_x, within_y = far_x <= half_x * (1.0 + 1e-9), far_y <= half_y * (1.0 + 1e-9)
+        return np.outer(within_x, within_y).astype(np.float64), {}
+    inside = (np.hypot(far_x[:, None], far_y[None, :]) <= half_x * (1.0 + 1e-9)).astype(np.float64)
+    touched = (np.hypot(near_x[:, None], near_y[None, :]) < half_x * (1.0 - 1e-9)) & (inside == 0.0)
+    cut = {}
+    for ex, ey in np.argwhere(touched):
+        whole = in_plane_integrals(x, y, int(ex), int(ey))
+        lost = _integrals_within(x, y, int(ex), int(ey), half_x)
+        inside[ex, ey] = lost[0].sum() / whole[0].sum()
+        cut[int(ex), int(ey)] = tuple(w - (1.0 - VOID) * part for w, part in zip(whole, lost, strict=True))
+    return inside, cut
+
+
+def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
+    """Integrals over one element, numbered (x, y), with N_,x for a derivative.
+
+    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
+    """
+    mass_x, slope_x, stiffness_x = x.interval_matrices(ex)
+    mass_y, slope_y, stiffness_y = y.interval_matrices(ey)
+    products = (
+        np.kron(mass_x, mass_y),
+        np.kron(stiffness_x, mass_y),
+        np.kron(mass_x, stiffness_y),
+        np.kron(slope_x, mass_y),
+        np.kron(mass_x, slope_y),
+        np.kron(slope_x, slope_y.T),
+    )
+    return tuple(np.asarray(product, dtype=np.float64) for product in products)
+
+
+def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
+    """Take the same integrals over what a circle about the origin covers of an element."""
+    left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
+    bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
+    crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
+    ends = [left, *sorted(c for c in crossings if left < c < right), right]
+    at_x, at_y, weights = [], [], []
+    for start, end in itertools.pairwise(ends):
+        # Squared towards the end: there the arc may stand upright.
+        t, t_weight = _gauss(CUT_POINTS, 1.0)
+        across = end - (end - start) * t**2
+        for a, a_weight in zip(across, 2.0 * (end - start) * t * t_weight, strict=True):
+            reach = min(top, math.sqrt(max(radius_m**2 - a**2, 0.0))) - bottom
+            if reach <= 0.0:
+                continue
+            up, up_weight = _gauss(CUT_POINTS, reach)
+            at_x.append(np.full(CUT_POINTS, a))
+            at_y.append(bottom + up)
+            weights.append(a_weight * up_weight)
+    if not weights:
+        nodes = len(x.nodes_of(ex)) * len(y.nodes_of(ey))
+        return (np.zeros((nodes, nodes)),) * 6
+    sign_x = math.copysign(1.0, x.breaks_m[ex] + x.breaks_m[ex + 1])
+    sign_y = math.copysign(1.0, y.breaks_m[ey] + y.breaks_m[ey + 1])
+    value_x, along_x = _values_on(x, ex, sign_x * np.concatenate(at_x))
+    value_y, along_y = _values_on(y, ey, sign_y * np.concatenate(at_y))
+    pairs = ((value_x, value_y), (along_x, value_y), (value_x, along_y))
+    n, n_x, n_y = ((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs)
+    weight = np.concatenate(weights)[:, None]
+    products = ((n, n), (n_x, n_x), (n_y, n_y), (n_x, n), (n_y, n), (n_x, n_y))
+    return tuple(np.asarray(first.T @ (weight * second)) for first, second in products)
+
+
+def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
+    value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
+    return value, slope * (2.0 / (end - start))
+
+
+def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
+    """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
+
+    With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
+    in c and in the angle carry the pressure. The loads add up to one, for a quarter of the plate, too.
     """
     c, c_weight = _gauss(RADIAL_POINTS, 1.0)
     angle, angle_weight = _gauss(ANGULAR_POINTS, 0.5 * math.pi)
     r = radius_m * np.sqrt(1.0 - c**2)
     share = np.outer(c**2 * c_weight, angle_weight).ravel()
-    along_x, along_y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
-    signs = [(1.0, 1.0)] if quarter else [(1.0, 1.0), (-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
-    weights = np.zeros((len(x_m), len(y_m)))
-    for sign_x, sign_y in signs:
-        i, right = _cell(x_m, sign_x * along_x)
-        j, upper = _cell(y_m, sign_y * along_y)
-        np.add.at(weights, (i, j), share * (1.0 - right) * (1.0 - upper))
-        np.add.at(weights, (i + 1, j), share * right * (1.0 - upper))
-        np.add.at(weights, (i, j + 1), share * (1.0 - right) * upper)
-        np.add.at(weights, (i + 1, j + 1), share * right * upper)
-    return np.asarray(weights / weights.sum())
+    at_x, at_y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
+    signs = (1.0, -1.0) if whole else (1.0,)
+    along_x, along_y = (sum(axis.values(sign * at) for sign in signs) for axis, at in ((x, at_x), (y, at_y)))
+    weights = np.asarray(along_x).T @ ((share / share.sum())[:, None] * np.asarray(along_y))
+    return np.asarray(weights / len(signs) ** 2)
 
 
 def _gauss(count: int, end: float) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre points and weights on the interval from 0 to `end`."""
+    """Gauss-Legendre points and weights on 0..end."""
     points, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 * end * (points + 1.0), 0.5 * end * weights
 
 
-def _cell(lines_m: FloatArray, at_m: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-    """Find the element that holds each coordinate and how far along it lies, 0 to 1."""
-    cell = np.clip(np.searchsorted(lines_m, at_m, side="right") - 1, 0, len(lines_m) - 2)
-    return cell, (at_m - lines_m[cell]) / np.diff(lines_m)[cell]
+def in_plane_terms(
+    plate: PlateParameters, integrals: tuple[FloatArray, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Isotropic elasticity of one element, its dependence on z split off; numbered (node, component).
 
+    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
 
-def solid_modes(plate: SolidPlate, vectors: int = SOLID_VECTORS) -> PlateModes:
-    """Modes of the plate as the chain feels them, the half-space indentation taken off.
-
-    The force drives few motions: stiffness and mass are projected onto their Krylov space (Galerkin,
-    as in `plate_reduction`). The indentation becomes negative residual compliance. Modes far above
-    the chain's frequencies hold most of the dimple under the load; once they are cut into the residual
-    compliance as well, the two nearly cancel. A shot needs `passive_modes` of these.
-
-    Parameters
-    ----------
-    plate
-        From `build_solid_plate`.
-    vectors
-        Dimension of the Krylov space.
+    Returns
+    -------
+    A, B, C, D
+        float64, shape (3 nodes, 3 nodes).
     """
-    basis = krylov_vectors(plate.stiffness, plate.mass, plate.load, vectors)
-    stiffness, mass = (basis @ (matrix @ basis.T) for matrix in (plate.stiffness, plate.mass))
-    eigenvalues, shapes = linalg.eigh(stiffness, mass, check_finite=False)
-    return PlateModes(
-        omega_rad_per_s=np.sqrt(eigenvalues),
-        participation=shapes.T @ (basis @ plate.load),
-        residual_compliance_m_per_n=-plate.indentation_m_per_n,
-    )
-
-
-def passive_modes(modes: PlateModes) -> PlateModes:
-    """Turn the fastest modes into residual compliance until it is no longer negative.
-
-    A negative compliance in series with the contact's dashpot feeds energy in, and the explicit
-    integration of a shot diverges with a fine step or a strong dashpot. The fastest modes hold the
-    dimple under the load; as many as make up for the half-space's part of it are taken as static.
-
-    Raises
-    ------
-    SpecimenError
-        All modes together yield less than the half-space: the circle of contact is too small for the mesh.
-    """
-    flexibility = (modes.participation / modes.omega_rad_per_s) ** 2
-    residual = modes.residual_compliance_m_per_n + np.append(np.cumsum(flexibility[::-1])[::-1], 0.0)
-    passive = np.flatnonzero(residual >= 0.0)
-    if len(passive) == 0:
-        raise SpecimenError(
-            f"the plate yields {-residual[0]:.3g} m/N less than a half-space would at the contact; make "
-            f"contact_radius_m larger or contact_element_m smaller"
-        )
-    count = int(passive[-1])
-    return PlateModes(
-        omega_rad_per_s=modes.omega_rad_per_s[:count],
-        participation=modes.participation[:count],
-        residual_compliance_m_per_n=float(residual[count]),
-    )
+    nn, xx, yy, xn, yn, xy = integrals
+    mu = shear_modulus_pa(plate.warm_youngs_modulus_pa, plate.poisson_ratio)
+    lame = 2.0 * mu * plate.poisson_ratio / (1.0 - 2.0 * plate.poisson_ratio)
+    u, v, w = range(COMPONENTS)
+    a, b, c, d = (np.zeros((len(nn), COMPONENTS, len(nn), COMPONENTS)) for _ in range(4))
+    a[:, u, :, u] = (lame + 2.0 * mu) * xx + mu * yy
+    a[:, v, :, v] = (lame + 2.0 * mu) * yy + mu * xx
+    a[:, w, :, w] = mu * (xx + yy)
+    a[:, u, :, v] = lame * xy + mu * xy.T
+    a[:, v, :, u] = a[:, u, :, v].T
+    for component, stiffness in ((u, mu), (v, mu), (w, lame + 2.0 * mu)):
+        b[:, component, :, component] = stiffness * nn
+        d[:, component, :, component] = plate.density_kg_per_m3 * nn
+    for component, slope in ((u, xn), (v, yn)):
+        c[:, component, :, w] = mu * slope.T
+        c[:, w, :, component] = lame * slope.T
+    size = COMPONENTS * len(nn)
+    return a.reshape(size, size), b.reshape(size, size), c.reshape(size, size), d.reshape(size, size)
