@@ -88,7 +88,7 @@ def test_reduced_plate_responds_like_all_unknowns(case):
     reduction = reduce_plate(parts)
     for depth in (0.1, 0.7, 0.93):
         modes = reduction.modes(depth)
-        for frequency_hz, allowed in ((0.0, 3e-5), (1e4, 3e-5), (2e4, 1e-3)):
+        for frequency_hz, allowed in ((0.0, 5e-6), (1e4, 5e-6), (2e4, 1e-3)):
             s = 1e4 + 2j * np.pi * frequency_hz
             exact = exact_response(parts, depth, s)
             reduced = np.sum(modes.participation**2 / (modes.omega_rad_per_s**2 + s**2))
@@ -108,8 +108,8 @@ def test_shots_balance_their_energy_and_equal_those_on_a_rich_basis(case, reduct
         found, expected = (model.shot(depth_fraction=depth) for model in (usual, rich))
         assert found.energy_residual <= 2e-5  # a fifth of what is demanded
         difference = np.linalg.norm(found.force_n - expected.force_n)
-        # The allowance for the reduction; most of it is needed under a deep patch with a liquid.
-        assert difference <= 1e-4 * np.linalg.norm(expected.force_n)
+        # A third of the allowance for the reduction.
+        assert difference <= 3e-5 * np.linalg.norm(expected.force_n)
 
 
 def test_patch_beside_the_contact_and_smooth_ones_change_less(reduction_folder):
