@@ -20,7 +20,7 @@ from daq_service.sweep.shot import Specimen
 from daq_service.sweep.specification import Axis, parse_axis, read_sweep_file
 from daq_service.sweep.table import SweepTable
 
-ROWS_FOR_PROCESSES = {"coupled": 400, "zener": 100}
+ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
 """Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
 
 DEPTH_KEY = "corrosion.depth_fraction"
