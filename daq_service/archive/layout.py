@@ -62,6 +62,8 @@ class _RecordGroup:
     name: str
     position: str
     records: list[Record]
+    counts: Any
+    """Shape (n_records, n_samples)."""
 
     @property
     def waveform(self) -> Waveform:
@@ -75,10 +77,6 @@ class _RecordGroup:
     def sampling(self) -> tuple[float, int, int]:
         """What a time axis depends on."""
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
-
-    def counts(self) -> Any:
-        """Stack the counts, shape (n_records, n_samples)."""
-        return np.stack([record.waveform.counts for record in self.records])
 
 
 def build_image(record: SetRecord) -> bytes:
@@ -145,7 +143,8 @@ def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
         base = f"{position}_pulse_echo" if is_echo else f"{position}_waveforms"
         taken[base] = taken.get(base, 0) + 1
         name = base if taken[base] == 1 else f"{base}_{taken[base]}"
-        groups.append(_RecordGroup(name, position, members))
+        counts = np.stack([record.waveform.counts for record in members])
+        groups.append(_RecordGroup(name, position, members, counts))
     return groups
 
 
@@ -212,7 +211,7 @@ def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) 
             {"signal": signal, "axes": ["shot_time", "time"], "position": group.position},
         )
         scale, offset = _nexus_scale(group.waveform)
-        counts = group.counts()
+        counts = group.counts
         add_field(
             data,
             signal,
@@ -391,7 +390,7 @@ def _envelope(group: _RecordGroup, starts: Any) -> dict[str, Any]:
     """
     if not starts.size:
         return dict.fromkeys(("mean", "min", "max"), np.zeros(0, dtype=np.float32))
-    counts = group.counts()
+    counts = group.counts
     widths = np.diff(np.append(starts, counts.shape[1]))
     reduced = {
         "mean": np.add.reduceat(counts.mean(axis=0), starts) / widths,

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -154,8 +155,12 @@ class StoredSet:
     timings: StoreTimings
 
 
+@lru_cache(maxsize=64)
 def waveform_crc32(waveform: Waveform) -> int:
-    """CRC-32 (zlib's) of a record's counts as little-endian bytes."""
+    """CRC-32 (zlib's) of a record's counts as little-endian bytes.
+
+    A waveform never changes; file, acknowledgement and catalogue ask for the same one.
+    """
     counts = waveform.counts
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), copy=False).tobytes())
 
