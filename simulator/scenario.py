@@ -35,13 +35,14 @@ class ThinningParameters:
     reference_h: Annotated[float, Gt(0.0), Le(1e6)] = 300.0
     """Hour at which the mean depth is `depth_fraction`; the mean rate goes on beyond it."""
     depth_fraction: Annotated[float, Ge(0.0), Le(DEEPEST_PATCH_FRACTION)] = 0.0
-    """Lost part of the thickness at `reference_h`, the mean over the patch; 0 stays pristine."""
+    """Lost part of the thickness at `reference_h`: the mean over a flat patch, the depth in the middle of a
+    smooth one; 0 stays pristine."""
     unevenness: Annotated[float, Ge(0.0), Lt(1.0)] = 0.0
     """Largest departure of the rate from its mean, as a fraction: below 1, so the wall never grows back."""
     hole_h: float | None = None
     """Hour at which a pit in the patch goes through (depth 0.95) and nothing is reflected; absent: never."""
     history: tuple[tuple[float, float], ...] = ()
-    """Mean depth over time instead of the law above: pairs of hour and depth, straight in between, constant
+    """Depth over time instead of the law above: pairs of hour and depth, straight in between, constant
     before the first and after the last."""
 
     def __post_init__(self) -> None:

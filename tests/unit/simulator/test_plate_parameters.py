@@ -8,6 +8,7 @@ from simulator.plate_parameters import (
     PatchParameters,
     PlateParameters,
 )
+from simulator.reduction_cache import reduction_key
 
 
 @pytest.mark.parametrize(
@@ -57,6 +58,36 @@ def test_the_defaults_are_the_papers_plate():
     assert (plate.liquid, plate.contact, plate.contact_x_m, plate.contact_y_m) == (None, "node", 0.0, 0.0)
     assert plate.warm_youngs_modulus_pa == plate.youngs_modulus_pa
     assert patch.patches == (PatchParameters(),)
+
+
+@pytest.mark.parametrize(
+    ("plate", "patch"),
+    [
+        ({"support": "free"}, {}),
+        ({"support": "free", "suspension_hz": 5.0}, {}),
+        ({"liquid": LiquidParameters(depth_m=0.1)}, {}),
+        ({"liquid": LiquidParameters(depth_m=0.2)}, {}),
+        ({"temperature_c": 30.0}, {}),
+        ({"contact_x_m": 0.01}, {}),
+        ({"contact_y_m": 0.01}, {}),
+        ({"contact": "patch"}, {}),
+        ({"contact": "patch", "contact_radius_m": 3e-4}, {}),
+        ({}, {"shape": "rectangular", "size_y_m": 0.02}),
+        ({}, {"offset_x_m": 0.01}),
+        ({}, {"offset_y_m": 0.01}),
+        ({}, {"profile": "bowl"}),
+        ({}, {"depth_factor": 0.5}),
+        ({}, {"further": (PatchParameters(offset_x_m=0.1),)}),
+        ({}, {"further": (PatchParameters(offset_x_m=0.1, profile="cosine"),)}),
+    ],
+)
+def test_every_key_of_plate_and_patches_has_a_reduction_of_its_own(plate, patch):
+    usual = reduction_key(PlateParameters(), CorrosionParameters())
+    changed = reduction_key(PlateParameters(**plate), CorrosionParameters(**patch))
+    assert changed != usual
+    assert changed == reduction_key(
+        PlateParameters(**plate), CorrosionParameters(**patch, depth_fraction=0.5)
+    )
 
 
 def test_youngs_modulus_falls_with_temperature():
