@@ -129,3 +129,18 @@ def test_zeners_model_takes_the_keys_that_count_there_and_no_others() -> None:
     for key in set(known_keys()) - set(ZENER_KEYS):
         with pytest.raises(UsageError, match="no influence on --model zener"):
             make_plan("zener", BASE, [Axis(key=key, values=(1,))])
+
+
+def test_tables_below_a_section_are_swept_by_key_or_whole() -> None:
+    by_key = planned("plate.liquid.density_kg_per_m3=1000,1025", "plate.liquid.depth_m=0.05")
+    liquids = [row.specimen[1].liquid for row in by_key.rows if row.specimen is not None]
+    assert [(one.density_kg_per_m3, one.depth_m) for one in liquids if one] == [
+        (1000.0, 0.05),
+        (1025.0, 0.05),
+    ]
+    whole = planned('plate.liquid=null,{"density_kg_per_m3": 1025, "depth_m": 0.05}')
+    assert [row.specimen[1].liquid for row in whole.rows if row.specimen is not None] == [None, liquids[1]]
+    with pytest.raises(UsageError, match=r"plate\.liquid is swept and plate\.liquid\.depth_m in it"):
+        planned("plate.liquid=null", "plate.liquid.depth_m=0.05")
+    with pytest.raises(UsageError, match=r"liquid\.depth_m: Field required"):
+        planned("plate.liquid.density_kg_per_m3=1000")
