@@ -40,24 +40,29 @@ def test_the_truth_is_the_wall_under_the_beam():
 def test_bubbles_are_intermittent_and_keyed():
     echo = replace(SMOOTH, bubble_probability=0.3, bubbles_per_beam=60.0, bubble_radius_m=5e-3)
     bubbly, calm = specimen(echo), specimen()
-    drawn = [bubbly.echo(key(k), 0.0).truth["bubbles"] for k in range(40)]
-    low, high = stats.binom.interval(1.0 - 1e-4, 40, 0.3)
+    drawn = [disturbance(echo, seed=1, key=key(k))[1]["bubbles"] for k in range(400)]
+    low, high = stats.binom.interval(1.0 - 1e-4, 400, 0.3)
     assert low <= sum(drawn) <= high
-    for k in range(12):
+    assert set(drawn[:6]) == {0.0, 1.0}
+    for k in range(6):
+        assert bubbly.echo(key(k), 0.0).truth["bubbles"] == drawn[k]
         moved = bubbly.echo(key(k), 0.0).waveform.volts() - calm.echo(key(k), 0.0).waveform.volts()
         assert np.any(moved) == bool(drawn[k])  # noise and wall are the same
         assert not np.any(moved[:950])  # nothing before the wall
 
 
-def test_the_couplant_changes_the_gain_of_a_whole_record():
-    echo = replace(SMOOTH, coupling_sd_db=3.0)
+@pytest.mark.parametrize("bubble_probability", [0.0, 1.0])
+def test_the_couplant_changes_the_gain_of_a_whole_record(bubble_probability):
+    echo = replace(SMOOTH, coupling_sd_db=3.0, bubble_probability=bubble_probability)
     found = [disturbance(echo, seed=1, key=key(k)) for k in range(300)]
     levels_db = [20.0 * np.log10(truth["coupling_gain"]) for _, truth in found]
     assert stats.kstest(levels_db, "norm", args=(0.0, 3.0)).pvalue > 1e-4
     quiet = NoiseParameters(enabled=False)
-    noisy = specimen(echo).echo(key(4), 0.0)
-    plain = specimen(noise=quiet).echo(key(4), 0.0).waveform.volts()
-    # Noise of the mean, 2.5 mV, five times.
+    furthest = int(np.argmax(np.abs(levels_db[:20])))
+    noisy = specimen(echo).echo(key(furthest), 0.0)
+    plain = specimen(noise=quiet).echo(key(furthest), 0.0).waveform.volts()
+    assert abs(noisy.truth["coupling_gain"] - 1.0) > 0.1
+    # Noise of the mean, 2.5 mV, five times; bubbles stay below it.
     np.testing.assert_allclose(noisy.waveform.volts(), noisy.truth["coupling_gain"] * plain, atol=12.5e-3)
 
 
@@ -74,20 +79,20 @@ def test_every_record_of_an_echo_beyond_the_range_clips():
 
 
 def test_noise_clips_single_records_although_their_mean_shows_nothing():
-    """The crest stays 4 SD below the last code: one record in some thousand clips there, none on the mean."""
+    """The crest stands at the last code: half of the records clip there, and their mean stays below it."""
     # A wall whose echo's crest falls on a sample: 6.785 mm are 2,300 ns.
-    edge = replace(SMOOTH, back_wall_v=0.97, attenuation_db_per_m=0.0, noise_rms_v=0.02, averages=1_000)
+    edge = replace(SMOOTH, back_wall_v=1.0, attenuation_db_per_m=0.0, noise_rms_v=0.02, averages=1_000)
     whole = build_specimen(
         TwinParameters(echo=edge, drift=STILL), transducers={}, probed_thickness_m={"A": 6.785e-3}
     ).echo(key(), 0.0)
     assert not whole.waveform.clipped
-    # Crest at .97 V, the last code at .9999 V: 1.5 SD, 6.7 % a record for that sample alone; both
-    # neighbours, 5 % lower (.92 V, 4 SD), and the other samples add next to nothing.
-    low, high = stats.binom.interval(1.0 - 1e-4, 1_000, stats.norm.sf((1.0 - 2.0**-14 - 0.97) / 0.02))
+    # The two neighbours, 5 % lower, are 2.5 SD away and add .6 % of the other half each.
+    low, high = stats.binom.interval(1.0 - 1e-4, 1_000, 0.5 + 0.5 * 2.0 * stats.norm.sf(2.5))
     assert low <= whole.settings["clipped_records"] <= high
-    # What is cut off lowers the mean's crest by the noise's mean excess, 1.5 SD: .03 SD or .6 mV.
-    crest_v = whole.waveform.volts().max()
-    assert 0.97 - 4e-3 < crest_v < 0.97 + 1e-3
+    # Of noise cut off at its mean, 1 / sqrt(2 pi) SD are lost on the average; 1,000 records know that to
+    # .6 / sqrt(1000) SD: four of those and a code.
+    lost_v = 1.0 - whole.waveform.volts().max()
+    assert lost_v == pytest.approx(0.02 / np.sqrt(2.0 * np.pi), abs=4.0 * 0.012 / np.sqrt(1_000) + 2.0**-13)
 
 
 def test_a_mean_that_is_drawn_once_scatters_like_one_drawn_record_by_record():
