@@ -63,6 +63,7 @@ from simulator.lanes import (
 )
 
 FloatArray = NDArray[np.float64]
+IntegerArray = NDArray[np.int64]
 
 LAWS_OF_DAMPING = (0.0, 0.25, 0.5, 1.5)
 """Exponents p of the dashpots, the linear one first."""
@@ -131,15 +132,49 @@ def _raised_slope(overlap: Any, law: int) -> Any:
     return 2.5 * overlap * root
 
 
+@_compiled
+def _struck_twice(
+    x: FloatArray,
+    row: int,
+    width: int,
+    k: int,
+    mass: float,
+    stiffness: float,
+    gravity: float,
+    step: float,
+    n: int,
+    launch_speed: FloatArray,
+    speed: float,
+) -> float:
+    """Let the striker of lane `k` touch the body below it again at step `n`; returns the energy this gives.
+
+    It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
+    the body below.
+    """
+    p = x[OVERLAP * row + k]
+    gained = 0.5 * mass * (speed**2 - x[V0 * row + k] ** 2) - 0.4 * stiffness * p**2.5
+    gained -= mass * gravity * (x[U * row + width + k] - x[U * row + k])
+    impulse = x[TOTAL * row + width + k]
+    x[IMPULSE * row + k] = impulse
+    x[U * row + k] = x[U * row + width + k]
+    for past in range(4):
+        x[(V0 + past) * row + k] = speed - past * step * gravity
+    for past in range(3):
+        x[(F0 + past) * row + k] = 0.0
+    x[OVERLAP * row + k] = x[GAP * row + k] = 0.0
+    launch_speed[k] = speed - gravity * (n * step) + impulse / mass
+    return float(gained)
+
+
 @cache
 def kernel(width: int, linear: bool) -> Callable[..., None]:
     """Compile the time loop for `width` shots side by side, with linear dashpots or with any.
 
     The function returned fills its last four arguments::
 
-        integrate(mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, sensor,
-                  retainer_force, precompression, law, step, bank, residual_compliance, mobility, interval,
-                  sensor_force, contact_force, residual_j, reflection_step)
+        integrate(mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, second_step,
+                  second_speed, sensor, retainer_force, precompression, law, step, bank, residual_compliance,
+                  mobility, interval, sensor_force, contact_force, residual_j, reflection_step)
 
     mass, stiffness, static_force, static_overlap, gravity, sensor, precompression
         The fields of `granular_chain.Chain`.
@@ -148,6 +183,9 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
         a contact side by side.
     impact_speed
         float64, shape (width,).
+    second_step, second_speed
+        int64 and float64, shape (width,): at this step the striker, taken off before, touches the body below
+        with that speed; a negative step: it strikes once.
     retainer_force
         Constant force that carries the last sphere where there is no specimen; zero elsewhere.
     law
@@ -184,6 +222,8 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         static_overlap: FloatArray,
         gravity: float,
         impact_speed: FloatArray,
+        second_step: IntegerArray,
+        second_speed: FloatArray,
         sensor: int,
         retainer_force: float,
         precompression: float,
@@ -262,9 +302,12 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
 
         dissipated = zero  # at the plate, times the step
         worst = zero
-        start = 0.5 * mass[0] * speed * speed + 0.5 * residual_compliance * n_plate**2
+        energy = 0.5 * mass[0] * speed * speed + 0.5 * residual_compliance * n_plate**2
         for i in range(last + 1):
-            start = start + 0.4 * stiffness[i] * static_overlap[i] ** 2.5
+            energy = energy + 0.4 * stiffness[i] * static_overlap[i] ** 2.5
+        given_energy = np.zeros(W)  # with the strikes
+        store(given_energy, 0, energy)
+        launch_speed = impact_speed.copy()
         # Contact and cut modes in series: together compressed by `stretch`, which has no jumps.
         rest = static_overlap[last] + residual_compliance * n_plate
         stretch = zero + rest
@@ -295,6 +338,23 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             return where_greater(p, zero, hertz + dashpot, zero)
 
         for n in range(1, n_steps):
+            for k in range(W):
+                if n - 1 == second_step[k]:
+                    gained = _struck_twice(
+                        x,
+                        row,
+                        W,
+                        k,
+                        mass[0],
+                        stiffness[0],
+                        gravity,
+                        step,
+                        n - 1,
+                        launch_speed,
+                        second_speed[k],
+                    )
+                    given_energy[k] += gained
+
             # The plate's deflection but for this step's own impulse, in sums of every eighth mode. What the
             # last step gave is added at the end: nothing else needs to wait for its contact.
             if W == 1:
@@ -347,7 +407,8 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
                 store(x, AHEAD * row + k, fma(past, h24, load(x, U * row + k, BLOCK)))
             past = fma(v0, 55.0, fma(v1, -59.0, fma(v2, 37.0, -9.0 * v3)))
             store(x, AHEAD * row + last * W, fma(past, h24, u))
-            store(x, TOTAL * row, mass[0] * (speed + gravity * (n * step)))  # what moves the striker
+            # What moves the striker.
+            store(x, TOTAL * row, mass[0] * (load(launch_speed, 0, W) + gravity * (n * step)))
             for k in range(0, size, BLOCK):
                 q = load(x, STATIC_OVERLAP * row + k, BLOCK)
                 p_ = load(x, AHEAD * row + k, BLOCK) - load(x, AHEAD * row + k + W, BLOCK) + q
@@ -533,7 +594,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
                         moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (impulse + s0)
                         bent = load(sums, j * W, W) + 0.5 * (moving * moving + bent * bent)
                         store(sums, j * W, bent)
-                defect = absolute(energy + sum_of_eight() - start)
+                defect = absolute(energy + sum_of_eight() - load(given_energy, 0, W))
                 # So that what is not a number ends up in `worst` as well.
                 worst = unless_within(defect, worst, defect, worst)
         store(residual_j, 0, worst)

@@ -87,12 +87,25 @@ class Impact:
         Depth of the patch, height the striker falls from, tilt of the sensor disk.
     through_hole
         Nothing stands under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+    second_delay_s, second_drop_height_m
+        A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
+        touches again as from this height (None: as at first). It meets the chain as it then moves. The
+        record gets no longer by it, and `ShotForce.reflection_time_s` is that of the stronger wave.
     """
 
     depth_fraction: float | None = None
     drop_height_m: float | None = None
     tilt_rad: float | None = None
     through_hole: bool = False
+    second_delay_s: float | None = None
+    second_drop_height_m: float | None = None
+
+    def __post_init__(self) -> None:
+        delay_s = self.second_delay_s
+        if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
+            raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
+        if delay_s is None and self.second_drop_height_m is not None:
+            raise ValueError("second_drop_height_m is given without second_delay_s; give both")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -290,7 +303,16 @@ class ShotModel:
             chain = replace(chain, drop_height_m=float(impact.drop_height_m))
         if impact.tilt_rad is not None:
             chain = replace(chain, tilt_rad=float(impact.tilt_rad))
-        return self._nominal if chain is self._chain else struck_again(self._nominal, chain)
+        struck = self._nominal if chain is self._chain else struck_again(self._nominal, chain)
+        if impact.second_delay_s is None:
+            return struck
+        if impact.second_drop_height_m is not None:
+            chain = replace(chain, drop_height_m=float(impact.second_drop_height_m))
+        return replace(
+            struck,
+            second_delay_s=impact.second_delay_s,
+            second_speed_m_per_s=struck_again(self._nominal, chain).impact_speed_m_per_s,
+        )
 
     def _over_wall(self, chains: list[Chain], depth: float, contact_forces: bool) -> list[ShotForce]:
         def specimen(step: float, wide: bool) -> _Propagator:
@@ -474,6 +496,10 @@ def _side_by_side(
         chain.static_overlap_m,
         chain.gravity_m_per_s2,
         np.array([lane.impact_speed_m_per_s for lane in lanes]),
+        np.array(
+            [-1 if lane.second_delay_s is None else round(lane.second_delay_s / step) for lane in lanes]
+        ),
+        np.array([lane.second_speed_m_per_s for lane in lanes]),
         chain.sensor,
         retainer_force_n,
         chain.precompression_n,

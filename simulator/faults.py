@@ -153,21 +153,6 @@ def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
     )
 
 
-def with_second_strike(
-    step_s: float, first_n: FloatArray, second_step_s: float, second_n: FloatArray, delay_s: float
-) -> FloatArray:
-    """Dynamic force of two impacts, shape of the first one's.
-
-    Our approximation: the forces add. Each impact is integrated by itself on a chain at rest; what the
-    chain still does when the second wave passes is left out (solitary waves that meet come out shifted),
-    and so is the striker's way back up; how much that is has not been measured.
-    """
-    later_s = step_s * np.arange(first_n.size) - delay_s
-    second_s = second_step_s * np.arange(second_n.size)
-    both: FloatArray = first_n + np.interp(later_s, second_s, second_n, left=0.0)
-    return both
-
-
 def interference_of_shot(
     faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[Interference | None, dict[str, float]]:

@@ -64,6 +64,8 @@ class Chain:
         Constant force on the body below the striker.
     damping_exponent, damping_reference_overlap_m
         p and d_r of the dashpots.
+    second_delay_s, second_speed_m_per_s
+        A second impact of the striker: so long after the first, with this speed; None: there is none.
     """
 
     mass_kg: NDArray[np.float64]
@@ -77,6 +79,8 @@ class Chain:
     precompression_n: float = 0.0
     damping_exponent: float = 0.0
     damping_reference_overlap_m: float = 1.0
+    second_delay_s: float | None = None
+    second_speed_m_per_s: float = 0.0
 
     @property
     def dashpot_impulse_n_s_per_m(self) -> NDArray[np.float64]:

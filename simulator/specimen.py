@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -18,7 +18,7 @@ from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.chain_parameters import ChainParameters
 from simulator.corrosion import Wall, WallHistory, held_hour_h, wall_history
-from simulator.coupled_model import ShotForce, ShotModel
+from simulator.coupled_model import Impact, ShotForce, ShotModel
 from simulator.echo_records import Disturbance, ProbedWall, averaged_record, disturbance, probed_wall
 from simulator.errors import SpecimenError
 from simulator.far_wall import RoughSpot, rough_spot
@@ -30,7 +30,6 @@ from simulator.faults import (
     faulty_chain,
     faulty_strike,
     interference_of_shot,
-    with_second_strike,
 )
 from simulator.keyed_random import Purpose, generator
 from simulator.pulse_summary import summarise
@@ -163,12 +162,22 @@ class Specimen:
         first_n = force.force_n - force.preload_n
         if faults.double_delay_s is None:
             return first_n
-        bounced = replace(strike, drop_height_m=strike.drop_height_m * faults.double_height_fraction)
-        second = self.force(wall, bounced, position, faults)
-        second_n = second.force_n - second.preload_n
-        return with_second_strike(
-            _grid_step_s(force), first_n, _grid_step_s(second), second_n, faults.double_delay_s
+        model = _model(self.transducers[position], faults)
+        if not isinstance(model, ShotModel):
+            raise SpecimenError(
+                f"double is a second impact on the chain of a ShotModel; this one is a "
+                f"{type(model).__name__}: take it out of the faults"
+            )
+        twice = Impact(
+            depth_fraction=wall.depth_fraction,
+            drop_height_m=strike.drop_height_m,
+            tilt_rad=strike.tilt_rad,
+            through_hole=wall.is_hole,
+            second_delay_s=faults.double_delay_s,
+            second_drop_height_m=strike.drop_height_m * faults.double_height_fraction,
         )
+        (both,) = model.shots([twice])
+        return both.force_n - both.preload_n
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Wall under an ultrasonic probe at an hour of the experiment."""

@@ -12,7 +12,7 @@ from scipy import stats
 
 from hardware_drivers.measurement import ShotKey
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
+from simulator.coupled_model import Impact, ShotModel
 from simulator.echo_parameters import EchoParameters
 from simulator.errors import SpecimenError
 from simulator.fault_parameters import (
@@ -236,19 +236,21 @@ def test_double_strikes_come_as_often_as_late_and_as_high_as_asked_for():
     assert stats.kstest(heights, "uniform").pvalue > 1e-4
 
 
-def test_a_double_strike_adds_the_force_of_the_second_impact(specimen, model):
+def test_a_double_strike_is_a_second_impact_on_the_chain_as_it_moves(specimen, model):
     fault = DoubleStrikeFault(
         probability=1.0, shortest_delay_s=2e-4, longest_delay_s=2e-4, lowest_height_fraction=0.5
     )
     acquired = specimen(double=fault).solitary_wave(key(), 1.0)
     truth, waveform = acquired.truth, acquired.waveform
     t = waveform.time_s() + truth["trigger_time_s"]
-    first = model.shot(drop_height_m=truth["drop_height_m"], tilt_rad=truth["tilt_rad"])
-    height_m = truth["fault_double_height_fraction"] * truth["drop_height_m"]
-    second = model.shot(drop_height_m=height_m, tilt_rad=truth["tilt_rad"])
-    expected_n = np.interp(t, first.time_s, first.force_n - first.preload_n, left=0.0)
-    later_s = t - truth["fault_double_delay_s"]
-    expected_n += np.interp(later_s, second.time_s, second.force_n - second.preload_n, left=0.0)
+    impact = Impact(
+        drop_height_m=truth["drop_height_m"],
+        tilt_rad=truth["tilt_rad"],
+        second_delay_s=truth["fault_double_delay_s"],
+        second_drop_height_m=truth["fault_double_height_fraction"] * truth["drop_height_m"],
+    )
+    (twice,) = model.shots([impact])
+    expected_n = np.interp(t, twice.time_s, twice.force_n - twice.preload_n, left=0.0)
     error_v = waveform.volts() - truth["sensor_gain_v_per_n"] * expected_n
     # Rounding is half a code, chords over 0.5 us cost some more; the second wave is 10,000 codes high.
     # Where a contact opens the force jumps between two points of the grid, in a few samples.
