@@ -110,9 +110,10 @@ def test_roughness_grows_with_the_depth_and_so_does_the_interval(bias):
     assert widths[-1] > 5.0 * widths[0]
 
 
-def test_without_a_back_wall_there_is_no_number(bias):
-    """Cross-talk and noise alone, and cross-talk, noise and bubbles."""
-    echo = bias.DEFAULT
+@pytest.mark.parametrize("front_wall_v", [0.0, 0.02])
+def test_without_a_back_wall_there_is_no_number(bias, front_wall_v):
+    """With and without cross-talk: noise alone, and noise and bubbles."""
+    echo = replace(bias.DEFAULT, front_wall_v=front_wall_v)
     reference = bias.sound_wall(echo)
     nothing = echo_volts(FarWall(thickness_m=np.zeros(1), weights=np.ones(1)), echo)
     for seed in range(500):
