@@ -89,7 +89,9 @@ BLOCK = 8
 BANK_ROWS = 16
 """Numbers of a mode, see `modal_weights`."""
 
-GAUSS_POINTS, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(24)
+FEW_POINTS, FEW_POINTS_PHASE_RAD = 10, 1.5
+MANY_POINTS = 24
+"""Gauss points that integrate `modal_weights` to rounding: few up to this omega h, many up to 10."""
 
 # Rows of the state of all bodies but the last, and of the contacts below them.
 U, V0, V1, V2, V3, F0, F1, F2, IMPULSE, TOTAL, GAP, OVERLAP, AHEAD, DISSIPATED = range(14)
@@ -616,24 +618,14 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
     omega_rad_per_s, participation
         Shape (n_modes,): circular frequency and mass-normalised deflection phi under the chain.
     step_s
-        h; Gauss-Legendre with 24 points integrates the weights to rounding up to omega h = 10.
+        h; the weights are exact to rounding up to omega h = 10.
     """
-    tau = 0.5 * (GAUSS_POINTS + 1.0)
-    # tau in steps from the step's start. Cubic through I at tau = 1, 0, -1, -2; line through S at 1, 0.
-    lagrange = np.stack(
-        (
-            tau * (tau + 1.0) * (tau + 2.0) / 6.0,
-            -(tau - 1.0) * (tau + 1.0) * (tau + 2.0) / 2.0,
-            (tau - 1.0) * tau * (tau + 2.0) / 2.0,
-            -(tau - 1.0) * tau * (tau + 1.0) / 6.0,
-            tau,
-            1.0 - tau,
-        )
-    )
-    phase = omega_rad_per_s[:, None] * step_s * (1.0 - tau)
-    kernel = participation[:, None] ** 2 * (np.cos(phase) - 1j * np.sin(phase))
-    own = (kernel * (0.5 * step_s * GAUSS_WEIGHTS)) @ lagrange.T  # shape (n_modes, 6)
-    turn = np.cos(omega_rad_per_s * step_s) - 1j * np.sin(omega_rad_per_s * step_s)
+    turned = omega_rad_per_s * step_s
+    few = turned.max(initial=0.0) <= FEW_POINTS_PHASE_RAD
+    to_end, shares = _gauss_rule(FEW_POINTS if few else MANY_POINTS)
+    phase = np.multiply.outer(turned, to_end)
+    own = (np.cos(phase) @ shares - 1j * (np.sin(phase) @ shares)) * (participation**2 * step_s)[:, None]
+    turn = np.cos(turned) - 1j * np.sin(turned)
     # What a step's own impulse adds is left out of y and made up for, turned, in the next step.
     rows = [turn.real, -turn.imag]
     for column in (turn * own[:, 0] + own[:, 1], own[:, 2], own[:, 3], turn * own[:, 4] + own[:, 5]):
@@ -645,3 +637,23 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
     bank = np.zeros((BANK_ROWS, n_blocks * BLOCK))
     bank[:, : len(omega_rad_per_s)] = rows
     return np.ascontiguousarray(bank.reshape(BANK_ROWS, n_blocks, BLOCK).swapaxes(0, 1)).ravel()
+
+
+@cache
+def _gauss_rule(points: int) -> tuple[FloatArray, FloatArray]:
+    """How far the points are from the step's end, and the weight that each gives to the six values.
+
+    These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with
+    tau in steps from the step's start.
+    """
+    roots, weights = np.polynomial.legendre.leggauss(points)
+    tau = 0.5 * (roots + 1.0)
+    lagrange = (
+        tau * (tau + 1.0) * (tau + 2.0) / 6.0,
+        -(tau - 1.0) * (tau + 1.0) * (tau + 2.0) / 2.0,
+        (tau - 1.0) * tau * (tau + 2.0) / 2.0,
+        -(tau - 1.0) * tau * (tau + 1.0) / 6.0,
+        tau,
+        1.0 - tau,
+    )
+    return 1.0 - tau, np.stack([0.5 * weights * values for values in lagrange], axis=1)
