@@ -275,8 +275,8 @@ def reflect(
 ) -> ZenerReflection:
     """Time of flight and amplitude ratio of a transducer on a plate thinned under it.
 
-    Of the chain count radius, mass, material, spheres below the sensor and drop height; of the plate
-    thickness and material. The model of the plate, its edges and the outline of a patch do not.
+    Of the chain count radius, mass, material, temperature, spheres below the sensor and drop height; of
+    the plate thickness and material. The model of the plate, its edges and the outline of a patch do not.
 
     Parameters
     ----------
@@ -293,17 +293,23 @@ def reflect(
     ValueError
         The depth is out of bounds.
     SpecimenError
-        Lambda is: the plate is too thin for the spheres.
+        Lambda is, the plate being too thin for the spheres; or the spheres are not all equal.
     IntegrationError
         As `solve_impact`.
     """
+    if chain.spheres:
+        raise SpecimenError(
+            f"chain.spheres describes {len(chain.spheres)} bodies that differ; Zener's model knows equal "
+            f"spheres only: take them out, or use the coupled model"
+        )
     patch = CorrosionParameters(depth_fraction=depth_fraction)
+    modulus = chain.body(0).youngs_modulus_pa
     impact_speed = math.sqrt(2.0 * FREE_FALL_M_PER_S2 * chain.drop_height_m)
     inelasticity = inelasticity_parameter(
         incident_speed_m_per_s=PARTICLE_SPEED_FRACTION * impact_speed,
         radius_m=chain.radius_m,
         sphere_density_kg_per_m3=chain.mass_kg / (4.0 / 3.0 * math.pi * chain.radius_m**3),
-        sphere_youngs_modulus_pa=chain.youngs_modulus_pa,
+        sphere_youngs_modulus_pa=modulus,
         sphere_poisson_ratio=chain.poisson_ratio,
         thickness_m=plate.thickness_m * (1.0 - patch.depth_fraction),
         plate_density_kg_per_m3=plate.density_kg_per_m3,
@@ -326,12 +332,10 @@ def reflect(
             contact_time=contact_time,
             spheres_below=chain.spheres_below,
             mass_kg=chain.mass_kg,
-            sphere_stiffness=sphere_on_sphere_stiffness(
-                chain.radius_m, chain.youngs_modulus_pa, chain.poisson_ratio
-            ),
+            sphere_stiffness=sphere_on_sphere_stiffness(chain.radius_m, modulus, chain.poisson_ratio),
             plate_stiffness=sphere_on_flat_stiffness(
                 chain.radius_m,
-                chain.youngs_modulus_pa,
+                modulus,
                 chain.poisson_ratio,
                 plate.warm_youngs_modulus_pa,
                 plate.poisson_ratio,

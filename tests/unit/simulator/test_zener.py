@@ -6,7 +6,7 @@ import pytest
 from scipy.special import beta
 
 from simulator import zener
-from simulator.chain_parameters import ChainParameters
+from simulator.chain_parameters import ChainParameters, SphereParameters
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.plate_parameters import PlateParameters
 from simulator.zener import (
@@ -210,3 +210,10 @@ def test_what_the_model_has_not_does_not_count():
         PlateParameters(width_m=1.2, support="clamped", model="rigid_wall"),
     )
     assert other == plain
+
+
+def test_unlike_spheres_are_refused_and_warm_ones_are_softer():
+    with pytest.raises(SpecimenError, match="Zener's model knows equal spheres only"):
+        reflect(ChainParameters(spheres=(SphereParameters(body=1, radius_m=8e-3),)), PlateParameters())
+    warm = reflect(ChainParameters(temperature_c=120.0), PlateParameters())
+    assert warm == reflect(ChainParameters(youngs_modulus_pa=200e9 * (1 - 0.027)), PlateParameters())
