@@ -11,7 +11,7 @@ In code compiled by numba: ``load(array, start, width)`` with a constant width, 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -101,11 +101,17 @@ def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
     return builder.shuffle_vector(vector, ir.Constant(_vector(lanes), ir.Undefined), mask)
 
 
+def _one_width(given: Sequence[Any]) -> Lanes | None:
+    """Return the type of the vectors among the arguments; None where there is none or they do not match."""
+    lanes = [one for one in given if isinstance(one, Lanes)]
+    return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
+
+
 def _of_lanes(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
     """Intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
-        lanes = next((one for one in given if isinstance(one, Lanes)), None)
+        lanes = _one_width(given)
         if lanes is None:
             return None
         arguments = [one if isinstance(one, Lanes) else types.float64 for one in given]
@@ -194,11 +200,11 @@ def _operator(symbol: Any, method: str) -> None:
 
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:
-            lanes = [one for one in arguments if isinstance(one, Lanes)]
-            if not lanes:
+            lanes = _one_width(arguments)
+            if lanes is None:
                 return None
             return templates.signature(
-                lanes[0], *(one if isinstance(one, Lanes) else types.float64 for one in arguments)
+                lanes, *(one if isinstance(one, Lanes) else types.float64 for one in arguments)
             )
 
     templates.infer_global(symbol)(_Template)
