@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
@@ -14,8 +15,12 @@ from simulator.one_thread import one_blas_thread
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes
 from simulator.reduction_cache import reduced_plate
+from simulator.solid_family import SolidFamily, family_of, solid_family
 from simulator.solid_plate import check_solid
-from simulator.solid_reduction import solid_modes
+from simulator.solid_reduction import SHALLOWEST_FRACTION, solid_modes
+
+DEPTHS_KNOWN = 256
+"""Depths whose modes a solid plate remembers, the first ones forgotten first."""
 
 
 class ModalPlate(Protocol):
@@ -53,6 +58,8 @@ def modal_plate(
 class KeptSolid:
     """Solid plate whose modes are computed for each depth once, and kept on disk.
 
+    With `plate.solid.one_basis` what is computed and kept is a basis for all depths.
+
     Parameters
     ----------
     plate, corrosion
@@ -71,19 +78,32 @@ class KeptSolid:
         self._plate = plate
         self._corrosion = corrosion
         self._folder = folder
-        self._known: dict[float, PlateModes] = {}
+        self._known: OrderedDict[float, PlateModes] = OrderedDict()
+        self._family: SolidFamily | None = None
         self._lock = threading.Lock()
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Modes with the patch thinned by `depth_fraction`; a new depth takes about a second."""
+        """Modes with the patch thinned by `depth_fraction`."""
         with self._lock:  # two threads must not compute the same depth
-            if depth_fraction not in self._known:
-                self._known[depth_fraction] = self._kept(
-                    replace(self._corrosion, depth_fraction=depth_fraction)
-                )
-            return self._known[depth_fraction]
+            found = self._known.get(depth_fraction)
+            if found is None:
+                found = self._found(replace(self._corrosion, depth_fraction=depth_fraction))
+                self._known[depth_fraction] = found
+                if len(self._known) > DEPTHS_KNOWN:
+                    self._known.popitem(last=False)
+            return found
 
-    def _kept(self, corrosion: CorrosionParameters) -> PlateModes:
+    def _found(self, corrosion: CorrosionParameters) -> PlateModes:
+        check_solid(self._plate, corrosion)
+        lost = corrosion.depth_fraction * corrosion.depth_factor
+        if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
+            return self._kept_modes(corrosion)
+        if self._family is None:
+            self._family = self._kept_family()
+        with one_blas_thread():
+            return self._family.modes(1.0 - lost)
+
+    def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         def compute() -> dict[str, FloatArray]:
             with one_blas_thread():
                 modes = solid_modes(self._plate, corrosion)
@@ -100,3 +120,12 @@ class KeptSolid:
             participation=found["participation"],
             residual_compliance_m_per_n=float(found["residual_compliance_m_per_n"]),
         )
+
+    def _kept_family(self) -> SolidFamily:
+        def compute() -> dict[str, FloatArray]:
+            with one_blas_thread():
+                return solid_family(self._plate, self._corrosion).arrays()
+
+        footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
+        described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
+        return family_of(kept_arrays(self._folder, content_key(described), compute))

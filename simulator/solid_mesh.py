@@ -27,5 +27,8 @@ class SolidMesh:
     growth: Annotated[float, Gt(0.0), Le(5.0)] = 2.0
     """By how much an element grows per distance from the patch's edge or the contact."""
 
+    one_basis: bool = False
+    """Whether all depths share one basis: some 20 s once, then 10 ms for a depth; else a second for each."""
+
     def __post_init__(self) -> None:
         check_bounds(self)
