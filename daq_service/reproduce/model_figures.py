@@ -121,29 +121,28 @@ def draw_fig12(material: Material) -> Product:
     axes[0].plot([], [], **PAPER_MARK, label="paper's values; dashed: its model's ± band")
     axes[0].set_ylabel("time of flight (µs)")
     axes[1].set_ylabel("amplitude ratio (1)")
-    for axis, text, quantity in (
-        (axes[0], "numerical", "tof"),
-        (axes[0], "Zener", "tof_zener"),
-        (axes[1], "numerical", "ar"),
-        (axes[1], "Zener", "ar_zener"),
-        (axes[1], "measured", "ar_measured"),
+    for axis, text, quantity, side in (
+        (axes[0], "numerical", "tof", "center"),
+        (axes[0], "Zener", "tof_zener", "bottom"),
+        (axes[1], "numerical", "ar", "center"),
+        (axes[1], "Zener", "ar_zener", "bottom"),
+        (axes[1], "measured", "ar_measured", "top"),
     ):
-        _name_mark(axis, text, printed("fig12", quantity))
+        _name_mark(axis, text, printed("fig12", quantity), side)
     figure.legend(loc="outside lower center", ncols=2)
     name_panels(axes, ("time of flight", "amplitude ratio"))
     return Product(drawing=figure, tables={"": _curve_table(curves)}, found=_isw_found(curves))
 
 
-def _name_mark(axis: Axes, text: str, value: float) -> None:
+def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
+    """Name one of the paper's values, on the side of it that is free of curves."""
     axis.annotate(
         text,
         (1.0, value),
-        (0, -9),
+        (6, {"bottom": 3, "center": 0, "top": -3}[side]),
         textcoords="offset points",
-        ha="center",
-        va="top",
+        va=side,
         fontsize=7,
-        bbox={"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85},
     )
 
 

@@ -1,0 +1,480 @@
+"""`solimon reproduce`: figures, tables, report and comparison from a test's folder and the models."""
+
+import csv
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from small_experiment import SETS, run, small_settings
+
+from daq_service.archive import read_waveform, set_files
+from daq_service.catalogue import open_catalogue
+from daq_service.errors import StorageError, UsageError
+from daq_service.reproduce.comparison import NOT_AVAILABLE
+from daq_service.reproduce.item import Item, Job
+from daq_service.reproduce.items import ITEMS, chosen_items
+from daq_service.reproduce.models import impact_over_inelasticity
+from daq_service.reproduce.paper_values import PAPER_VALUES, printed
+from daq_service.reproduce.run import reproduce, reproduce_into
+from daq_service.reproduce.slips import SLIPS
+
+MODELS = tuple(item for item in ITEMS if not item.needs_test and item.name != "slips")
+MEASURED = tuple(item for item in ITEMS if item.needs_test)
+
+
+@pytest.fixture(scope="module")
+def executor():
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        yield pool
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("small")
+    assert run(small_settings(), folder)
+    return folder
+
+
+def made(
+    out: Path, items: Sequence[Item], executor: Executor, data_dir: Path | None = None
+) -> tuple[dict[str, Any], bool]:
+    return reproduce_into(
+        out,
+        items,
+        data_dir=data_dir,
+        seed=None,
+        executor=executor,
+        stop=threading.Event(),
+        say=lambda _: None,
+    )
+
+
+def with_two_solid_depths(item: Item) -> Item:
+    """A depth of the solid plate takes a second and more: only those that the paper prints."""
+    jobs = {
+        name: replace(job, arguments=(*job.arguments[:3], (0.0, 0.8))) if name.startswith("solid") else job
+        for name, job in item.jobs.items()
+    }
+    return replace(item, jobs=jobs)
+
+
+@pytest.fixture(scope="module")
+def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFactory):
+    """Everything, from the small test."""
+    out = tmp_path_factory.mktemp("reproduction") / "out"
+    result, finished = made(out, [with_two_solid_depths(item) for item in ITEMS], executor, small)
+    assert finished
+    return out, result
+
+
+def columns(path: Path) -> dict[str, list[str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.reader(file))
+    return {name: [row[k] for row in rows[1:]] for k, name in enumerate(rows[0])}
+
+
+def ours(result: dict[str, Any], item: str, quantity: str) -> float | None:
+    (row,) = [row for row in result["comparison"] if (row["item"], row["quantity"]) == (item, quantity)]
+    value: float | None = row["ours"]
+    return value
+
+
+def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
+    out, result = whole
+    report = (out / "report.html").read_text(encoding="utf-8")
+    drawn = {name for name, told in result["items"].items() if told["not_available"] is None}
+    assert set(result["items"]) == {item.name for item in ITEMS}
+    assert drawn == set(result["items"]), "a test of 12 h has everything that a figure needs"
+    for item in ITEMS:
+        files = result["items"][item.name]["files"]
+        endings = {Path(name).suffix for name in files}
+        assert ".csv" in endings
+        if item.name not in ("table1", "table2", "slips"):
+            assert endings == {".png", ".svg", ".csv"}
+        for name in files:
+            assert (out / name).stat().st_size > 0
+            assert f"href='{name}'" in report
+        assert item.title in report.replace("&#x27;", "'")
+    assert report.count("data:image/png;base64,") == 12
+    assert not re.search(r"(src|href)='(http|/)", report), "it opens from disk, by itself"
+
+
+def test_every_slip_is_told_with_a_finding(whole):
+    out, result = whole
+    report = (out / "report.html").read_text(encoding="utf-8")
+    assert [slip["where"] for slip in result["slips"]] == [slip.where for slip in SLIPS]
+    for slip in result["slips"]:
+        assert slip["finding"]
+        assert NOT_AVAILABLE not in slip["finding"]
+        assert slip["finding"].split(";")[0].replace("'", "&#x27;").replace("<", "&lt;") in report
+
+
+def test_every_value_of_the_paper_has_a_row_and_a_short_test_says_what_it_lacks(whole):
+    _, result = whole
+    rows = {(row["item"], row["quantity"]): row for row in result["comparison"]}
+    assert list(rows) == [
+        (value.item, value.quantity) for item in ITEMS for value in PAPER_VALUES if value.item == item.name
+    ]
+    for row in rows.values():
+        if row["ours"] is None:
+            assert row["ours_shown"] == NOT_AVAILABLE
+            assert len(row["ours_words"]) > 15, row
+        assert "does not give it" not in row["ours_words"], row
+    assert "no set was judged after hour 100" in rows["fig14", "outliers_paper_B"]["ours_words"]
+    assert "no reading near hour 300" in rows["fig15", "thickness_300"]["ours_words"]
+    # What 12 h do have.
+    assert rows["fig14", "limit_text_B"]["ours"] > 0.0
+    assert rows["table1", "patch_C"]["ours"] == pytest.approx(50.8)
+    # Whose deviation it is: not the paper's own test.
+    assert "another configuration" in rows["fig8", "tof_start_B"]["cause"]
+
+
+def test_csv_holds_the_catalogues_numbers(whole, small: Path):
+    out, _ = whole
+    with open_catalogue(small) as catalogue:
+        for stem, column in (
+            ("fig08", "tof_pp_s"),
+            ("fig09", "amplitude_ratio"),
+            ("fig11", "isw_amplitude_v"),
+        ):
+            table = columns(out / f"{stem}.csv")
+            for position in "BCD":
+                stored = catalogue.feature_columns(position, ["due_h", column])
+                rows = [k for k, name in enumerate(table["position"]) if name == position]
+                assert [float(table["due_h"][k]) for k in rows] == stored["due_h"]
+                # Bit for bit: every digit is written.
+                assert [float(table[column][k]) for k in rows] == stored[column]
+        echoes = catalogue.thickness_columns("A", ["travel_time_s", "thickness_m"])
+        table = columns(out / "fig15.csv")
+        assert [float(x) for x in table["travel_time_s"]] == echoes["travel_time_s"]
+        assert [float(x) for x in table["thickness_m"]] == echoes["thickness_m"]
+        verdicts = catalogue.verdict_columns("B", ["distance_squared", "outlier"])
+        table = columns(out / "fig14.csv")
+        rows = [k for k, name in enumerate(table["position"]) if name == "B"]
+        assert [float(table["distance_squared"][k]) for k in rows] == verdicts["distance_squared"]
+        told = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
+        assert told == verdicts["outlier"]
+
+
+def test_the_equations_computed_again_agree(whole):
+    out, _ = whole
+    report = (out / "report.html").read_text(encoding="utf-8")
+    differences = [float(x) for x in re.findall(r"stored distance ([\d.e+-]+) \(relative\)", report)]
+    assert len(differences) == 3
+    # Two ways of the same five-dimensional inverse: rounding times the condition of the correlation.
+    assert max(differences) < 1e-6
+    lags = [float(x) for x in re.findall(r"its lag lies within ([\d.]+) us", report)]
+    assert len(lags) == 3
+    # Mean of lags against the lag of the mean record, and a 10-us smoothing that skews: within 1 %.
+    assert max(lags) < 3.3
+    (spread,) = (float(x) for x in re.findall(r"for all 24 readings to ([\d.e+-]+)", report))
+    assert spread < 1e-9
+
+
+def test_waveforms_are_the_means_of_the_stored_records(whole, small: Path):
+    out, _ = whole
+    table = columns(out / "fig07_B.csv")
+    names = [name for name in table if name.startswith("set_0_")]
+    assert names == ["set_0_hour_0.5_v"]
+    path = set_files(small)[0]
+    records = [read_waveform(path, "B", shot) for shot in range(3)]
+    mean = sum(record.volts() for record in records) / 3
+    every = 10  # 1 us of 10 MS/s
+    written = [float(x) for x in table[names[0]]]
+    # Six decimals are written.
+    assert written == pytest.approx(mean[::every].tolist(), abs=0.51e-6)
+    start_s = -records[0].pretrigger_samples / records[0].sample_rate_hz
+    assert float(table["time_s"][0]) == pytest.approx(start_s, abs=1e-9)
+
+
+def test_the_models_say_what_the_paper_s_figures_ask(whole):
+    _, result = whole
+    assert ours(result, "fig5", "elements") == printed("fig5", "elements")
+    assert ours(result, "fig5", "contact_element") == pytest.approx(0.1, rel=1e-9)
+    # Independent anchors: eq. 8, and the disk chain on the paper's mesh.
+    assert ours(result, "fig10", "e_case_3") == pytest.approx(0.6491, abs=1e-4)
+    assert ours(result, "fig10", "tau_c_case_3") == pytest.approx(3.3940, abs=1e-4)
+    assert ours(result, "fig12", "tof") == pytest.approx(339.15, abs=0.05)
+    # Under 20 % more wave ToF falls by about the sixth root: 1.2^(-1/6) is -3 %, the stay at the plate less.
+    assert 2.0 < ours(result, "fig12", "tof_plus") < 3.1
+    # gamma of 1,000 N s/m: the slip is that ToF moves much; AR about halves.
+    assert ours(result, "fig12", "gamma_tof") < -20.0
+    assert -0.35 < ours(result, "fig12", "gamma_ar") < -0.2
+    assert ours(result, "fig13", "mindlin_disk_tof_0") == pytest.approx(
+        ours(result, "fig12", "tof"), rel=1e-9
+    )
+    assert ours(result, "fig13", "mindlin_disk_tof_80") > 400.0
+
+
+def test_table_2_agrees_digit_for_digit_but_for_its_two_slips(whole):
+    _, result = whole
+    rows = [row for row in result["comparison"] if row["item"] == "table2"]
+    assert len(rows) == 40
+    deviating = {row["quantity"]: row for row in rows if row["deviation"] != 0.0}
+    assert set(deviating) == {"inelasticity_5", "amplitude_ratio_5"}
+    assert all("slip" in row["cause"] for row in deviating.values())
+
+
+def test_every_deviation_has_a_cause(whole):
+    _, result = whole
+    silent = [
+        (row["item"], row["quantity"])
+        for row in result["comparison"]
+        if row["deviation"] is not None and abs(row["deviation"]) > 1e-9 and not row["cause"]
+    ]
+    assert silent == []
+
+
+def test_only_makes_what_it_names_without_a_test(executor: Executor, tmp_path: Path):
+    result, finished = made(tmp_path / "out", chosen_items("table2,fig10"), executor)
+    assert finished
+    assert list(result["items"]) == ["fig10", "table2"]
+    assert result["data_dir"] is None
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "fig10.csv",
+        "fig10.png",
+        "fig10.svg",
+        "report.html",
+        "reproduction.json",
+        "table2.csv",
+    ]
+    with pytest.raises(UsageError, match=r"fig99.*choose from .*fig12"):
+        chosen_items("fig99")
+    with pytest.raises(UsageError, match="nothing"):
+        chosen_items(",")
+
+
+def test_the_same_test_gives_the_same_bytes(whole, small: Path, executor: Executor, tmp_path: Path):
+    out, result = whole
+    again, _ = made(tmp_path / "again", chosen_items("fig7,fig10,fig14"), executor, small)
+    compared = 0
+    for name in again["items"]:
+        for file in again["items"][name]["files"]:
+            assert (tmp_path / "again" / file).read_bytes() == (out / file).read_bytes(), file
+            compared += 1
+    assert compared == 11
+    before = {(row["item"], row["quantity"]): row for row in result["comparison"]}
+    assert all(row == before[row["item"], row["quantity"]] for row in again["comparison"])
+
+
+def test_other_positions_and_no_probe(executor: Executor, tmp_path: Path):
+    """A folder of one's own: two chains with names that the paper does not have."""
+    places = {
+        "North": {"method": "solitary_wave", "label": "north wall"},
+        "B": {"method": "solitary_wave", "corrosion": {"size_m": 30e-3}},
+    }
+    settings = small_settings(schedule={"end_h": 2.0}).model_dump(mode="json")
+    settings["positions"] = {name: {**settings["positions"]["B"], **place} for name, place in places.items()}
+    settings["twin"]["thinning"] = {}
+    data = tmp_path / "data"
+    assert run(type(small_settings())(**settings), data)
+    result, _ = made(tmp_path / "out", MEASURED, executor, data)
+    assert result["items"]["fig15"]["not_available"] == "the test has no position with method pulse_echo"
+    assert "no baseline" in result["items"]["fig14"]["not_available"]
+    assert set(columns(tmp_path / "out" / "fig08.csv")["position"]) == {"North", "B"}
+    assert ours(result, "fig8", "tof_start_B") == pytest.approx(330.0, rel=0.1)
+    assert ours(result, "table1", "patch_B") == pytest.approx(30.0)
+    (row,) = [row for row in result["comparison"] if row["quantity"] == "tof_start_C"]
+    assert row["ours"] is None
+    assert row["ours_words"] == "the test has no solitary-wave position C"
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "not available: the test has no position with method pulse_echo" in report
+
+
+def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
+    data = tmp_path / "data"
+    shutil.copytree(small, data)
+    set_files(data)[0].write_bytes(b"not HDF5")
+    set_files(data)[1].unlink()
+    result, _ = made(tmp_path / "out", chosen_items("fig7"), executor, data)
+    assert result["items"]["fig7"]["not_available"] is None
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "set 0 is left out of the waveforms" in report
+    assert "set 1 is left out of the waveforms" in report
+    # Without any waveform the other figures stand.
+    shutil.rmtree(data / "sets")
+    result, _ = made(tmp_path / "out", chosen_items("fig7,fig8"), executor, data)
+    assert "no readable waveform" in result["items"]["fig7"]["not_available"]
+    assert result["items"]["fig8"]["not_available"] is None
+
+
+def test_a_running_test_is_read_as_far_as_it_is(small: Path, executor: Executor, tmp_path: Path):
+    """The recorder holds the lock and an open transaction's log; reading takes neither."""
+    data = tmp_path / "data"
+    shutil.copytree(small, data)
+    writer = sqlite3.connect(data / "catalogue.sqlite", isolation_level=None)
+    try:
+        writer.execute("BEGIN IMMEDIATE")
+        result, _ = made(tmp_path / "out", chosen_items("fig8"), executor, data)
+    finally:
+        writer.execute("ROLLBACK")
+        writer.close()
+    assert result["test"].startswith(f"Localized corrosion of a steel plate: {SETS} sets")
+
+
+@pytest.mark.parametrize("kind", ["empty", "missing", "schema"])
+def test_a_folder_without_a_readable_test_is_refused_before_anything_is_made(
+    kind: str, small: Path, executor: Executor, tmp_path: Path
+):
+    data = tmp_path / "data"
+    words = "holds no test.*leave --from out"
+    if kind == "empty":
+        data.mkdir()
+    if kind == "schema":
+        shutil.copytree(small, data)
+        with sqlite3.connect(data / "catalogue.sqlite") as catalogue:
+            catalogue.execute("UPDATE alembic_version SET version_num = '0099'")
+        catalogue.close()
+        words = "0099.*install the version that made it"
+    with pytest.raises(StorageError, match=words):
+        made(tmp_path / "out", chosen_items("fig8"), executor, data)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_foreign_output_folder_is_refused_and_an_own_one_reused(executor: Executor, tmp_path: Path):
+    (tmp_path / "thesis.tex").write_text("precious", encoding="utf-8")
+    with pytest.raises(StorageError, match=r"thesis\.tex.*--out"):
+        made(tmp_path, chosen_items("table2"), executor)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    own = tmp_path / "own"
+    made(own, chosen_items("table2"), executor)
+    (own / "table2.csv").write_text("old", encoding="utf-8")
+    made(own, chosen_items("table2"), executor)
+    assert (own / "table2.csv").read_text(encoding="utf-8").startswith("case,drop_height_m")
+
+
+def test_an_interruption_leaves_what_is_finished(executor: Executor, tmp_path: Path):
+    stop = threading.Event()
+
+    def say(text: str) -> None:
+        if text.startswith("fig10: done"):
+            stop.set()
+
+    result, finished = reproduce_into(
+        tmp_path / "out",
+        chosen_items("fig10,table2"),
+        data_dir=None,
+        seed=None,
+        executor=executor,
+        stop=stop,
+        say=say,
+    )
+    assert not finished
+    assert (result["interrupted"], result["missing"]) == (True, ["table2"])
+    assert (tmp_path / "out" / "fig10.csv").exists()
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "Interrupted before table2 could be made" in report
+
+
+def test_a_model_that_fails_costs_its_figure_only(executor: Executor, tmp_path: Path):
+    (fig10,) = chosen_items("fig10")
+    beyond = Job(function=impact_over_inelasticity, arguments=((1e6,),))
+    broken = replace(fig10, jobs={**fig10.jobs, "curve": beyond})
+    result, finished = made(tmp_path / "out", (broken, *chosen_items("table2")), executor)
+    assert finished
+    assert "inelasticity is 1e+06" in result["items"]["fig10"]["not_available"]
+    assert result["items"]["table2"]["not_available"] is None
+    assert ours(result, "fig10", "e_case_3") is None
+
+
+# The command itself --------------------------------------------------------------------------------
+
+QUICK = {
+    "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
+    "SOLIMON_SCHEDULE__END_H": "3",
+    "SOLIMON_SCHEDULE__SHOTS_PER_SET": "2",
+    "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "1",
+}
+COMMAND = [sys.executable, "-m", "daq_service.cli", "reproduce"]
+LIMIT_S = 120.0
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, *arguments],
+        env={**os.environ, **QUICK},
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    out = tmp_path / "out"
+    done = command("--out", str(out), "--only", "table1", "--seed", "5", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["seed"] == 5
+    assert len(result["configuration_hash"]) == 64
+    assert {"solimon", "numpy", "matplotlib", "python"} <= set(result["versions"])
+    assert 0.0 < result["elapsed_s"] < LIMIT_S
+    assert result["data_dir"] == str(out / "data")
+    assert "set 6 of 6" in done.stderr
+    assert len(set_files(out / "data")) == 6
+    again = command("--out", str(out), "--only", "fig8", "--seed", "5")
+    assert again.returncode == 0, again.stderr
+    assert "test: hour" not in again.stderr, "every set is taken already"
+    assert "seed 5, configuration" in again.stdout
+    assert set(columns(out / "fig08.csv")["position"]) == {"B", "C", "D"}
+    for name, value in QUICK.items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(StorageError, match="belongs to the experiment"):
+        reproduce(out=out, data_dir=None, only="fig8", seed=6, as_json=False)
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "words"),
+    [
+        ({"only": "fig4"}, UsageError, "--only names fig4"),
+        ({"data_dir": Path("here"), "seed": 3}, UsageError, "leave one out"),
+        ({"data_dir": Path("nowhere"), "only": "fig8"}, StorageError, "holds no test"),
+    ],
+)
+def test_the_command_refuses_what_cannot_be(
+    options: dict[str, Any], kind: type[Exception], words: str, tmp_path: Path
+):
+    given = {"data_dir": None, "only": None, "seed": None, "as_json": False, **options}
+    with pytest.raises(kind, match=words):
+        reproduce(out=tmp_path / "out", **given)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM")
+def test_a_signal_ends_everything_and_leaves_a_report(tmp_path: Path):
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        [*COMMAND, "--out", str(out), "--only", "table2,fig8"],
+        env={**os.environ, **QUICK, "SOLIMON_SCHEDULE__END_H": "300"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    for line in process.stderr:
+        if line.startswith("test: hour"):
+            break
+    process.send_signal(signal.SIGTERM)
+    begun = time.monotonic()
+    output, _ = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 130
+    # The recorder leaves within 5 s, the worker when its job of a second is done.
+    assert time.monotonic() - begun < 15.0
+    assert "not made: fig8" in output
+    assert json.loads((out / "reproduction.json").read_text(encoding="utf-8"))["interrupted"] is True
+    assert (out / "table2.csv").exists() or "table2" in output
