@@ -293,7 +293,8 @@ def reflect(
     ValueError
         The depth is out of bounds.
     SpecimenError
-        Lambda is, the plate being too thin for the spheres; or the spheres are not all equal.
+        Lambda is, the plate being too thin for the spheres; or the spheres are not all equal, pressed, or on
+        a wet plate.
     IntegrationError
         As `solve_impact`.
     """
@@ -302,6 +303,11 @@ def reflect(
             f"chain.spheres describes {len(chain.spheres)} bodies that differ; Zener's model knows equal "
             f"spheres only: take them out, or use the coupled model"
         )
+    for key, value in (("chain.precompression_n", chain.precompression_n), ("plate.liquid", plate.liquid)):
+        if value:
+            raise SpecimenError(
+                f"{key} is {value}; Zener's model knows none: take it out, or use the coupled model"
+            )
     patch = CorrosionParameters(depth_fraction=depth_fraction)
     modulus = chain.body(0).youngs_modulus_pa
     impact_speed = math.sqrt(2.0 * FREE_FALL_M_PER_S2 * chain.drop_height_m)

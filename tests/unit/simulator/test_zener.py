@@ -8,7 +8,7 @@ from scipy.special import beta
 from simulator import zener
 from simulator.chain_parameters import ChainParameters, SphereParameters
 from simulator.errors import IntegrationError, SpecimenError
-from simulator.plate_parameters import PlateParameters
+from simulator.plate_parameters import LiquidParameters, PlateParameters
 from simulator.zener import (
     approximate_contact_time,
     approximate_restitution,
@@ -217,3 +217,15 @@ def test_unlike_spheres_are_refused_and_warm_ones_are_softer():
         reflect(ChainParameters(spheres=(SphereParameters(body=1, radius_m=8e-3),)), PlateParameters())
     warm = reflect(ChainParameters(temperature_c=120.0), PlateParameters())
     assert warm == reflect(ChainParameters(youngs_modulus_pa=200e9 * (1 - 0.027)), PlateParameters())
+
+
+@pytest.mark.parametrize(
+    ("chain", "plate", "key"),
+    [
+        (ChainParameters(precompression_n=5.0), PlateParameters(), "chain.precompression_n"),
+        (ChainParameters(), PlateParameters(liquid=LiquidParameters(depth_m=0.1)), "plate.liquid"),
+    ],
+)
+def test_what_the_model_does_not_know_is_refused(chain, plate, key):
+    with pytest.raises(SpecimenError, match=f"{key}.*take it out, or use the coupled model"):
+        reflect(chain, plate)
