@@ -48,21 +48,29 @@ def lanczos(
     solve: Callable[[FloatArray], FloatArray],
     mass: Callable[[FloatArray], FloatArray],
     load: FloatArray,
-    count: int,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    vectors: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """Krylov space of the operator `solve` after `mass`, in which it is symmetric.
 
     A vector is made orthogonal to the two before it; rounding brings the others back slowly, and only
     every few steps two of them are made orthogonal to all (periodic reorthogonalisation).
 
+    Parameters
+    ----------
+    solve, mass
+        What inverts the shifted stiffness and what multiplies with the mass.
+    load
+        float64, shape (n,).
+    vectors
+        float64, shape (count, n): filled with the vectors, normalised in the mass; the first is
+        ``solve(load)``.
+
     Returns
     -------
-    vectors
-        float64, shape (count, n), normalised in the mass; the first is ``solve(load)``.
     diagonal, beside
         float64, shape (count,) and (count - 1,): the operator in this basis, a tridiagonal matrix.
     """
-    vectors = np.empty((count, len(load)))
+    count = len(vectors)
     mass_vectors = np.empty_like(vectors)
     diagonal, norms = np.empty(count), np.empty(count)
     x = solve(load)
@@ -78,4 +86,4 @@ def lanczos(
         x -= diagonal[j] * vectors[j]
         if j % REORTHOGONALISED_EVERY < 2:
             x -= vectors[: j + 1].T @ (mass_vectors[: j + 1] @ x)
-    return vectors, diagonal, norms[1:]
+    return diagonal, norms[1:]

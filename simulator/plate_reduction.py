@@ -130,19 +130,22 @@ def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = B
     order = _far_end_first(plate)
     shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
     factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
-    weight = np.sqrt(plate.at_depth(0.0)[1].diagonal())
-    if plate.added_mass is None:
-        spaces = [_space(plate, factors, depth, count) * weight for depth, count in basis]
-    else:
+    tasks = [(plate, depth, count) for depth, count in basis]
+    if plate.added_mass is not None:
         dry = replace(plate, added_mass=None)
-        spaces = [_space(plate, factors, depth, count + LIQUID_VECTORS) * weight for depth, count in basis]
-        spaces += [_space(dry, factors, depth, LIQUID_VECTORS) * weight for depth, _ in basis]
-    spaces += [
-        static_factors.solve(static_factors.factor(1.0 - depth), plate.load)[None] * weight
-        for depth in STATIC_DEPTHS
-    ]
-    vectors = merge(np.vstack([space / linalg.norm(space) for space in spaces])) / weight
-    vectors = _load_last(vectors @ plate.load) @ vectors
+        tasks = [(plate, depth, count + LIQUID_VECTORS) for depth, count in basis]
+        tasks += [(dry, depth, LIQUID_VECTORS) for depth, _ in basis]
+    total = sum(count for _, _, count in tasks)
+    raw = np.empty((total + len(STATIC_DEPTHS), len(plate.load)))
+    strengths, at = [], 0
+    for system, depth, count in tasks:
+        strengths.append(_space(system, factors, depth, raw[at : at + count]))
+        at += count
+    for row, depth in zip(raw[total:], STATIC_DEPTHS, strict=True):
+        row[:] = static_factors.solve(static_factors.factor(1.0 - depth), plate.load)
+        strengths.append(np.ones((1, 1)))
+    vectors = merge(raw, np.sqrt(plate.at_depth(0.0)[1].diagonal()), strengths).T @ raw
+    _turn_load_last(vectors, vectors @ plate.load)
     mass = _projected(plate.mass, vectors)
     if plate.added_mass is not None:
         mass[0] += vectors @ (plate.added_mass @ vectors.T)
@@ -160,35 +163,62 @@ def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
     return np.lexsort((kind, place, line))[::-1].copy()
 
 
-def _space(plate: AffinePlate, factors: FactorFamily, depth: float, count: int) -> FloatArray:
-    """Modes of a Krylov space, each as strong as its part in the response, shape (count, n)."""
-    factor = factors.factor(1.0 - depth)
+def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray) -> FloatArray:
+    """Fill the rows of `vectors` with a Krylov space; columns that make its modes of them.
+
+    Each mode is as strong as its part in the response.
+    """
     s = 1.0 - depth
+    factor = factors.factor(s)
     matrix = sum((s**power * term for power, term in enumerate(plate.mass[1:], 1) if term.nnz), plate.mass[0])
     liquid = plate.added_mass
 
     def mass(x: FloatArray) -> FloatArray:
         return np.asarray(matrix @ x if liquid is None else matrix @ x + liquid @ x)
 
-    vectors, diagonal, beside = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, count)
+    diagonal, beside = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
     inverse, shapes = linalg.eigh_tridiagonal(diagonal, beside, check_finite=False)
     participation = (vectors @ plate.load) @ shapes
     # The eigenvalues are 1 / (omega^2 + sigma^2): this is the root of a mode's flexibility at sigma.
-    return np.asarray((shapes * (participation * np.sqrt(np.abs(inverse)))).T @ vectors)
+    return np.asarray(shapes * (participation * np.sqrt(np.abs(inverse))))
 
 
-def merge(vectors: FloatArray) -> FloatArray:
-    """Orthonormal basis of what the rows of `vectors` span but for the weakest directions, shape (r, n)."""
-    strength, directions = linalg.eigh(vectors @ vectors.T, check_finite=False)
+def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) -> FloatArray:
+    """Basis of what the rows of `vectors` span but for the weakest directions.
+
+    Parameters
+    ----------
+    vectors
+        float64, shape (count, n): the spaces' vectors, space after space.
+    weight
+        float64, shape (n,): the basis is orthonormal after multiplication with it.
+    strengths
+        For each space the columns that make its directions of its vectors, in their relative strength;
+        all spaces get the same weight.
+
+    Returns
+    -------
+    float64, shape (count, r): the columns that make the basis of the vectors.
+    """
+    weighted = vectors * weight
+    gram = weighted @ weighted.T
+    start = 0
+    alike = []
+    for columns in strengths:
+        own = gram[start : start + len(columns), start : start + len(columns)]
+        alike.append(columns / np.sqrt(np.sum(columns * (own @ columns))))
+        start += len(columns)
+    mixing = linalg.block_diag(*alike)
+    strength, directions = linalg.eigh(mixing.T @ gram @ mixing, check_finite=False)
     kept = strength > MERGE_TOLERANCE**2 * strength[-1]
-    return np.asarray((directions[:, kept] / np.sqrt(strength[kept])).T @ vectors)
+    return np.asarray(mixing @ (directions[:, kept] / np.sqrt(strength[kept])))
 
 
-def _load_last(load: FloatArray) -> FloatArray:
-    """Reflection that turns `load` into the last direction, shape (r, r)."""
+def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
+    """Reflect the basis so that the load, `load` in its coordinates, has its last direction."""
     normal = load / linalg.norm(load)
     normal[-1] += 1.0 if normal[-1] >= 0.0 else -1.0
-    return np.asarray(np.eye(len(load)) - 2.0 / (normal @ normal) * np.outer(normal, normal))
+    vectors -= np.outer(2.0 / (normal @ normal) * normal, normal @ vectors)
 
 
 def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
