@@ -11,8 +11,10 @@ pair of Dormand and Prince: for chain and all unknowns of the 96 x 96 mesh, the 
    tightest. Ours on the same mesh is compared with the tightest, too. The steps per quarter of the record
    show whether stability or accuracy limits the step.
 2. **What it costs.** With that tolerance the paper's mesh is integrated from first touch through a stated
-   fraction of the record; the step is limited by stability throughout, so that the rest costs as much per
-   microsecond. `--fraction 1` runs it to the end (hours).
+   fraction of the record. There the step is limited by stability: printed beside the mean step is the
+   largest one with which the pair does not amplify the fastest mode. While the plate is still quiet the
+   steps stray above it and some are rejected, so that the extrapolation flatters the paper's method.
+   `--fraction 1` runs it to the end (hours).
 
 Absolute tolerances are the relative one times 1e-6 m and 1e-2 m/s, a tenth of what spheres reach.
 Takes a minute or two.

@@ -5,11 +5,12 @@ in time, for the chain and for every unknown of the plate, where the twin has mo
 and a multistep method. Its own convergence is shown with three steps, each half of the one before; the
 observed order is two, and the two finest are extrapolated to step zero (Richardson).
 
-    python benchmarks/reduced_against_unreduced.py [--quick] [--json]
+    python benchmarks/reduced_against_unreduced.py [--quick] [--all] [--json]
 
-Prints, for the depths 0, 40 and 80 %, the relative L2 difference of the sensor force from 0 to 1.2 ms
-and the ratio of the times a shot takes. Fails (exit code 1) above 1e-4. Takes about three minutes,
-`--quick` (one depth, coarser steps) half a minute.
+Prints, for the depths 0, 40 and 80 % of position B's patch, the relative L2 difference of the sensor
+force from 0 to 1.2 ms and the ratio of the times a shot takes; with `--all` for 0, 10, 40, 80 and 95 % of
+B's and of C's patch. Fails (exit code 1) above 1e-4. Takes about three minutes, ten with `--all`; `--quick`
+takes coarser steps and, alone, one depth: half a minute.
 """
 
 from __future__ import annotations
@@ -42,12 +43,15 @@ RECORD_S = 1.2e-3
 SAMPLE_S = 5e-7
 LIMIT = 1e-4
 WARM_SHOTS = 50
+SIZES_M = (25.4e-3, 50.8e-3)
+"""Patches of positions B and C."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
     """One depth: differences relative to the L2 norm of the reference force."""
 
+    size_m: float
     depth_fraction: float
     unknowns: int
     steps_s: tuple[float, ...]
@@ -189,8 +193,8 @@ def lower_band(matrix: sparse.csr_matrix) -> FloatArray:
     return band
 
 
-def compare(depth: float, steps_s: tuple[float, ...]) -> Comparison:
-    parameters, plate, patch = ChainParameters(), PlateParameters(), CorrosionParameters()
+def compare(size_m: float, depth: float, steps_s: tuple[float, ...]) -> Comparison:
+    parameters, plate, patch = ChainParameters(), PlateParameters(), CorrosionParameters(size_m=size_m)
     affine = build_plate(plate, patch)
     chain = build_chain(parameters, plate)
     model = ShotModel(parameters, plate, patch, duration_s=RECORD_S)
@@ -209,6 +213,7 @@ def compare(depth: float, steps_s: tuple[float, ...]) -> Comparison:
     changes = [float(np.linalg.norm(b - a)) / norm for a, b in itertools.pairwise(forces)]
     extrapolated = forces[-1] + (forces[-1] - forces[-2]) / 3.0
     return Comparison(
+        size_m=size_m,
         depth_fraction=depth,
         unknowns=len(affine.load),
         steps_s=steps_s,
@@ -223,18 +228,23 @@ def compare(depth: float, steps_s: tuple[float, ...]) -> Comparison:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="one depth, coarser steps")
+    parser.add_argument("--all", action="store_true", help="five depths of two patches")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     arguments = parser.parse_args()
-    depths = (0.4,) if arguments.quick else (0.0, 0.4, 0.8)
+    if arguments.all:
+        cases = [(size_m, depth) for size_m in SIZES_M for depth in (0.0, 0.1, 0.4, 0.8, 0.95)]
+    else:
+        cases = [(SIZES_M[0], depth) for depth in ((0.4,) if arguments.quick else (0.0, 0.4, 0.8))]
     finest = 1.25e-7 if arguments.quick else 6.25e-8
     rows = []
-    for depth in depths:
-        row = compare(depth, (4.0 * finest, 2.0 * finest, finest))
+    for size_m, depth in cases:
+        row = compare(size_m, depth, (4.0 * finest, 2.0 * finest, finest))
         rows.append(row)
         if not arguments.json:
             changes = " ".join(f"{change:.1e}" for change in row.reference_changes)
             print(
-                f"depth {row.depth_fraction:.0%}: {row.unknowns} unknowns, reference changes {changes} "
+                f"{1e3 * row.size_m:.1f} mm, depth {row.depth_fraction:.0%}: {row.unknowns} unknowns, "
+                f"reference changes {changes} "
                 f"(order {row.observed_order:.2f}), reduced differs by {row.difference_l2:.1e} "
                 f"(limit {LIMIT:.0e}); "
                 f"{row.unreduced_s:.1f} s against {1e3 * row.reduced_s:.2f} ms, ratio {row.time_ratio:.0f}",
@@ -242,7 +252,7 @@ def main() -> int:
             )
     passed = all(row.difference_l2 <= LIMIT for row in rows)
     if arguments.json:
-        fields = ("depth_fraction", "unknowns", "steps_s", "reference_changes", "observed_order")
+        fields = ("size_m", "depth_fraction", "unknowns", "steps_s", "reference_changes", "observed_order")
         fields += ("difference_l2", "unreduced_s", "reduced_s", "time_ratio")
         report = {
             "limit": LIMIT,

@@ -1,10 +1,11 @@
 """How long a shot takes: cold (no reduction kept), with a new depth, and warm.
 
-    python benchmarks/shot_speed.py [--json]
+    python benchmarks/shot_speed.py [--mesh] [--json]
 
 Wall time and processor time of this process, machine code of the kernel already compiled; the medians of
 several runs. Processor time is what one core needs, whatever else the machine is busy with. Two threads
-show that shots run side by side. Takes some ten seconds.
+show that shots run side by side. Takes some ten seconds; `--mesh`, which shows how the cost grows with the
+elements along an edge, as long again.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from simulator.pulse_summary import summarise
 
 RECORD_S = 1.4e-3
 COLD_RUNS, DEPTHS, WARM_SHOTS = 5, 40, 200
+MESHES = (48, 96, 144, 192)
 
 
 def seconds(work: Callable[[], object]) -> tuple[float, float]:
@@ -78,11 +80,34 @@ def measure() -> dict[str, dict[str, float]]:
     }
 
 
+def measure_mesh(elements: int) -> dict[str, dict[str, float]]:
+    plate = PlateParameters(elements_per_edge=elements)
+
+    def prepared() -> ShotModel:
+        return ShotModel(
+            ChainParameters(), plate, CorrosionParameters(), duration_s=RECORD_S, cache_folder=None
+        )
+
+    model = prepared()
+    model.shot()
+    return {
+        f"cold_{elements}": median([seconds(lambda: prepared().shot()) for _ in range(3)]),
+        f"new_depth_{elements}": median(
+            [seconds(lambda k=k: model.shot(depth_fraction=0.2 + 1e-3 * k)) for k in range(DEPTHS)]
+        ),
+        f"warm_{elements}": median([seconds(model.shot) for _ in range(WARM_SHOTS)]),
+    }
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mesh", action="store_true", help="grow the mesh, too")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     arguments = parser.parse_args()
     results = measure()
+    if arguments.mesh:
+        for elements in MESHES:
+            results |= measure_mesh(elements)
     if arguments.json:
         print(json.dumps(results))
     else:
