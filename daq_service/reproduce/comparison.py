@@ -45,6 +45,8 @@ class Row:
         """For people."""
         if self.deviation is None:
             return "-"
+        if _vanishes(self.deviation, self.paper):
+            return "none"
         if self.deviation_percent is not None:
             return f"{self.deviation_percent:+.1f} %"
         return f"{self.deviation:+.3g} {'points' if self.unit == '%' else self.unit}"
@@ -74,7 +76,7 @@ def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
     relative = None
     if deviation is not None and value.value and value.unit != "%":
         relative = 100.0 * deviation / value.value
-    agrees = deviation is not None and abs(deviation) < 1e-9 * max(1.0, abs(value.value or 0.0))
+    agrees = deviation is not None and _vanishes(deviation, value.value)
     return Row(
         item=value.item,
         quantity=value.quantity,
@@ -90,6 +92,11 @@ def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
         deviation_percent=relative,
         cause=_cause(value, ours, agrees=agrees, origin=origin),
     )
+
+
+def _vanishes(deviation: float, paper: float | None) -> bool:
+    """Nothing but rounding of floats is left."""
+    return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
 
 
 def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:

@@ -187,10 +187,11 @@ def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> di
 _DEPTH_CURVES = (
     ("mindlin_sphere", "plate theory, sensor a sphere", SKY, "-", DEPTHS),
     ("mindlin_disk", "plate theory, sensor two disks", BLUE, "-", DEPTHS),
-    ("mindlin_disk_large", "the same disks, patch of 50.8 mm (C)", GREEN, "-.", DEPTHS),
+    ("mindlin_disk_large", "plate theory, disks, patch of 50.8 mm (C)", GREEN, "-.", DEPTHS),
     ("solid_sphere", "solid, sensor a sphere", ORANGE, "--", SOLID_DEPTHS),
     ("solid_disk", "solid, sensor two disks", VERMILLION, "--", SOLID_DEPTHS),
 )
+_TOLD = {name: told for name, told, *_ in _DEPTH_CURVES}
 
 
 def _depth_jobs() -> dict[str, Job]:
@@ -245,7 +246,7 @@ def draw_fig13(material: Material) -> Product:
         found=_depth_found(curves, absent),
         notes=(
             *(_turning(name, points) for name, points in curves.items()),
-            *(f"{name.replace('_', ', ')}: not available, {why}." for name, why in absent.items()),
+            *(f"{_TOLD[name].capitalize()}: not available, {why}." for name, why in absent.items()),
         ),
     )
 
@@ -272,7 +273,7 @@ def _turning(name: str, points: Sequence[tuple[float, float, float]]) -> str:
     """Where the amplitude ratio is least; between two computed depths it may be a little lower."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
-        f"{name.replace('_', ', ')}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
+        f"{_TOLD[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
         f"{points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."
     )
 

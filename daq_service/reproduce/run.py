@@ -143,7 +143,7 @@ def reproduce_into(
     run = _Run(out=out, started_s=time.monotonic(), facts=_versions())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
         evidence = None
-        if data_dir is not None and needed:
+        if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
             evidence = tests.submit(read_evidence, data_dir.absolute())
         elif settings is not None:
             evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, say)

@@ -220,7 +220,7 @@ def _gamma(material: Material) -> str:
     return (
         f"gamma {STRONG_GAMMA_N_S_PER_M:g} N s/m moves ToF by {strong.tof_us - weak.tof_us:+.1f} us "
         f"({100 * (strong.tof_us / weak.tof_us - 1):+.1f} %) and AR from {weak.amplitude_ratio:.3f} to "
-        f"{strong.amplitude_ratio:.3f}; 20 % of ISW amplitude moves ToF by some 2.5 %"
+        f"{strong.amplitude_ratio:.3f}; the paper's 20 % of ISW amplitude by 2.5 %"
     )
 
 
