@@ -513,5 +513,6 @@ def test_the_command_line_imports_nothing_heavy() -> None:
         "uvicorn",
         "nidaqmx",
         "serial",
+        "matplotlib",
     }
     assert not loaded & heavy
