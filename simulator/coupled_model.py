@@ -24,21 +24,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.chain_parameters import ChainParameters
-from simulator.coupled_kernel import (
-    ENERGY_INTERVAL_STEPS,
-    LAWS_OF_DAMPING,
-    WIDEST,
-    kernel,
-    modal_weights,
-)
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.granular_chain import Chain, build_chain, struck_again
-from simulator.hertz_contact import indentation_m
 from simulator.materials import thin_plate_impedance_n_s_per_m
+from simulator.modal_weights import modal_weights
 from simulator.one_thread import one_blas_thread
 from simulator.plate_models import ModalPlate, modal_plate
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.reduction_cache import DEFAULT_CACHE_FOLDER
+from simulator.side_by_side import UNMOVED, Propagator, integrate
+from simulator.time_step import record_duration_s, resolving_step_s, stiffest_contact_n_per_m
 
 FloatArray = NDArray[np.float64]
 
@@ -48,9 +43,6 @@ ENERGY_TOLERANCE = 1e-4
 STEP_HALVINGS = 4
 """A shot that misses `ENERGY_TOLERANCE` is repeated with half the step, at most so often; on a plate with
 each halved step twice, see `WIDE_CUT_PHASE_RAD`."""
-
-PHASE_PER_STEP_RAD = 0.05
-"""The chain's highest frequency turns by no more than this in a step; see docs for the convergence."""
 
 CUT_PHASE_RAD = 1.0
 """Modes of the plate that turn faster than this in a step stay as residual compliance."""
@@ -72,9 +64,6 @@ EXTENSIONS = 3
 
 DEPTHS_KEPT = 64
 """Prepared depths a model remembers, the latest ones."""
-
-WORTH_A_WIDE_PASS = 4
-"""Shots from which on a pass of `coupled_kernel.WIDEST` lanes costs less than one after the other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,15 +131,6 @@ class ShotForce:
     contact_force_n: FloatArray | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Propagator:
-    """What the kernel needs to know about the specimen, for one depth and step."""
-
-    bank: FloatArray
-    residual_compliance_m_per_n: float = 0.0
-    mobility_m_per_n_s: float = 0.0
-
-
 class ShotModel:
     """Chain on a specimen, ready to be struck.
 
@@ -203,7 +183,7 @@ class ShotModel:
         self._modal_plate = prepared_plate or modal_plate(plate, corrosion, cache_folder)
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
-        self._prepared: OrderedDict[tuple[float, float, bool], _Propagator] = OrderedDict()
+        self._prepared: OrderedDict[tuple[float, float, bool], Propagator] = OrderedDict()
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
@@ -315,7 +295,7 @@ class ShotModel:
         )
 
     def _over_wall(self, chains: list[Chain], depth: float, contact_forces: bool) -> list[ShotForce]:
-        def specimen(step: float, wide: bool) -> _Propagator:
+        def specimen(step: float, wide: bool) -> Propagator:
             return self._propagator(depth, step, wide)
 
         forces = self._converged(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
@@ -341,7 +321,7 @@ class ShotModel:
         ]
         forces = self._converged(
             free_ends,
-            lambda step, wide: _UNMOVED,
+            lambda step, wide: UNMOVED,
             self._shortest_record_s,
             retainer_force_n=float(self._nominal.static_force_n[-1]),
             contact_forces=contact_forces,
@@ -351,7 +331,7 @@ class ShotModel:
     def _converged(
         self,
         chains: list[Chain],
-        specimen: Callable[[float, bool], _Propagator],
+        specimen: Callable[[float, bool], Propagator],
         duration_s: float,
         *,
         retainer_force_n: float = 0.0,
@@ -405,7 +385,7 @@ class ShotModel:
             if halving and self._modal_plate is not None:
                 yield halving, True
 
-    def _propagator(self, depth: float, step: float, wide: bool) -> _Propagator:
+    def _propagator(self, depth: float, step: float, wide: bool) -> Propagator:
         if self._modal_plate is None:
             return _specimen_without_modes(self._plate)
         key = depth, step, wide
@@ -419,7 +399,7 @@ class ShotModel:
         with one_blas_thread():
             every_mode = self._modal_plate.modes(depth)
         modes = every_mode.cut_above(phase / step, yielding)
-        made = _Propagator(
+        made = Propagator(
             bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
             residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
         )
@@ -430,99 +410,13 @@ class ShotModel:
         return made
 
 
-_UNMOVED = _Propagator(bank=np.empty(0))
-
-
-def _specimen_without_modes(plate: PlateParameters) -> _Propagator:
+def _specimen_without_modes(plate: PlateParameters) -> Propagator:
     if plate.model == "rigid_wall":
-        return _UNMOVED
+        return UNMOVED
     impedance = thin_plate_impedance_n_s_per_m(
         plate.warm_youngs_modulus_pa, plate.poisson_ratio, plate.density_kg_per_m3, plate.thickness_m
     )
-    return replace(_UNMOVED, mobility_m_per_n_s=1.0 / impedance)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Record:
-    """One shot as integrated: every step, energy not judged yet."""
-
-    force_n: FloatArray
-    contact_force_n: FloatArray | None
-    defect_j: float
-    reflection_step: int
-
-
-def integrate(
-    chains: list[Chain],
-    specimen: _Propagator,
-    step: float,
-    steps: int,
-    *,
-    retainer_force_n: float,
-    contact_forces: bool,
-) -> list[_Record]:
-    """Integrate chains that differ in impact speed and sensor dashpots only, as many as fit side by side."""
-    records: list[_Record] = []
-    while len(records) < len(chains):
-        rest = len(chains) - len(records)
-        width = WIDEST if rest >= WORTH_A_WIDE_PASS else 1
-        together = chains[len(records) : len(records) + width]
-        found = _side_by_side(together, width, specimen, step, steps, retainer_force_n, contact_forces)
-        records += found
-    return records
-
-
-def _side_by_side(
-    chains: list[Chain],
-    width: int,
-    specimen: _Propagator,
-    step: float,
-    steps: int,
-    retainer_force_n: float,
-    contact_forces: bool,
-) -> list[_Record]:
-    """One pass of the kernel; lanes without a shot of their own repeat the last one."""
-    lanes = chains + [chains[-1]] * (width - len(chains))
-    chain = lanes[0]
-    bodies = len(chain.mass_kg)
-    force = np.empty((steps, width))
-    contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
-    defect_j, reflection_step = np.empty(width), np.empty(width)
-    kernel(width, chain.damping_exponent == 0.0)(
-        chain.mass_kg,
-        chain.stiffness_n_per_m15,
-        np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
-        chain.static_force_n,
-        chain.static_overlap_m,
-        chain.gravity_m_per_s2,
-        np.array([lane.impact_speed_m_per_s for lane in lanes]),
-        np.array(
-            [-1 if lane.second_delay_s is None else round(lane.second_delay_s / step) for lane in lanes]
-        ),
-        np.array([lane.second_speed_m_per_s for lane in lanes]),
-        chain.sensor,
-        retainer_force_n,
-        chain.precompression_n,
-        LAWS_OF_DAMPING.index(chain.damping_exponent),
-        step,
-        specimen.bank,
-        specimen.residual_compliance_m_per_n,
-        specimen.mobility_m_per_n_s,
-        ENERGY_INTERVAL_STEPS,
-        force.ravel(),
-        contacts.ravel(),
-        defect_j,
-        reflection_step,
-    )
-    return [
-        _Record(
-            force_n=force[:, k],
-            contact_force_n=contacts[:, :, k] if contact_forces else None,
-            defect_j=float(defect_j[k]),
-            reflection_step=int(reflection_step[k]),
-        )
-        for k in range(len(chains))
-    ]
+    return replace(UNMOVED, mobility_m_per_n_s=1.0 / impedance)
 
 
 def _without_last(values: FloatArray) -> FloatArray:
@@ -536,48 +430,3 @@ def _no_patch(model: str, depth: float) -> str:
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
         f"use depth 0 or plate.model = 'mindlin'"
     )
-
-
-def resolving_step_s(chain: Chain) -> float:
-    """Step of the integration for `chain`: the largest of 1, 2, 5 x 10^k s that resolves it.
-
-    The dashpots between the spheres must relax slowly compared with a step, too.
-    """
-    m = float(chain.mass_kg.min())
-    omega = 2.0 * math.sqrt(stiffest_contact_n_per_m(chain) / m)
-    rate = float(chain.damping_n_s_per_m[:-1].max()) / m
-    if chain.damping_exponent:
-        rate *= (peak_overlap_m(chain) / chain.damping_reference_overlap_m) ** chain.damping_exponent
-    longest = PHASE_PER_STEP_RAD / max(omega, rate)
-    decade: float = 10.0 ** math.floor(math.log10(longest))
-    # Rounding of the logarithm must not lose a step that is a power of ten.
-    steps = [factor * decade for factor in (1.0, 2.0, 5.0)]
-    return max(step for step in steps if step <= longest * (1.0 + 1e-9))
-
-
-def stiffest_contact_n_per_m(chain: Chain) -> float:
-    """Estimate dF/dd of a contact at its peak."""
-    return 1.5 * float(chain.stiffness_n_per_m15.max()) * math.sqrt(peak_overlap_m(chain))
-
-
-def peak_overlap_m(chain: Chain) -> float:
-    """Estimate the largest overlap, from two spheres that collide at the striker's speed.
-
-    A precompressed contact is pressed that much further.
-    """
-    a = float(chain.stiffness_n_per_m15.max())
-    overlap: float = (0.625 * float(chain.mass_kg.max()) * chain.impact_speed_m_per_s**2 / a) ** 0.4
-    return overlap + indentation_m(chain.precompression_n, float(chain.stiffness_n_per_m15.min()))
-
-
-def record_duration_s(chain: Chain) -> float:
-    """Record that holds the reflected wave: 1.4 ms, more for slower chains.
-
-    A solitary wave needs about ``1.2 (m^2 / (A^2 v))^(1/5)`` from one contact to the next, down the
-    chain and back to the sensor; 2.5 times that leaves room for a soft specimen.
-    """
-    m = float(chain.mass_kg.max())
-    a = float(chain.stiffness_n_per_m15.min())
-    per_contact: float = 1.2 * (m**2 / (a**2 * chain.impact_speed_m_per_s)) ** 0.2
-    contacts = 2 * len(chain.mass_kg) - chain.sensor
-    return max(1.4e-3, 2.5 * per_contact * contacts)

@@ -6,6 +6,7 @@ as IEEE 754 says: a lane holds the same digits whatever the others hold and howe
 
 In code compiled by numba: ``load(array, start, width)`` with a constant width, `store`, the operators
 ``+ - * /`` (a number may stand on either side), and the functions below. Nothing here runs outside of it.
+numba keeps machine code until the file of the compiled function changes; it does not look at this one.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from simulator import coupled_model
+from simulator import side_by_side
 from simulator.chain_parameters import ChainParameters, SphereParameters
 from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
@@ -194,7 +194,7 @@ def test_agrees_with_an_integration_of_the_bare_law(law, changes):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("depth", [0.0, 0.6])
 def test_energy_balances_for_every_law_on_a_plate_at_every_step(reduction_folder, monkeypatch, law, depth):
-    monkeypatch.setattr(coupled_model, "ENERGY_INTERVAL_STEPS", 1)
+    monkeypatch.setattr(side_by_side, "ENERGY_INTERVAL_STEPS", 1)
     chain = ChainParameters(damping_law=law, damping_n_s_per_m=20.0, precompression_n=5.0, spheres=MIXED[2:])
     plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
     force = ShotModel(chain, plate, PATCH, cache_folder=reduction_folder).shot(depth_fraction=depth)
