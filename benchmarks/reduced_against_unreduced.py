@@ -10,7 +10,7 @@ observed order is two, and the two finest are extrapolated to step zero (Richard
 Prints, for the depths 0, 40 and 80 % of position B's patch, the relative L2 difference of the sensor
 force from 0 to 1.2 ms and the ratio of the times a shot takes; with `--all` for 0, 10, 40, 80 and 95 % of
 B's and of C's patch. Fails (exit code 1) above 1e-4. Takes about three minutes, ten with `--all`; `--quick`
-takes coarser steps and, alone, one depth: half a minute.
+takes coarser steps and, alone, one depth: half a minute. Times are processor times.
 """
 
 from __future__ import annotations
@@ -199,16 +199,16 @@ def compare(size_m: float, depth: float, steps_s: tuple[float, ...]) -> Comparis
     chain = build_chain(parameters, plate)
     model = ShotModel(parameters, plate, patch, duration_s=RECORD_S)
     reduced = model.shot(depth_fraction=depth).force_n
-    started = time.perf_counter()
+    started = time.process_time()
     for _ in range(WARM_SHOTS):
         model.shot(depth_fraction=depth)
-    reduced_s = (time.perf_counter() - started) / WARM_SHOTS
+    reduced_s = (time.process_time() - started) / WARM_SHOTS
 
     forces, unreduced_s = [], 0.0
     for h in steps_s:
-        started = time.perf_counter()
+        started = time.process_time()
         forces.append(unreduced_force(chain, affine, depth, h))
-        unreduced_s = time.perf_counter() - started
+        unreduced_s = time.process_time() - started
     norm = float(np.linalg.norm(forces[-1]))
     changes = [float(np.linalg.norm(b - a)) / norm for a, b in itertools.pairwise(forces)]
     extrapolated = forces[-1] + (forces[-1] - forces[-2]) / 3.0
