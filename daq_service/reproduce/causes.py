@@ -33,12 +33,12 @@ _CAUSES: Mapping[str, str] = {
     "fig6.contact_element": "ours are of higher degree, and what they do not resolve is corrected",
     "fig6.impact_speed": "sqrt(2 g h) of the 5 mm drop, not rounded",
     "fig7.isw_time": "the paper does not say where its time begins; ours is the striker's touch",
-    "fig7.change_hour": "the paper judged by eye, ours is the alarm rule; the twin corrodes from hour 0 and "
-    "scatters less than a real rig (assumptions), so a change shows earlier",
+    "fig7.change_hour": "the paper judged by eye, ours is the alarm rule; the twin corrodes from hour 0, "
+    "and its scatter is an assumption: the less of it, the earlier a change shows",
     "fig8.tof_start": "not tuned: the paper's chain on plate theory with a point load, which holds the last "
-    "sphere longer than an infinite thin plate does (see the slips)",
-    "fig8.tof_rise": "no independent agreement: the twin's mean depth at the end was chosen so that ToF "
-    "grows about as much as in the paper",
+    "sphere longer than a solid plate does (figure 13)",
+    "fig8.tof_rise": f"{GIVEN}: the twin's mean depth at the end was chosen so that ToF grows about as "
+    "much as in the paper",
     "fig8.tof_rise_D": _FIT,
     "fig9.ar_start": "the twin's mean tilt of the sensor disk, an assumption, takes some of AR; that a dry "
     "model comes near the measurement is partly luck",
@@ -75,9 +75,9 @@ _CAUSES: Mapping[str, str] = {
     "fig14.outliers_f_D": "another limit than the paper's: exact for a new normal set",
     "fig14.smallest_loss": "our reading: what the probe at A said at the first alarm; a twin that scatters "
     "little shows a small change early",
-    "fig15.thickness_300": "the twin's wall follows the core, and its rough far wall makes the probe read "
-    "too much; "
-    "how much is drawn by the seed (assumption)",
+    "fig15.thickness_300": "the twin's wall follows the core; a rough far wall (assumption, drawn by the "
+    "seed) and the V-shaped path between two elements, which eq. 17 takes for straight, make the probe read "
+    "too much",
     "fig15.loss_300": "as the wall read; the paper's per cent is a slip of its own millimetres besides",
     "fig15.core": f"{GIVEN}: the twin's wall at the end was taken from the core",
 }
