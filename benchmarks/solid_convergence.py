@@ -15,6 +15,7 @@ import json
 import os
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,7 +59,8 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
     shot = ShotModel(ChainParameters(), plate, patch, duration_s=RECORD_S, cache_folder=None).shot()
     wall_s, processor_s = time.perf_counter() - started[0], time.process_time() - started[1]
     summary = summarise(shot)
-    assert summary.tof_us is not None and summary.amplitude_ratio is not None, "the wave comes back"
+    assert summary.tof_us is not None, "the wave comes back"
+    assert summary.amplitude_ratio is not None, "the wave comes back"
     return Cold(
         unknowns=len(build_solid_plate(plate, patch).load),
         processor_s=processor_s,
@@ -69,32 +71,28 @@ def cold_shot(mesh: SolidMesh, depth: float) -> Cold:
     )
 
 
-def rows(depths: list[float], names: list[str]) -> list[dict[str, Any]]:
+def rows(depths: list[float], names: list[str]) -> Iterator[dict[str, Any]]:
     """Every mesh at every depth, compared with the last one."""
     plate = PlateParameters(model="rigid_wall")
     ShotModel(ChainParameters(), plate, CorrosionParameters(), duration_s=RECORD_S).shot()  # compiles
-    found: list[dict[str, Any]] = []
     for depth in depths:
         shots = {name: cold_shot(MESHES[name], depth) for name in names}
         best = shots[names[-1]]
         for name, shot in shots.items():
-            found.append(
-                {
-                    "depth_fraction": depth,
-                    "mesh": name,
-                    "unknowns": shot.unknowns,
-                    "processor_s": shot.processor_s,
-                    "wall_s": shot.wall_s,
-                    "tof_us": shot.tof_us,
-                    "amplitude_ratio": shot.amplitude_ratio,
-                    "tof_difference_us": shot.tof_us - best.tof_us,
-                    "amplitude_ratio_difference": shot.amplitude_ratio - best.amplitude_ratio,
-                    "waveform_l2": float(
-                        np.linalg.norm(shot.force_n - best.force_n) / np.linalg.norm(best.force_n)
-                    ),
-                }
-            )
-    return found
+            yield {
+                "depth_fraction": depth,
+                "mesh": name,
+                "unknowns": shot.unknowns,
+                "processor_s": shot.processor_s,
+                "wall_s": shot.wall_s,
+                "tof_us": shot.tof_us,
+                "amplitude_ratio": shot.amplitude_ratio,
+                "tof_difference_us": shot.tof_us - best.tof_us,
+                "amplitude_ratio_difference": shot.amplitude_ratio - best.amplitude_ratio,
+                "waveform_l2": float(
+                    np.linalg.norm(shot.force_n - best.force_n) / np.linalg.norm(best.force_n)
+                ),
+            }
 
 
 def main() -> int:
@@ -106,7 +104,7 @@ def main() -> int:
     names = list(MESHES)[: -1 if arguments.quick else None]
     found = rows(arguments.depths, names)
     if arguments.json:
-        print(json.dumps({"meshes": {name: repr(MESHES[name]) for name in names}, "rows": found}))
+        print(json.dumps({"meshes": {name: repr(MESHES[name]) for name in names}, "rows": list(found)}))
         return 0
     print("depth  mesh    unknowns  processor   wall     ToF us     AR     dToF us    dAR      waveform L2")
     for row in found:
@@ -114,7 +112,8 @@ def main() -> int:
             f"{row['depth_fraction']:5.2f}  {row['mesh']:7s} {row['unknowns']:8d}  "
             f"{row['processor_s']:7.2f} s {row['wall_s']:7.2f} s  {row['tof_us']:8.3f}  "
             f"{row['amplitude_ratio']:.4f}  {row['tof_difference_us']:+8.3f}  "
-            f"{row['amplitude_ratio_difference']:+.5f}   {row['waveform_l2']:.1e}"
+            f"{row['amplitude_ratio_difference']:+.5f}   {row['waveform_l2']:.1e}",
+            flush=True,
         )
     return 0
 
