@@ -1,0 +1,66 @@
+"""The solid plate as a configuration asks for it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COARSE = """
+[plate]
+model = "solid"
+
+[plate.solid]
+degree = 3
+edge_element = 0.5
+contact_element = 1.0
+largest_element = 12.0
+"""
+LIMIT_S = 120.0
+"""Far beyond any of these runs, on a loaded machine too."""
+
+
+def simulate(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    file = folder / "solid.toml"
+    file.write_text(text, encoding="utf-8")
+    return subprocess.run(
+        [sys.executable, "-m", "daq_service.cli", "simulate", str(file), *arguments],
+        env=os.environ,
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=False,
+    )
+
+
+def test_a_configuration_gives_a_shot_on_the_solid(tmp_path: Path) -> None:
+    done = simulate(tmp_path, COARSE, "--json", "--depth", "0.4")
+    assert done.returncode == 0, done.stderr
+    shot = json.loads(done.stdout)
+    assert shot["energy_residual"] <= 1e-4
+    # The usual mesh gives 347.65 us and 0.444; the Mindlin plate 357.2 us and 0.452.
+    assert shot["tof_us"] == pytest.approx(347.65, abs=0.5)
+    assert shot["amplitude_ratio"] == pytest.approx(0.444, abs=0.004)
+
+
+def test_a_position_may_have_a_solid_of_its_own(tmp_path: Path) -> None:
+    text = '[positions.B]\nmethod = "solitary_wave"\nplate = { model = "solid", solid = { degree = 3 } }\n'
+    alone = simulate(tmp_path, text, "--json", "--depth", "0.4", "--position", "B")
+    assert json.loads(alone.stdout)["tof_us"] == pytest.approx(347.65, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (COARSE.replace("[plate]", '[plate]\nsupport = "free"'), "plate.support is 'free'"),
+        (COARSE + '\n[corrosion]\nprofile = "bowl"\n', "corrosion.profile is 'bowl'"),
+        (COARSE.replace("degree = 3", "degree = 2"), "degree"),
+    ],
+)
+def test_what_the_solid_does_not_know_is_refused_with_a_remedy(tmp_path: Path, text: str, words: str) -> None:
+    done = simulate(tmp_path, text, "--depth", "0.4")
+    assert done.returncode != 0
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr
