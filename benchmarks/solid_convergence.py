@@ -1,11 +1,12 @@
 """How far the solid plate's waveform is from that of finer meshes, and what a cold shot of it costs.
 
-    python benchmarks/solid_convergence.py [--depths 0 0.5 0.8] [--quick] [--json]
+    python benchmarks/solid_convergence.py [--depths 0 0.5 0.8] [--quick | --one-basis] [--json]
 
 Each mesh is compared with the finest one: time of flight, amplitude ratio and the waveform (relative L2,
 preload taken off). Cold means mesh, reduction and shot with nothing kept, machine code compiled; processor
 time is what it takes of one core, wall time what other programs leave of it. --quick leaves the finest mesh
-out. Takes some minutes.
+out. --one-basis compares one basis for every depth with the usual mesh of each depth alone, and prints what
+the basis costs once and a depth from then on. Takes some minutes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -95,12 +96,46 @@ def rows(depths: list[float], names: list[str]) -> Iterator[dict[str, Any]]:
             }
 
 
+def one_basis_rows(depths: list[float]) -> Iterator[dict[str, Any]]:
+    """Compare shots from one basis with those of each depth alone."""
+    alone = PlateParameters(model="solid")
+    both = replace(alone, solid=SolidMesh(one_basis=True))
+    models = [
+        ShotModel(ChainParameters(), plate, CorrosionParameters(), duration_s=RECORD_S, cache_folder=None)
+        for plate in (alone, both)
+    ]
+    started = time.process_time()
+    models[1].shot(depth_fraction=0.01)
+    basis_s = time.process_time() - started
+    for depth in depths:
+        expected = models[0].shot(depth_fraction=depth)
+        started = time.process_time()
+        found = models[1].shot(depth_fraction=depth)
+        shot_s = time.process_time() - started
+        difference = np.linalg.norm(found.force_n - expected.force_n)
+        one, other = summarise(found).tof_us, summarise(expected).tof_us
+        assert one is not None, "the wave comes back"
+        assert other is not None, "the wave comes back"
+        yield {
+            "depth_fraction": depth,
+            "basis_processor_s": basis_s,
+            "depth_and_shot_processor_s": shot_s,
+            "tof_difference_us": one - other,
+            "waveform_l2": float(difference / np.linalg.norm(expected.force_n - expected.preload_n)),
+        }
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--depths", type=float, nargs="+", default=[0.0, 0.3, 0.5, 0.8])
     parser.add_argument("--quick", action="store_true", help="without the finest mesh")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    parser.add_argument("--one-basis", action="store_true", help="one basis against each depth alone")
     arguments = parser.parse_args()
+    if arguments.one_basis:
+        for row in one_basis_rows([depth for depth in arguments.depths if depth > 0.0]):
+            print(json.dumps(row), flush=True)
+        return 0
     names = list(MESHES)[: -1 if arguments.quick else None]
     found = rows(arguments.depths, names)
     if arguments.json:

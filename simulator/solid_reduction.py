@@ -8,8 +8,8 @@ one the same with 1 - s: once these eight matrices are projected, the projection
 A point force would press into a solid without limit. The force of the chain is spread as Hertz's pressure
 over a circle of radius a, and the deflection is averaged with the same weight. Part of it is the
 indentation of a half-space, which Hertz's law of the contact holds already; see
-`half_space_indentation_m_per_n`. What is left does not depend on a as long as a is small against the
-remaining thickness. The mesh does not resolve the circle: what it lacks there is measured on the plate of
+`solid_contact.half_space_indentation_m_per_n`. What is left does not depend on a as long as a is small
+against the remaining thickness. The mesh does not resolve the circle: what it lacks there is measured on the plate of
 the patch's size and remaining thickness, whose exact compliance is known, and added
 (`contact_correction_m_per_n`).
 """
@@ -25,18 +25,12 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from simulator.errors import SpecimenError
-from simulator.materials import plane_modulus_pa
 from simulator.nested_dissection import dissect, factorize
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes
-from simulator.solid_plate import (
-    COMPONENTS,
-    SolidPlate,
-    build_solid_plate,
-    in_plane_integrals,
-    in_plane_terms,
-    plate_under_contact,
-)
+from simulator.solid_contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
+from simulator.solid_integrals import COMPONENTS, in_plane_integrals, in_plane_terms
+from simulator.solid_plate import SolidPlate, build_solid_plate, plate_under_contact
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,95 +41,8 @@ SOLID_VECTORS = 60
 SHIFT_RAD_PER_S = 6e4
 """About the circular frequency of a solitary wave of the paper's chain (10 kHz)."""
 
-WAVES_PER_THICKNESS = 40.0
-"""Waves with k h beyond this see a half-space, up to ``exp(-40)``."""
-
-WAVES_PER_RADIUS = 60.0
-"""A half-space's series ends at waves with k a of this size; what is beyond is 1e-6 of it."""
-
-WIDE_RADIUS = 0.02
-"""Radius that finds the images of the load, relative to the plate: wrong by its square."""
-
 SHALLOWEST_FRACTION = 1e-4
 """A shallower patch is taken as none: rounding in so thin a layer would change more than the patch."""
-
-
-def half_space_indentation_m_per_n(
-    youngs_modulus_pa: float, poisson_ratio: float, contact_radius_m: float
-) -> float:
-    """Mean deflection of a half-space under a unit force of Hertz's pressure, ``0.6 (1 - nu^2) / (E a)``.
-
-    Under ``p = p0 sqrt(1 - r^2 / a^2)``, ``p0 = 3 F / (2 pi a^2)``, the surface within the circle sinks by
-    ``u(r) = pi p0 (1 - nu^2) (2 a^2 - r^2) / (4 E a)`` (Johnson 1985, Contact Mechanics, equation 3.41a,
-    doi:10.1017/CBO9781139171731). The mean of ``r^2 / a^2`` with the weight p is, with t in its place,
-    ``int t sqrt(1 - t) dt / int sqrt(1 - t) dt = (4 / 15) / (2 / 3) = 2 / 5``, so the mean of u is
-
-        pi p0 (1 - nu^2) a (2 - 2 / 5) / (4 E) = 0.4 pi p0 a (1 - nu^2) / E = 0.6 (1 - nu^2) F / (E a).
-
-    Another pressure or another weight has another factor.
-    """
-    return 0.6 / (plane_modulus_pa(youngs_modulus_pa, poisson_ratio) * contact_radius_m)
-
-
-def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
-    """Deflection of the loaded face per pressure that varies as ``sin ax sin by``, ``k^2 = a^2 + b^2``.
-
-    Exact for hard simple support: half the load presses both faces against each other, half bends,
-
-        (1 - nu^2) / (E k) [(cosh q - 1) / (sinh q + q) + (cosh q + 1) / (sinh q - q)],  q = k h,
-
-    which is ``1 / (D k^4)`` for small q and a half-space's ``2 (1 - nu^2) / (E k)`` for large.
-    """
-    q = k * thickness_m
-    e = np.exp(-q)
-    pressed = (1.0 - e) ** 2 / (1.0 - e**2 + 2.0 * q * e)
-    bent = (1.0 + e) ** 2 / (1.0 - e**2 - 2.0 * q * e)
-    return np.asarray(
-        (pressed + bent) / (plane_modulus_pa(plate.warm_youngs_modulus_pa, plate.poisson_ratio) * k)
-    )
-
-
-def hertz_transform(q: FloatArray) -> FloatArray:
-    """Fourier transform of Hertz's pressure over its force, ``3 (sin q - q cos q) / q^3`` with q = k a."""
-    return np.asarray(3.0 * (np.sin(q) - q * np.cos(q)) / q**3)
-
-
-def exact_contact_compliance_m_per_n(
-    plate: PlateParameters, width_m: float, height_m: float, thickness_m: float
-) -> float:
-    """Averaged deflection of the circle at the centre of a simply supported plate under a unit force.
-
-    A double sine series. Short waves see a half-space; they are summed in closed form: the series of the
-    half-space is its indentation and the deflection by the images of the load beyond the edges, which does
-    not depend on the radius and is found with a wide one.
-    """
-    sizes = width_m, height_m
-    plane_pa = plane_modulus_pa(plate.warm_youngs_modulus_pa, plate.poisson_ratio)
-
-    def beyond_half_space(k: FloatArray) -> FloatArray:
-        return surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
-
-    total = _series(sizes, plate.contact_radius_m, WAVES_PER_THICKNESS / thickness_m, beyond_half_space)
-    wide_m = WIDE_RADIUS * min(sizes)
-    total += _series(sizes, wide_m, WAVES_PER_RADIUS / wide_m, lambda k: 2.0 / (plane_pa * k))
-    return total + 0.6 / plane_pa * (1.0 / plate.contact_radius_m - 1.0 / wide_m)
-
-
-def _series(
-    sizes: tuple[float, float],
-    radius_m: float,
-    highest_per_m: float,
-    flexibility: Callable[[FloatArray], FloatArray],
-) -> float:
-    """Sum over the waves that move the centre, each weighted by Hertz's pressure twice."""
-    alpha, beta = (
-        np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
-    )
-    total = 0.0
-    for b in beta:
-        k = np.hypot(alpha, b)
-        total += float(np.sum(hertz_transform(k * radius_m) ** 2 * flexibility(k)))
-    return 4.0 / (sizes[0] * sizes[1]) * total
 
 
 def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:

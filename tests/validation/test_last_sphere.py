@@ -15,8 +15,9 @@ from simulator import coupled_model
 from simulator.chain_parameters import ChainParameters
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
+from simulator.solid_contact import hertz_transform
 from simulator.solid_mesh import SolidMesh
-from simulator.solid_reduction import hertz_transform, passive_modes, solid_modes
+from simulator.solid_reduction import passive_modes, solid_modes
 
 E_PA, NU, RADIUS_M, DENSITY = 200e9, 0.3, 9.525e-3, 7790.0
 SHEAR_PA = E_PA / (2.0 * (1.0 + NU))

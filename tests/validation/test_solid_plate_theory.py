@@ -10,18 +10,15 @@ from simulator import coupled_model
 from simulator.chain_parameters import ChainParameters
 from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.solid_mesh import SolidMesh
-from simulator.solid_plate import SolidPlate, assembled_solid, build_solid_plate
-from simulator.solid_reduction import (
+from simulator.solid_contact import (
     exact_contact_compliance_m_per_n,
     half_space_indentation_m_per_n,
     hertz_transform,
-    krylov_fields,
-    project,
-    shifted_solver,
-    solid_modes,
     surface_flexibility_m_per_pa,
 )
+from simulator.solid_mesh import SolidMesh
+from simulator.solid_plate import SolidPlate, assembled_solid, build_solid_plate
+from simulator.solid_reduction import krylov_fields, project, shifted_solver, solid_modes
 from simulator.tensor_basis import Axis
 
 THICK = PlateParameters(

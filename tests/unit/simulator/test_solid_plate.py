@@ -8,14 +8,9 @@ from scipy import linalg
 
 from simulator.errors import SpecimenError
 from simulator.plate_parameters import CorrosionParameters, PatchParameters, PlateParameters
+from simulator.solid_integrals import hertz_nodal_weights, in_plane_integrals, in_plane_terms
 from simulator.solid_mesh import SolidMesh
-from simulator.solid_plate import (
-    UPPER_LINES,
-    build_solid_plate,
-    hertz_nodal_weights,
-    in_plane_integrals,
-    in_plane_terms,
-)
+from simulator.solid_plate import UPPER_LINES, build_solid_plate
 from simulator.solid_reduction import column_folds, column_matrices, mass_product, shifted_solver
 from simulator.tensor_basis import Axis
 

@@ -13,12 +13,11 @@ from simulator.plate_models import KeptSolid, modal_plate
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.plate_reduction import PlateModes
 from simulator.pulse_summary import summarise
+from simulator.solid_contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
 from simulator.solid_mesh import SolidMesh
 from simulator.solid_plate import build_solid_plate
 from simulator.solid_reduction import (
     contact_residual_m_per_n,
-    exact_contact_compliance_m_per_n,
-    half_space_indentation_m_per_n,
     krylov_fields,
     passive_modes,
     project,
