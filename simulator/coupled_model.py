@@ -428,5 +428,5 @@ def _without_last(values: FloatArray) -> FloatArray:
 def _no_patch(model: str, depth: float) -> str:
     return (
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
-        f"use depth 0 or plate.model = 'mindlin'"
+        f"use depth 0 or plate.model = 'mindlin' or 'solid'"
     )
