@@ -9,8 +9,8 @@ A point force would press into a solid without limit. The force of the chain is 
 over a circle of radius a, and the deflection is averaged with the same weight. Part of it is the
 indentation of a half-space, which Hertz's law of the contact holds already; see
 `solid_contact.half_space_indentation_m_per_n`. What is left does not depend on a as long as a is small
-against the remaining thickness. The mesh does not resolve the circle: what it lacks there is measured on the plate of
-the patch's size and remaining thickness, whose exact compliance is known, and added
+against the remaining thickness. The mesh does not resolve the circle: what it lacks there is measured on
+the plate of the patch's size and remaining thickness, whose exact compliance is known, and added
 (`contact_correction_m_per_n`).
 """
 
