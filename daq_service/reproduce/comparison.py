@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from daq_service.reproduce.causes import GIVEN, cause_of
@@ -64,6 +64,19 @@ def compare(item: str, found: Mapping[str, Found], *, origin: str) -> list[Row]:
         _row(value, found.get(value.quantity, missing("this figure does not give it")), origin=origin)
         for value in values_of(item)
     ]
+
+
+def tally(rows: Sequence[Row]) -> dict[str, int]:
+    """Count how the paper's values fare: agree (to rounding), deviate, words only, not available."""
+    counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
+    for row in rows:
+        if row.ours is None:
+            counts["not_available"] += 1
+        elif row.deviation is None:
+            counts["words"] += 1
+        else:
+            counts["agree" if _vanishes(row.deviation, row.paper) else "deviate"] += 1
+    return counts
 
 
 def not_made(item: str, reason: str) -> list[Row]:

@@ -8,17 +8,13 @@ interruption leaves what is finished.
 from __future__ import annotations
 
 import json
-import os
-import platform
 import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
 from datetime import datetime
-from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -26,28 +22,19 @@ from typing import Any
 import click
 
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
-from daq_service.provenance import PACKAGES
-from daq_service.reproduce.comparison import Row, compare, not_made
+from daq_service.reproduce.comparison import compare, not_made
 from daq_service.reproduce.evidence import Evidence, read_evidence
 from daq_service.reproduce.experiment import check_test_folder, run_test, twin_settings
 from daq_service.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.reproduce.items import chosen_items
-from daq_service.reproduce.output import (
-    DATA_FOLDER,
-    RECORD,
-    REPORT,
-    csv_bytes,
-    prepare_output,
-    write_json,
-    write_whole,
-)
-from daq_service.reproduce.page import Report, Section, report_page
+from daq_service.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
+from daq_service.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output, write_whole
+from daq_service.reproduce.page import Section
 from daq_service.reproduce.style import house_style, rendered
 from daq_service.run import stop_on_signals
 from daq_service.settings import Settings
 from simulator.errors import SimulatorError
 
-TITLE = "The paper's evaluation, reproduced"
 POLL_S = 0.1
 SLIPS = "slips"
 
@@ -56,21 +43,6 @@ Say = Callable[[str], None]
 
 class _StoppedError(Exception):
     """The operator interrupted."""
-
-
-@dataclass(slots=True)
-class _Run:
-    """What one reproduction has come to."""
-
-    out: Path
-    started_s: float
-    facts: dict[str, Any]
-    sections: list[Section] = field(default_factory=list)
-    slips: list[dict[str, str]] = field(default_factory=list)
-
-    @property
-    def rows(self) -> list[Row]:
-        return [row for section in self.sections for row in section.rows]
 
 
 def reproduce(
@@ -98,7 +70,7 @@ def reproduce(
     if as_json:
         click.echo(json.dumps(result))
     else:
-        _print_result(result)
+        print_result(result)
     return EXIT_OK if finished else EXIT_INTERRUPTED
 
 
@@ -140,7 +112,7 @@ def reproduce_into(
     elif settings is not None:
         check_test_folder(settings, out / DATA_FOLDER)
     prepare_output(out)
-    run = _Run(out=out, started_s=time.monotonic(), facts=_versions())
+    run = Outcome(out=out, started_s=time.monotonic(), facts=versions())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
         evidence = None
         if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
@@ -159,7 +131,7 @@ def reproduce_into(
             raise
     order = [item.name for item in items]
     run.sections.sort(key=lambda section: order.index(section.name))
-    return _finish(run, items, interrupted=stop.is_set()), not stop.is_set()
+    return finish(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
 
 
 def _needs_test(items: Sequence[Item]) -> bool:
@@ -214,7 +186,7 @@ def _wait(future: Future[Any], stop: threading.Event) -> Any:
 
 
 def _make(
-    run: _Run,
+    run: Outcome,
     item: Item,
     futures: Mapping[Job, Future[Any]],
     evidence: Future[Evidence] | None,
@@ -233,7 +205,7 @@ def _make(
     if stop.is_set():
         raise _StoppedError
     if test is not None:
-        run.facts.update(_test_facts(test))
+        run.facts.update(facts_of_test(test))
     with house_style():
         try:
             product = item.make(Material(evidence=test, results=results))
@@ -258,7 +230,7 @@ def _make(
 
 
 def _written(
-    run: _Run, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
+    run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
     stem = _stem(item.name)
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
@@ -289,109 +261,6 @@ def _origin(test: Evidence | None) -> str:
 def _stem(name: str) -> str:
     """File name of an item: figures sort by number."""
     return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name
-
-
-# The whole -----------------------------------------------------------------------------------------
-
-
-def _versions() -> dict[str, Any]:
-    return {
-        "seed": None,
-        "configuration_hash": None,
-        "test": None,
-        "data_dir": None,
-        "versions": {
-            **{name: version(name) for name in (*PACKAGES, "matplotlib")},
-            "python": platform.python_version(),
-        },
-        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
-    }
-
-
-def _test_facts(test: Evidence) -> dict[str, Any]:
-    return {
-        "seed": test.seed,
-        "configuration_hash": test.configuration_hash,
-        "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
-        f"strikes, {test.counts['pulse_echo_records']} echoes, {test.counts['missed_sets']} sets missed "
-        f"({'twin' if test.from_twin else 'real specimen'}, recorded by solimon {test.solimon_version})",
-        "data_dir": str(test.folder),
-    }
-
-
-def _finish(run: _Run, items: Sequence[Item], *, interrupted: bool) -> dict[str, Any]:
-    """Write report and record, and give the record."""
-    made = {section.name for section in run.sections}
-    missing = [item.name for item in items if item.name not in made]
-    elapsed_s = time.monotonic() - run.started_s
-    result: dict[str, Any] = {
-        **run.facts,
-        "elapsed_s": round(elapsed_s, 3),
-        "interrupted": interrupted,
-        "out": str(run.out),
-        "report": str(run.out / REPORT),
-        "items": {
-            section.name: {"files": list(section.files), "not_available": section.trouble or None}
-            for section in run.sections
-        },
-        "missing": missing,
-        "comparison": [_row_dict(row) for row in run.rows],
-        "slips": run.slips,
-    }
-    seed = "none: no twin behind it" if run.facts["seed"] is None else str(run.facts["seed"])
-    facts = {
-        "seed": seed,
-        "configuration": run.facts["configuration_hash"]
-        or "no test was needed; the models have the paper's parameters",
-        "test": run.facts["test"] or "-",
-        "data": run.facts["data_dir"] or "-",
-        "versions": ", ".join(f"{name} {number}" for name, number in run.facts["versions"].items()),
-        "machine": run.facts["machine"],
-        "made": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}, in {elapsed_s:.0f} s",
-    }
-    remarks = [
-        (
-            "Left the paper, right ours: every value of ours is computed in this run; the paper's are those "
-            "of its text and tables. A cause is our explanation of a deviation, not the paper's."
-        )
-    ]
-    if missing:
-        remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
-    write_whole(
-        run.out / REPORT,
-        report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
-    )
-    write_json(run.out / RECORD, result)
-    return result
-
-
-def _row_dict(row: Row) -> dict[str, Any]:
-    return {**asdict(row), "deviation_shown": row.deviation_shown}
-
-
-def _print_result(result: Mapping[str, Any]) -> None:
-    rows = result["comparison"]
-    if rows:
-        click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")
-    for row in rows:
-        unit = "" if row["unit"] == "1" else row["unit"]
-        # A terminal of any code page shows it.
-        paper = row["paper_shown"].replace("±", "+-")
-        cause = row["cause"] if row["ours"] is not None else row["ours_words"]
-        click.echo(
-            f"{row['item']:<8}{row['text']:<66}{paper:>26}{row['ours_shown']:>15}  {unit:<5}"
-            f"{row['deviation_shown']:>15}  {cause}".rstrip()
-        )
-    for slip in result["slips"]:
-        click.echo(
-            f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
-        )
-    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
-    click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
-    click.echo(f"{versions}; {result['machine']}")
-    if result["missing"]:
-        click.echo(f"not made: {', '.join(result['missing'])}")
-    click.echo(f"{result['report']} in {result['elapsed_s']:.1f} s")
 
 
 def _new_folder() -> Path:

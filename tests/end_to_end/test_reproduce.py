@@ -23,11 +23,12 @@ from small_experiment import SETS, run, small_settings
 from daq_service.archive import read_waveform, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.errors import StorageError, UsageError
+from daq_service.reproduce.causes import cause_of
 from daq_service.reproduce.comparison import NOT_AVAILABLE
 from daq_service.reproduce.item import Item, Job
 from daq_service.reproduce.items import ITEMS, chosen_items
 from daq_service.reproduce.models import impact_over_inelasticity
-from daq_service.reproduce.paper_values import PAPER_VALUES, printed
+from daq_service.reproduce.paper_values import PAPER_VALUES, of_paper, printed
 from daq_service.reproduce.run import reproduce, reproduce_into
 from daq_service.reproduce.slips import SLIPS
 
@@ -226,6 +227,49 @@ def test_table_2_agrees_digit_for_digit_but_for_its_two_slips(whole):
     deviating = {row["quantity"]: row for row in rows if row["deviation"] != 0.0}
     assert set(deviating) == {"inelasticity_5", "amplitude_ratio_5"}
     assert all("slip" in row["cause"] for row in deviating.values())
+
+
+def test_the_tally_counts_every_value_once(whole):
+    out, result = whole
+    counts = dict(result["tally"])
+    assert counts.pop("values") == len(PAPER_VALUES) == sum(counts.values())
+    assert counts["not_available"] == sum(row["ours"] is None for row in result["comparison"])
+    assert counts["words"] == sum(
+        row["ours"] is not None and row["paper"] is None for row in result["comparison"]
+    )
+    # Table 2 but for its two slips, and what configures the models.
+    assert counts["agree"] >= 38 + 3
+    assert f"{counts['agree']} agree to rounding" in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("item", "quantity", "origin", "words"),
+    [
+        ("fig8", "tof_start_B", "specimen", "another specimen"),
+        ("fig8", "tof_start_B", "twin", "another configuration"),
+        ("fig8", "tof_start_B", "shipped", "not tuned"),
+        ("fig8", "tof_rise_B", "shipped", "no independent agreement"),
+        ("fig8", "tof_rise_D", "shipped", "scatter"),
+        ("fig12", "ar", "specimen", "not reproducible"),
+        ("fig15", "core", "shipped", "no independent agreement"),
+    ],
+)
+def test_a_cause_is_that_of_whose_measurements_they_are(item: str, quantity: str, origin: str, words: str):
+    assert words in cause_of(of_paper(item, quantity), origin=origin)
+
+
+def test_slips_alone_take_the_limits_of_the_test_they_are_given(
+    small: Path, executor: Executor, tmp_path: Path
+):
+    result, _ = made(tmp_path / "out", chosen_items("slips"), executor, small)
+    (told,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
+    with open_catalogue(small) as catalogue:
+        for position in "BCD":
+            assert f"{position}: {catalogue.baseline(position)['limit_paper']:.1f} (" in told
+    without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
+    (told,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
+    assert told == "not available: no test was run or read"
+    assert without["data_dir"] is None
 
 
 def test_every_deviation_has_a_cause(whole):
