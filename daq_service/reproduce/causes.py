@@ -27,6 +27,10 @@ _NOT_MONOTONIC = (
     "not reproducible with locking-free plate theory: the thinned patch rebounds within the contact, so AR "
     "falls and rises again (figure 13)"
 )
+_NEAR_THE_LEAST = (
+    "the model's AR of C's patch at the depth that the twin was given, near the least that it can have "
+    "(figure 13)"
+)
 _FIT = "scatter of the sets about a constant"
 
 _CAUSES: Mapping[str, str] = {
@@ -45,6 +49,8 @@ _CAUSES: Mapping[str, str] = {
     "fig9.ar_end": _NOT_MONOTONIC,
     "fig9.ar_fall": _NOT_MONOTONIC,
     "fig9.ar_fall_D": _FIT,
+    "fig9.ar_end_C": _NEAR_THE_LEAST,
+    "fig9.ar_fall_C": _NEAR_THE_LEAST,
     "fig10": "the paper's is the closed form, ours the solution of eq. 8",
     "fig11": "scatter of the strikes and the room's temperature; no trend is built in",
     "fig12.tof_plus": "the paper rounds to one number for both signs",
