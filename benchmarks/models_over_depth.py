@@ -29,6 +29,7 @@ from simulator.coupled_model import ShotModel
 from simulator.errors import SpecimenError
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
+from simulator.solid_mesh import SolidMesh
 from simulator.zener import reflect
 
 REFERENCE = Path(__file__).resolve().parent.parent / "docs" / "reference"
@@ -59,11 +60,14 @@ class Model:
 
 MINDLIN = PlateParameters()
 SPREAD = PlateParameters(contact="patch")
+SOLID = PlateParameters(model="solid")
+FINER_SOLID = SolidMesh(degree=5, edge_element=0.025, growth=1.7)
 MODELS = {
     "mindlin": Model(plate=MINDLIN, finer=replace(MINDLIN, elements_per_edge=192)),
     "mindlin, patch contact": Model(
         plate=SPREAD, finer=replace(SPREAD, elements_per_edge=192, contact_element_m=5e-5)
     ),
+    "solid": Model(plate=SOLID, finer=replace(SOLID, solid=FINER_SOLID)),
     "infinite_kirchhoff": Model(plate=PlateParameters(model="infinite_kirchhoff"), has_patch=False),
     "rigid_wall": Model(plate=PlateParameters(model="rigid_wall"), has_patch=False),
 }

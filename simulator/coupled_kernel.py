@@ -33,9 +33,6 @@ series, which has no jump.
 
 Away from touch and release the error falls as h^4; [d]_+ has a kink there, which limits the order to
 two (5/2 without dashpots), with a small constant because a shot has only some twenty such events.
-
-numba keeps the machine code in `__pycache__` beside this file, in the user's cache folder if that
-cannot be written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles anew.
 """
 
 from __future__ import annotations
@@ -44,7 +41,6 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -61,6 +57,7 @@ from simulator.lanes import (
     unless_within,
     where_greater,
 )
+from simulator.machine_code import compiled
 
 FloatArray = NDArray[np.float64]
 IntegerArray = NDArray[np.int64]
@@ -94,14 +91,8 @@ U, V0, V1, V2, V3, F0, F1, F2, IMPULSE, TOTAL, GAP, OVERLAP, AHEAD, DISSIPATED =
 STIFFNESS, DAMPING, STATIC_FORCE, STATIC_OVERLAP, INVERSE_MASS, ROWS = range(14, 20)
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    # No fast mathematics: each lane is rounded as if it were alone.
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
-    try:
-        compiled: Callable[..., Any] = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder for the machine code can be written
-        compiled = numba.njit(**options)(function)
-    return compiled
+# No fast mathematics: each lane is rounded as if it were alone.
+_compiled = compiled(nogil=True, error_model="numpy")
 
 
 @_compiled
@@ -208,7 +199,8 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
         float64, shape (width,): step of the largest force between chain and plate; there the incident
         wave turns round.
     """
-    return _compiled(_time_loop(width, linear))
+    made: Callable[..., None] = _compiled(_time_loop(width, linear))
+    return made
 
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:

@@ -14,13 +14,12 @@ and all of the static deflection, and the rest of T belongs to fast modes that c
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
+
+from simulator.machine_code import compiled
 
 FloatArray = NDArray[np.float64]
 
@@ -83,15 +82,7 @@ def driven_modes(
     return omega, omega * np.sqrt(flexibility[seen][order]), float(flexibility[~seen].sum())
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        compiled: Callable[..., Any] = numba.njit(nogil=True, cache=True)(function)
-    except RuntimeError:  # no folder for the machine code can be written
-        compiled = numba.njit(nogil=True)(function)
-    return compiled
-
-
-@_compiled
+@compiled(nogil=True)
 def _tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
     """Eigenvalues of a symmetric tridiagonal matrix, and a row of its eigenvectors.
 

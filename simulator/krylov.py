@@ -10,9 +10,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-
-from simulator.band_factor import band_factor, band_solve, lower_band
 
 FloatArray = NDArray[np.float64]
 
@@ -22,26 +19,6 @@ order of the wave's own frequencies needs far fewer vectors than none."""
 
 REORTHOGONALISED_EVERY = 6
 """Steps between which `lanczos` lets rounding grow."""
-
-
-def krylov_vectors(
-    stiffness: sparse.csc_matrix, mass: sparse.csc_matrix, load: FloatArray, count: int
-) -> FloatArray:
-    """Mass-orthonormal: the static deflection under `load`, then the Krylov space; shape (count, n)."""
-    factor = band_factor(lower_band(stiffness))
-    shifted = band_factor(lower_band(stiffness + SHIFT_RAD_PER_S**2 * mass))
-    vectors = np.empty((count, len(load)))
-    mass_vectors = np.empty_like(vectors)
-    right = load
-    for j in range(count):
-        x = band_solve(shifted if j else factor, right)
-        x = x - vectors[:j].T @ (mass_vectors[:j] @ x)
-        mass_x = mass @ x
-        norm = np.sqrt(x @ mass_x)
-        vectors[j] = x / norm
-        mass_vectors[j] = mass_x / norm
-        right = mass_vectors[j] if j else load
-    return vectors
 
 
 def lanczos(

@@ -20,11 +20,9 @@ from scipy import linalg, sparse
 
 from simulator.band_factor import FactorFamily
 from simulator.driven_modes import driven_modes
-from simulator.krylov import SHIFT_RAD_PER_S, krylov_vectors, lanczos
+from simulator.krylov import SHIFT_RAD_PER_S, lanczos
 from simulator.mindlin_element import DOF_PER_NODE
 from simulator.mindlin_plate import AffinePlate
-
-__all__ = ["BASIS", "PlateModes", "ReducedPlate", "krylov_vectors", "reduce_plate"]
 
 FloatArray = NDArray[np.float64]
 

@@ -3,31 +3,23 @@
 None takes longer than some 40 us, and none releases the GIL: a record computed ahead would hand it to and
 fro with the thread that stores the present one, and each time costs both of them as much as such a loop.
 No sum is reordered and nothing is contracted: every sample has the digits that the same formula in NumPy
-gives it. About the machine code on disk see `simulator.coupled_kernel`.
+gives it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from simulator.machine_code import compiled
 
 FloatArray = NDArray[np.float64]
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    try:
-        compiled: Callable[..., Any] = numba.njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # no folder for the machine code can be written
-        compiled = numba.njit(error_model="numpy")(function)
-    return compiled
-
-
-@_compiled
+@compiled(error_model="numpy")
 def cubic_samples(
     volts: FloatArray, step_s: float, start_s: float, rate_hz: float, n_samples: int
 ) -> FloatArray:
@@ -68,7 +60,7 @@ def cubic_samples(
     return sampled
 
 
-@_compiled
+@compiled(error_model="numpy")
 def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
     """Time of the first passage through the level, or of the maximum if it is never reached."""
     highest = 0
@@ -83,7 +75,7 @@ def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
     return highest * step_s
 
 
-@_compiled
+@compiled(error_model="numpy")
 def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
     """First sample from ``first`` on that is at or above the level while the one before is below; else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
@@ -92,7 +84,7 @@ def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -
     return -1
 
 
-@_compiled
+@compiled(error_model="numpy")
 def scaled_noise(
     white: NDArray[np.float32], white_rms: float, slow: FloatArray, slow_rms: float
 ) -> FloatArray:
@@ -103,7 +95,7 @@ def scaled_noise(
     return noise
 
 
-@_compiled
+@compiled(error_model="numpy")
 def inverted_codes(
     volts: FloatArray,
     offset_v: float,
