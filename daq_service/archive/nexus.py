@@ -27,6 +27,8 @@ from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays lie in their object header: faster than a chunk, and shorter than its index."""
 _BLOCK_BYTES = 1 << 20
+_AS_STORED = ("<", "|")
+"""First characters of the types whose numbers lie in memory as they lie in the file."""
 
 Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
@@ -80,16 +82,17 @@ def add_field(
     chunk
         Its first length divides that of the values, the others are equal to theirs.
     """
-    array, data_type = _stored_form(values)
-    if chunk is None and array.ndim and array.nbytes > _LARGEST_COMPACT_BYTES:
+    array, data_type, space = _stored_form(values)
+    if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim:
         chunk = array.shape
-    properties = _chunked_properties(chunk) if chunk is not None else _compact_properties()
-    dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
     if chunk is None:
+        dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_compact_properties())
         dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
     else:
+        dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_chunked_properties(chunk))
         write_chunks(dataset, array, chunk)
-    set_attributes(dataset, attributes)
+    if attributes:
+        set_attributes(dataset, attributes)
     return dataset
 
 
@@ -103,8 +106,8 @@ def write_chunks(dataset: Any, array: NDArray[Any], chunk: tuple[int, ...]) -> N
 def set_attributes(target: Any, attributes: Mapping[str, Attribute]) -> None:
     """Set attributes of a low-level object."""
     for name, value in attributes.items():
-        array, data_type = _stored_form(value)
-        h5a.create(target, name.encode(), data_type, _space(array.shape)).write(array, mtype=data_type)
+        array, data_type, space = _stored_form(value)
+        h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
 
 
 def add_hard_link(parent: Any, name: str, source_parent: Any, source_name: str) -> None:
@@ -112,15 +115,24 @@ def add_hard_link(parent: Any, name: str, source_parent: Any, source_name: str) 
     parent.links.create_hard(name.encode(), source_parent, source_name.encode())
 
 
-def _stored_form(values: Any) -> tuple[NDArray[Any], Any]:
-    """Array and HDF5 type: UTF-8 strings of fixed length, little-endian numbers."""
-    if isinstance(values, str) or (isinstance(values, Sequence) and all(isinstance(v, str) for v in values)):
-        encoded = values.encode() if isinstance(values, str) else [text.encode() for text in values]
-        array = np.array(encoded, dtype=np.bytes_)
-        return array, _text_type(array.itemsize)
+def _stored_form(values: Any) -> tuple[NDArray[Any], Any, Any]:
+    """Array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
+    if isinstance(values, str):
+        return _stored_text(values)
+    if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
+        array = np.array([text.encode() for text in values], dtype=np.bytes_)
+        return array, _text_type(array.itemsize), _space(array.shape)
     array = np.asarray(values)
-    array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
-    return array, _number_type(array.dtype)
+    if not (array.dtype.str.startswith(_AS_STORED) and array.flags.c_contiguous):
+        array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
+    return array, _number_type(array.dtype), _space(array.shape)
+
+
+@lru_cache(maxsize=1024)
+def _stored_text(text: str) -> tuple[NDArray[Any], Any, Any]:
+    """Units, names and classes come again in every set."""
+    array = np.array(text.encode(), dtype=np.bytes_)
+    return array, _text_type(array.itemsize), _space(())
 
 
 @lru_cache(maxsize=256)
