@@ -55,7 +55,7 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
 
 @contextmanager
 def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    from daq_service.twin_process import record, transducers_of, twin_executor
+    from daq_service.twin_process import records, transducers_of, twin_executor
     from simulator.errors import SimulatorError
     from simulator.instruments import build_bench
 
@@ -89,7 +89,7 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
                 shot_interval_s=schedule.shot_interval_s,
             ),
             executor=executor,
-            compute=partial(record, settings.model_dump_json()) if own_process else None,
+            compute=partial(records, settings.model_dump_json()) if own_process else None,
         )
         yield Rig(
             kind="simulated",

@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 
@@ -41,7 +42,7 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
 
 
 def twin_executor(settings: Settings) -> ProcessPoolExecutor:
-    """One worker process that computes `record` of these settings; its owner shuts it down."""
+    """One worker process that computes `records` of these settings; its owner shuts it down."""
     executor = ProcessPoolExecutor(
         max_workers=1,
         # A fork would take along the recorder's threads' locks, its sockets and its lock on the folder.
@@ -54,9 +55,9 @@ def twin_executor(settings: Settings) -> ProcessPoolExecutor:
     return executor
 
 
-def record(settings_json: str, key: ShotKey, hour_h: float) -> Acquired | None:
-    """Record of one strike (`Specimen.solitary_wave`), in the worker."""
-    return _specimen(settings_json).solitary_wave(key, hour_h)
+def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
+    """Compute records of strikes in the worker (`Specimen.solitary_waves`)."""
+    return _specimen(settings_json).solitary_waves(strikes)
 
 
 @cache

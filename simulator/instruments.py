@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
-from itertools import islice
+from itertools import groupby, islice
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Echo
@@ -31,11 +31,25 @@ RECORDS_AHEAD = 32
 """Records computed before their strike, at most: those of a set of the paper, 1 MB. A set is stored and
 committed in the time that so many take."""
 
-Compute = Callable[[ShotKey, float], Acquired | None]
-"""Record of a strike at an hour of the experiment; None for one that does not trigger."""
+LARGEST_GROUP = 10
+"""Strikes of one transducer and set computed together, at most: the paper's ten on a wall of one depth."""
+
+TimedStrike = tuple[ShotKey, float]
+"""A strike and the hour of the experiment at which it comes."""
+
+Compute = Callable[[Sequence[TimedStrike]], list[Acquired | None]]
+"""Records of strikes in their order; None for one that does not trigger."""
 
 StrikesAfter = Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]
 """Strikes that are planned after one of this key at this time (UTC in ns), each with its own time."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Begun:
+    """A record under way: its place in the results of a group."""
+
+    group: Future[list[Acquired | None]]
+    place: int
 
 
 class RecordsAhead:
@@ -43,7 +57,9 @@ class RecordsAhead:
 
     A record is a pure function of the shot's key and the hour, so one computed ahead is the one that
     would be computed now, and a plan that is not kept costs time but changes nothing: a strike that was
-    not expected is computed by its reader, and what is expected no more is dropped.
+    not expected is computed by its reader, and what is expected no more is dropped. The strikes of one
+    transducer in a set are computed as a group; where one of them fails, each is computed by its reader, so
+    that the error comes at its own strike.
 
     Parameters
     ----------
@@ -51,7 +67,7 @@ class RecordsAhead:
         Runs the computations, in a thread or a process of its own. Its owner cancels what is left when it
         closes. Where it breaks, every record is computed by its reader.
     compute
-        What `executor` runs for `Specimen.solitary_wave`: another process cannot be handed a specimen.
+        What `executor` runs for `Specimen.solitary_waves`: another process cannot be handed a specimen.
     """
 
     def __init__(
@@ -62,8 +78,8 @@ class RecordsAhead:
         self._compute = compute
         self._broken = False
         self._strikes_after = strikes_after
-        self._planned: Iterator[tuple[ShotKey, int]] = iter(())
-        self._pending: dict[tuple[ShotKey, float], Future[Acquired | None]] = {}
+        self._planned: Iterator[list[TimedStrike]] = iter(())
+        self._pending: dict[TimedStrike, _Begun] = {}
         # Positions that were passed over when they were due: retired ones, for all we know.
         self._passed_over: set[str] = set()
 
@@ -87,28 +103,58 @@ class RecordsAhead:
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         own = self._pending.pop(strike, None)
-        left: dict[tuple[ShotKey, float], Future[Acquired | None]] = {}
+        left: dict[TimedStrike, _Begun] = {}
         if expected[:1] != [strike]:
             left, self._pending = self._pending, {}
-            self._plan_from(key, utc_ns, [planned for planned, _ in expected])
-        for planned, planned_ns in islice(self._planned, RECORDS_AHEAD - len(self._pending)):
-            coming = planned, hour_h(planned_ns)
-            begun = left.pop(coming, None)
-            self._pending[coming] = begun or self._executor.submit(self._compute, *coming)
-        for future in left.values():
-            future.cancel()
-        return own.result() if own is not None else self._specimen.solitary_wave(*strike)
+            self._plan_from(key, utc_ns, [planned for planned, _ in expected], hour_h)
+        while len(self._pending) + LARGEST_GROUP <= RECORDS_AHEAD:
+            group = next(self._planned, None)
+            if group is None:
+                break
+            self._pending |= self._begun(group, left)
+        if left:
+            wanted = {begun.group for begun in (own, *self._pending.values()) if begun is not None}
+            for dropped in {begun.group for begun in left.values()} - wanted:
+                dropped.cancel()
+        if own is not None:
+            error = own.group.exception()
+            if error is None:
+                return own.group.result()[own.place]
+            if isinstance(error, BrokenExecutor):
+                raise error
+            log.warning("a group of records failed, so each is computed by its reader: %s", error)
+        return self._specimen.solitary_wave(*strike)
 
-    def _plan_from(self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey]) -> None:
+    def _begun(
+        self, group: Sequence[TimedStrike], left: dict[TimedStrike, _Begun]
+    ) -> dict[TimedStrike, _Begun]:
+        """Take the strikes of a group that are under way out of ``left`` and begin the others."""
+        new = [strike for strike in group if strike not in left]
+        if new:
+            future = self._executor.submit(self._compute, new)
+            left |= {strike: _Begun(future, place) for place, strike in enumerate(new)}
+        return {strike: left.pop(strike) for strike in group}
+
+    def _plan_from(
+        self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
+    ) -> None:
         """Plan anew from a strike that did not come in its turn."""
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)
-        self._planned = (
-            strike
-            for strike in self._strikes_after(key, utc_ns)
-            if strike[0].position not in self._passed_over
+        strikes = (
+            (planned, hour_h(planned_ns))
+            for planned, planned_ns in self._strikes_after(key, utc_ns)
+            if planned.position not in self._passed_over
         )
+        self._planned = _groups(strikes)
+
+
+def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
+    """Neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
+    for _, alike in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
+        while group := list(islice(alike, LARGEST_GROUP)):
+            yield group
 
 
 class Bench:
@@ -312,12 +358,12 @@ def build_bench(
         when it is read. The records are the same to the last bit. The caller owns the executor and
         cancels what is pending when it closes.
     compute
-        What an executor of other processes runs for this specimen's `solitary_wave`.
+        What an executor of other processes runs for this specimen's `solitary_waves`.
     """
     specimen = build_specimen(twin, transducers=transducers, probed_thickness_m=probed_thickness_m)
     ahead = None
     if executor is not None and strikes_after is not None:
-        ahead = RecordsAhead(specimen, executor, strikes_after, compute or specimen.solitary_wave)
+        ahead = RecordsAhead(specimen, executor, strikes_after, compute or specimen.solitary_waves)
     bench = Bench(specimen, clock, epoch_utc_ns=epoch_utc_ns, ahead=ahead)
     return SimulatedInstruments(
         striker=SimulatedStriker(bench),

@@ -7,12 +7,9 @@ between shots, so any shot can be computed at any time, ahead or again, with the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
@@ -57,6 +54,34 @@ class Transducer:
 
     chain: ChainParameters
     model: SolitaryWaveModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Blow:
+    """A strike as drawn: what the chain meets."""
+
+    key: ShotKey
+    hour_h: float
+    wall: Wall
+    faults: ShotFaults
+    strike: Strike
+
+    def impact(self) -> Impact:
+        """First impact."""
+        return Impact(
+            depth_fraction=self.wall.depth_fraction,
+            drop_height_m=self.strike.drop_height_m,
+            tilt_rad=self.strike.tilt_rad,
+            through_hole=self.wall.is_hole,
+        )
+
+    def impacts(self) -> Impact:
+        """Both impacts of a striker that bounced."""
+        return replace(
+            self.impact(),
+            second_delay_s=self.faults.double_delay_s,
+            second_drop_height_m=self.strike.drop_height_m * self.faults.double_height_fraction,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,20 +145,68 @@ class Specimen:
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
         """Record of one strike, or None if it does not reach the trigger level."""
-        seed, adc = self.twin.seed, self.twin.adc
-        wall = self.walls[key.position].at(hour_h)
+        (acquired,) = self.solitary_waves([(key, hour_h)])
+        return acquired
+
+    def solitary_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
+        """Compute the records of strikes at their hours; each is that of `solitary_wave` to the last bit.
+
+        Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
+        """
+        blows = [self._blow(key, hour_h) for key, hour_h in strikes]
+        forces = self._forces([blow for blow in blows if blow is not None])
+        return [None if blow is None else self._acquired(blow, *next(forces)) for blow in blows]
+
+    def _blow(self, key: ShotKey, hour_h: float) -> _Blow | None:
+        """Draw a strike; None for one that misses the chain."""
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
-        strike = self.strike(key, hour_h)
-        force = self.force(wall, strike, key.position, faults)
+        return _Blow(
+            key=key,
+            hour_h=hour_h,
+            wall=self.walls[key.position].at(hour_h),
+            faults=faults,
+            strike=self.strike(key, hour_h),
+        )
+
+    def _forces(self, blows: Sequence[_Blow]) -> Iterator[tuple[ShotForce, ShotForce]]:
+        """Force of each blow's first impact, and of all its impacts."""
+        alike: dict[tuple[str, float, float], list[int]] = {}
+        for number, blow in enumerate(blows):
+            faults = blow.faults
+            chain = blow.key.position, faults.radius_factor, faults.contact_damping_factor
+            alike.setdefault(chain, []).append(number)
+        forces: dict[int, tuple[ShotForce, ShotForce]] = {}
+        for (position, *_), numbers in alike.items():
+            of_chain = [blows[number] for number in numbers]
+            model = _model(self.transducers[position], of_chain[0].faults)
+            if isinstance(model, ShotModel):
+                found = _forces_together(model, of_chain)
+            else:
+                found = [self._force_alone(model, blow) for blow in of_chain]
+            forces.update(zip(numbers, found, strict=True))
+        return (forces[number] for number in range(len(blows)))
+
+    def _force_alone(self, model: SolitaryWaveModel, blow: _Blow) -> tuple[ShotForce, ShotForce]:
+        if blow.faults.double_delay_s is not None:
+            raise SpecimenError(
+                f"double is a second impact on the chain of a ShotModel; this one is a "
+                f"{type(model).__name__}: take it out of the faults"
+            )
+        force = self.force(blow.wall, blow.strike, blow.key.position, blow.faults)
+        return force, force
+
+    def _acquired(self, blow: _Blow, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
+        """Sample the force as the digitizer would."""
+        seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = interference_of_shot(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
         )
         record = triggered_record(
             force_step_s=_grid_step_s(force),
-            dynamic_force_n=self._dynamic_force_n(force, wall, strike, key.position, faults),
-            sensor_gain_v_per_n=strike.sensor_gain_v_per_n,
+            dynamic_force_n=every_impact.force_n - every_impact.preload_n,
+            sensor_gain_v_per_n=blow.strike.sensor_gain_v_per_n,
             adc=adc,
             calibration=self.adc_calibration,
             # The sample clock runs free: where it stands when the wave comes is anybody's guess.
@@ -150,34 +223,10 @@ class Specimen:
             pretrigger_samples=adc.pretrigger_samples,
             calibration=self.adc_calibration,
         )
-        truth = _shot_truth(wall, strike, force)
-        temperature_c = self.room.at(hour_h) + faults.temperature_k
+        truth = _shot_truth(blow.wall, blow.strike, force)
+        temperature_c = self.room.at(hour_h) + blow.faults.temperature_k
         truth |= {"temperature_c": temperature_c, "trigger_time_s": record.trigger_time_s}
-        return Acquired(waveform=waveform, truth=truth | faults.truth | electrical_truth)
-
-    def _dynamic_force_n(
-        self, force: ShotForce, wall: Wall, strike: Strike, position: str, faults: ShotFaults
-    ) -> NDArray[np.float64]:
-        """Force at the sensor less its preload, of both impacts where the striker bounced."""
-        first_n = force.force_n - force.preload_n
-        if faults.double_delay_s is None:
-            return first_n
-        model = _model(self.transducers[position], faults)
-        if not isinstance(model, ShotModel):
-            raise SpecimenError(
-                f"double is a second impact on the chain of a ShotModel; this one is a "
-                f"{type(model).__name__}: take it out of the faults"
-            )
-        twice = Impact(
-            depth_fraction=wall.depth_fraction,
-            drop_height_m=strike.drop_height_m,
-            tilt_rad=strike.tilt_rad,
-            through_hole=wall.is_hole,
-            second_delay_s=faults.double_delay_s,
-            second_drop_height_m=strike.drop_height_m * faults.double_height_fraction,
-        )
-        (both,) = model.shots([twice])
-        return both.force_n - both.preload_n
+        return Acquired(waveform=waveform, truth=truth | blow.faults.truth | electrical_truth)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Wall under an ultrasonic probe at an hour of the experiment."""
@@ -221,6 +270,17 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
             f"{type(transducer.model).__name__}: take the two out of the faults"
         )
     return transducer.model.with_chain(faulty_chain(transducer.chain, faults))
+
+
+def _forces_together(model: ShotModel, blows: Sequence[_Blow]) -> list[tuple[ShotForce, ShotForce]]:
+    """Integrate blows on one chain side by side; results as of `Specimen._forces`."""
+    bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
+    found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
+    first = [next(found) for _ in blows]
+    return [
+        (force, force if blow.faults.double_delay_s is None else next(found))
+        for blow, force in zip(blows, first, strict=True)
+    ]
 
 
 def _grid_step_s(force: ShotForce) -> float:

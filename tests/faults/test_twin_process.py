@@ -14,7 +14,7 @@ import pytest
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.rig import open_rig
 from daq_service.settings import Settings
-from daq_service.twin_process import record, transducers_of, twin_executor
+from daq_service.twin_process import records, transducers_of, twin_executor
 from hardware_drivers.measurement import ShotKey
 from simulator.instruments import RECORDS_AHEAD, build_bench
 
@@ -59,7 +59,7 @@ def bench(executor=None):
         probed_thickness_m={},
         strikes_after=next_shots,
         executor=executor,
-        compute=partial(record, SETTINGS.model_dump_json()),
+        compute=partial(records, SETTINGS.model_dump_json()),
     )
 
 

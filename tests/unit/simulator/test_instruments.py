@@ -13,7 +13,7 @@ from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import ShotKey
 from simulator.chain_parameters import ChainParameters
 from simulator.coupled_model import ShotModel
-from simulator.instruments import RECORDS_AHEAD, build_bench
+from simulator.instruments import LARGEST_GROUP, RECORDS_AHEAD, build_bench
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
 from simulator.pulse_summary import summarise
 from simulator.scenario import (
@@ -185,11 +185,13 @@ class Recording:
     def __init__(self, pool):
         self.pool = pool
         self.submitted = []
+        self.groups = []
         self.futures = []
 
-    def submit(self, function, *arguments):
-        self.submitted.append(arguments[0])
-        self.futures.append(self.pool.submit(function, *arguments))
+    def submit(self, function, strikes):
+        self.groups.append([shot for shot, _ in strikes])
+        self.submitted += self.groups[-1]
+        self.futures.append(self.pool.submit(function, strikes))
         return self.futures[-1]
 
 
@@ -259,30 +261,54 @@ class TestAhead:
         first_set = list(self.strike_all(bench, clock, shots[:20], 0.5))
         # The first was computed by its reader; at the last one those of the next set are under way.
         assert executor.submitted[:39] == shots[1:]
-        assert len(executor.submitted) == 19 + RECORDS_AHEAD
+        assert len(executor.submitted) <= 19 + RECORDS_AHEAD
         list(self.strike_all(bench, clock, shots[20:], 1.0))
-        assert len(set(executor.submitted)) == len(executor.submitted) == 39 + RECORDS_AHEAD
+        assert len(set(executor.submitted)) == len(executor.submitted) <= 39 + RECORDS_AHEAD
         assert len(first_set) == 20
+
+    def test_strikes_of_a_position_and_set_go_together(self, make_bench, clock, executor):
+        bench = make_bench(executor=executor)
+        list(self.strike_all(bench, clock, [key(i) for i in range(10)], 0.5))
+        assert executor.groups[:3] == [
+            [key(i) for i in range(1, 10)],
+            [key(i, 0, "D") for i in range(10)],
+            [key(i, 1, "B") for i in range(10)],
+        ]
 
     def test_never_more_than_so_many_wait(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        assert len(held.futures) == RECORDS_AHEAD
+        assert RECORDS_AHEAD - LARGEST_GROUP < len(held.submitted) <= RECORDS_AHEAD
 
     def test_a_strike_that_nobody_planned_waits_for_no_other(self, make_bench, held):
         # The worker is held up: this would never end if the strike were queued behind those to come.
         bench = make_bench(executor=held)
         shoot(bench, key(0))
+        begun = list(held.submitted)
         assert_same(shoot(bench, key(0, attempt=1)), shoot(make_bench(), key(0, attempt=1)))
-        assert len(held.futures) == RECORDS_AHEAD  # all of them are still expected
+        assert held.submitted == begun  # all of them are still expected
+        assert not any(future.cancelled() for future in held.futures)
 
     def test_what_is_expected_no_more_is_dropped(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
+        begun = len(held.futures)
         clock.go_to_hour(50.0)
         shoot(bench, key(0, set_index=100))
-        assert [future.cancelled() for future in held.futures[:RECORDS_AHEAD]] == [True] * RECORDS_AHEAD
-        assert held.submitted[RECORDS_AHEAD] == key(1, set_index=100)
+        assert all(future.cancelled() for future in held.futures[:begun])
+        assert held.groups[begun][0] == key(1, set_index=100)
+        assert not any(future.cancelled() for future in held.futures[begun:])
+
+    def test_a_group_of_which_some_are_still_expected_goes_on(self, make_bench, clock, held):
+        clock.go_to_hour(0.55)
+        bench = make_bench(executor=held)
+        shoot(bench, key(0))
+        begun = list(held.submitted)
+        # The second to fourth strike do not come; they were begun together with the fifth.
+        clock.now_ns += 12 * NS_PER_S
+        assert_same(shoot(bench, key(3, attempt=1)), shoot(make_bench(), key(3, attempt=1)))
+        assert held.submitted == begun
+        assert not any(future.cancelled() for future in held.futures)
 
     def test_a_retired_position_is_expected_again_once_it_strikes(self, make_bench, clock, executor):
         bench = make_bench(executor=executor)

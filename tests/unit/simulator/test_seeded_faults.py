@@ -195,6 +195,23 @@ def test_a_faulty_shot_depends_on_nothing_but_seed_key_and_hour(specimen, name):
     assert counts(range(6)) == counts(reversed(range(6)))
 
 
+def test_strikes_computed_together_are_those_computed_alone(specimen):
+    """With every fault at work some strikes miss, some bounce, some have a loose contact."""
+    made = specimen(NOISY, **{name: fault for name, (fault, _) in ACTIVE.items()})
+    strikes = [
+        (key(k % 10, k // 10, position), 1.0 + 50.0 * (k // 10)) for position in ("B", "D") for k in range(20)
+    ]
+    alone = [made.solitary_wave(shot, hour_h) for shot, hour_h in strikes]
+    together = made.solitary_waves(strikes)
+    assert [record is None for record in together] == [record is None for record in alone]
+    found = [(one, other) for one, other in zip(together, alone, strict=True) if one and other]
+    assert 20 < len(found) < 40
+    for one, other in found:
+        np.testing.assert_array_equal(one.waveform.counts, other.waveform.counts)
+        assert list(one.truth) == list(other.truth)
+        np.testing.assert_array_equal(list(one.truth.values()), list(other.truth.values()))
+
+
 def test_a_shot_goes_on_to_draw_what_it_would_draw_without_its_faults(specimen):
     """Faults have random numbers of their own: heights and tilts of an experiment stay."""
     plain, faulty = specimen(TwinParameters()), specimen(TwinParameters(), clipping=ACTIVE["clipping"][0])
