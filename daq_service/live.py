@@ -21,7 +21,10 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 log = logging.getLogger(__name__)
 
-SHORTEST_INTERVAL_NS = 100_000_000
+SHORTEST_INTERVAL_NS, LONGEST_INTERVAL_NS = 100_000_000, 1_000_000_000
+COSTS_BETWEEN = 100
+"""All positions' pictures together take a hundredth of the time: a slow disk makes them rarer, down to one a
+second."""
 MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
 
 
@@ -41,17 +44,21 @@ class LivePicture:
         self._folder.mkdir(exist_ok=True)
         self._rig_kind = rig_kind
         self._written_ns: dict[str, int] = {}
+        self._cost_ns = 0
 
     def due(self, position: str) -> bool:
-        """Say whether the last picture of the position is at least a tenth of a second old."""
+        """Say whether the last picture of the position is old enough for another."""
         last = self._written_ns.get(position)
-        return last is None or time.monotonic_ns() - last >= SHORTEST_INTERVAL_NS
+        pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
+        pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
+        return last is None or time.monotonic_ns() - last >= pause_ns
 
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
         """Replace the picture of a position. A failing disk costs the picture, not the shot."""
         waveform, key = measurement.waveform, measurement.key
+        begun_ns = time.monotonic_ns()
         values = {} if features is None else features.values()
         header = {
             "position": key.position,
@@ -78,7 +85,8 @@ class LivePicture:
         except OSError as error:
             # Also Windows, while a reader has the old picture open. The next one comes soon.
             log.warning("no live picture of %s: %s", key.position, error)
-        self._written_ns[key.position] = time.monotonic_ns()
+        self._written_ns[key.position] = now_ns = time.monotonic_ns()
+        self._cost_ns = now_ns - begun_ns
 
 
 def _finite(value: float | None) -> float | None:

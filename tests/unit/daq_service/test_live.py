@@ -11,11 +11,11 @@ from daq_service.live import LivePicture
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
 
 
-def shot(counts: np.ndarray) -> Shot:
+def shot(counts: np.ndarray, position: str = "B") -> Shot:
     calibration = Calibration(coefficients_v=np.array([0.001, 1.5e-4]), resolution_bits=16, range_v=5.0)
     return Shot(
         sequence=42,
-        key=ShotKey(position="B", set_index=3, shot_index=7),
+        key=ShotKey(position=position, set_index=3, shot_index=7),
         stamp=Stamp(utc_ns=1_700_000_000_000_000_000, mono_ns=5, boot_id="boot"),
         waveform=Waveform(counts=counts, sample_rate_hz=1e7, pretrigger_samples=2, calibration=calibration),
     )
@@ -51,6 +51,26 @@ def test_a_picture_is_replaced_at_most_ten_times_a_second(
     assert not live.due("B")
     assert live.due("C"), "each position has its own pace"
     now[0] += 100_000_000
+    assert live.due("B")
+
+
+def test_on_a_slow_disk_pictures_are_rarer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two positions, 4 ms a picture: each has one in 0.8 s, so both take a hundredth of the time."""
+    now = [1_000_000_000]
+    written = Path.write_bytes
+
+    def slowly(self: Path, data: bytes) -> int:
+        now[0] += 4_000_000
+        return written(self, data)
+
+    monkeypatch.setattr("daq_service.live.time.monotonic_ns", lambda: now[0])
+    monkeypatch.setattr(Path, "write_bytes", slowly)
+    live = LivePicture(tmp_path, "simulated")
+    for position in ("C", "B"):
+        live.show(shot(np.zeros(4, np.int16), position), due_h=1.0, features=None)
+    now[0] += 799_000_000
+    assert not live.due("B")
+    now[0] += 1_000_000
     assert live.due("B")
 
 
