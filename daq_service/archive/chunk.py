@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -52,23 +52,32 @@ def _deflated_planes(planes: NDArray[np.uint8]) -> bytes:
     """Zlib stream of the planes one after the other, shape (n_planes, n_bytes)."""
     last = len(planes) - 1
     parts = [_ZLIB_HEADER]
+    checksum = zlib.adler32(b"")
     for number, plane in enumerate(planes):
         content = plane.tobytes()
+        checksum = zlib.adler32(content, checksum)
         if _is_noise(plane[:_PROBE_BYTES]):
             parts.append(_stored(content, final=number == last))
         else:
             run = zlib.compressobj(GZIP_LEVEL, zlib.DEFLATED, -zlib.MAX_WBITS)
             parts += run.compress(content), run.flush(zlib.Z_FINISH if number == last else zlib.Z_FULL_FLUSH)
-    parts.append(struct.pack(">I", zlib.adler32(planes.tobytes())))
+    parts.append(struct.pack(">I", checksum))
     return b"".join(parts)
 
 
 def _is_noise(probe: NDArray[np.uint8]) -> bool:
     """Whether the entropy of bytes is so high that deflate would shorten them by 3 % at the most."""
     counts = np.bincount(probe, minlength=256)
-    counts = counts[counts > 0]
-    bits = math.log2(probe.size) - float(counts @ np.log2(counts)) / probe.size
+    bits = math.log2(probe.size) - float(_times_its_log2()[counts].sum()) / probe.size
     return bits > _NOISE_BITS_PER_BYTE
+
+
+@cache
+def _times_its_log2() -> NDArray[np.float64]:
+    """n log2(n) of every count of a probe, shape (_PROBE_BYTES + 1,)."""
+    n = np.arange(_PROBE_BYTES + 1.0)
+    table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
+    return table
 
 
 def _stored(content: bytes, *, final: bool) -> bytes:
@@ -87,7 +96,18 @@ def fletcher32(content: bytes) -> int:
     An odd byte at the end is the high byte of a last word. A sum that is a multiple of 65535 is written as
     65535 unless every word is zero.
     """
-    words = np.frombuffer(content + b"\0" * (len(content) % 2), dtype=">u2").astype(np.int64)
-    sums = int(words.sum()), int(words @ np.arange(words.size, 0, -1))
+    even = content + b"\0" if len(content) % 2 else content
+    words = np.frombuffer(even, dtype=">u2").astype(np.int64)
+    sums = int(words.sum()), int(words @ _countdown(words.size))
     first, second = ((total - 1) % 65_535 + 1 if total else 0 for total in sums)
     return second << 16 | first
+
+
+def _countdown(size: int) -> NDArray[np.int64]:
+    """Return size, size - 1, ... 1."""
+    return _longest_countdown(size.bit_length())[-size:] if size else np.zeros(0, dtype=np.int64)
+
+
+@lru_cache(maxsize=2)
+def _longest_countdown(bits: int) -> NDArray[np.int64]:
+    return np.arange((1 << bits) - 1, 0, -1)
