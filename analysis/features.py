@@ -25,7 +25,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from numpy.fft import irfft, rfft
+from scipy.fft import next_fast_len
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.pulses import Pulse, Pulses, find_pulses, parabola_peak
@@ -323,7 +324,7 @@ def _autocorrelation(
     if power <= 0.0 or high <= low:
         return math.nan, math.nan
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    smooth = np.convolve(gate, mean_weights(width))
+    smooth = np.correlate(gate, mean_weights(width), "full")
     n_fft = next_fast_len(smooth.size + high + 2, real=True)
     spectrum = rfft(smooth, n_fft)
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]

@@ -11,8 +11,9 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 
 import numpy as np
+from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import next_fast_len
 
 from analysis.errors import InvalidInputError, RecordError
 
@@ -139,7 +140,8 @@ class ReducedRecord:
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
     """Centred mean of ``width`` (odd) neighbours, shape (n,) with n >= width; zeros outside the record."""
-    return np.convolve(values, mean_weights(width), "same")
+    # Equal weights: correlation is convolution, without its reversal of an array.
+    return np.correlate(values, mean_weights(width), "same")
 
 
 @lru_cache(maxsize=64)

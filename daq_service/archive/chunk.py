@@ -74,7 +74,7 @@ def _is_noise(probe: NDArray[np.uint8]) -> bool:
 
 @cache
 def _times_its_log2() -> NDArray[np.float64]:
-    """n log2(n) of every count of a probe, shape (_PROBE_BYTES + 1,)."""
+    """Tabulate n log2(n) of every count of a probe, shape (_PROBE_BYTES + 1,)."""
     n = np.arange(_PROBE_BYTES + 1.0)
     table: NDArray[np.float64] = n * np.log2(np.maximum(n, 1.0))
     return table
