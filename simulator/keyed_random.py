@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from enum import IntEnum
+from functools import lru_cache
 
 import numpy as np
 
@@ -51,9 +52,15 @@ def generator(
         keeps the streams of neighbouring keys independent.
     """
     name = position if key is None else key.position
-    digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
-    # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide.
-    words = [seed, int(purpose), int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")]
+    words = [seed, int(purpose), *_name_words(name)]
     if key is not None:
         words += [key.set_index, key.shot_index, key.attempt]
-    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(words)))
+    # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide. It takes an
+    # array of such words as it is, where it would look at each number of a list.
+    return np.random.Generator(np.random.SFC64(np.random.SeedSequence(np.array(words, dtype=np.uint32))))
+
+
+@lru_cache(maxsize=256)
+def _name_words(name: str) -> tuple[int, int]:
+    digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
+    return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")
