@@ -56,8 +56,6 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
 @contextmanager
 def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
     from daq_service.twin_process import records, transducers_of, twin_executor
-    from simulator.errors import SimulatorError
-    from simulator.instruments import build_bench
 
     places, schedule = settings.positions, settings.schedule
     sets = plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h)
@@ -70,6 +68,10 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
             else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
         )
         stack.callback(executor.shutdown, cancel_futures=True)
+        # These imports take a while: the worker has started by now.
+        from simulator.errors import SimulatorError
+        from simulator.instruments import build_bench
+
         try:
             transducers = transducers_of(settings)
         except SimulatorError as error:

@@ -4,6 +4,8 @@ Threads would share the interpreter's lock: the extraction of features hands it 
 each handing over costs as much as what is computed. Here a worker process builds the same specimen from the
 same settings and computes records by their key; the recorder strikes, reads and stores as ever. The worker
 holds nothing that could be lost: where it dies, the recorder computes its records itself.
+
+The simulator is imported where it is needed: the worker starts while the recorder imports its own.
 """
 
 from __future__ import annotations
@@ -15,12 +17,14 @@ import threading
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
+from typing import TYPE_CHECKING
 
 from daq_service.settings import Settings
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
-from simulator.coupled_model import ShotModel
-from simulator.specimen import Specimen, Transducer, build_specimen
+
+if TYPE_CHECKING:
+    from simulator.specimen import Specimen, Transducer
 
 
 def transducers_of(settings: Settings) -> dict[str, Transducer]:
@@ -31,6 +35,9 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     SimulatorError
         One cannot be built as configured.
     """
+    from simulator.coupled_model import ShotModel
+    from simulator.specimen import Transducer
+
     places = settings.positions
     return {
         name: Transducer(
@@ -62,6 +69,8 @@ def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> lis
 
 @cache
 def _specimen(settings_json: str) -> Specimen:
+    from simulator.specimen import build_specimen
+
     settings = Settings.model_validate_json(settings_json)
     return build_specimen(
         settings.twin,
