@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import gc
 import logging
 import logging.handlers
 import signal
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType, MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -23,6 +24,9 @@ from daq_service.folder import own_data_folder, prepare_data_folder
 from daq_service.settings import Settings
 from daq_service.settings_file import load_settings
 from daq_service.supervisor import ChildPlan, Supervisor, leave_when_pipe_closes, tell_supervisor
+
+if TYPE_CHECKING:
+    from hardware_drivers.instruments import Clock, Rig
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +178,6 @@ def record_alone(
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
     from daq_service.recording import record
-    from daq_service.rig import open_rig
 
     settings = load_settings(config)
     folder = data_folder(settings, config, data_dir)
@@ -187,7 +190,7 @@ def record_alone(
             finished = record(
                 settings,
                 folder,
-                open_rig,
+                _open_rig_to_stay,
                 stop=stop,
                 restarted_because=restarted_because,
                 tell=tell_supervisor if supervised else _tell_person,
@@ -200,6 +203,16 @@ def record_alone(
             log.exception("the recorder failed")
             raise
         return EXIT_OK if finished else EXIT_INTERRUPTED
+
+
+@contextmanager
+def _open_rig_to_stay(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+    """Open the rig; the garbage collector need not look again at what stays until the process ends."""
+    from daq_service.rig import open_rig
+
+    with open_rig(settings, clock, epoch_utc_ns) as rig:
+        gc.freeze()
+        yield rig
 
 
 def _tell_person(event: str, **values: object) -> None:
