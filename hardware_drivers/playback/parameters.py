@@ -91,7 +91,6 @@ class TdmsMapping:
 
     def __post_init__(self) -> None:
         check_bounds(self)
-        _check_optional_numbers(self)
         sources = [
             (f"{part}_property", {part}) for part in KEY_PARTS[:3] if getattr(self, f"{part}_property")
         ]
@@ -144,18 +143,3 @@ def _named_groups(name: str, pattern: str) -> set[str]:
             f"{name} has the named group {sorted(unknown)[0]!r}; there are: {', '.join(KEY_PARTS)}"
         )
     return parts
-
-
-def _check_optional_numbers(mapping: TdmsMapping) -> None:
-    for name in ("record_samples", "sample_rate_hz", "range_v", "resolution_bits"):
-        value = getattr(mapping, name)
-        if value is not None and not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name} is {value}; it must be a finite number greater than 0")
-    if mapping.resolution_bits is not None and not 2 <= mapping.resolution_bits <= 32:
-        raise ValueError(f"resolution_bits is {mapping.resolution_bits}; it must lie in 2..32")
-    if mapping.pretrigger_samples is not None and mapping.pretrigger_samples < 0:
-        raise ValueError(f"pretrigger_samples is {mapping.pretrigger_samples}; it must be at least 0")
-    if mapping.volts_per_unit is not None and not (
-        math.isfinite(mapping.volts_per_unit) and mapping.volts_per_unit != 0.0
-    ):
-        raise ValueError(f"volts_per_unit is {mapping.volts_per_unit}; it must be finite and not 0")
