@@ -111,6 +111,8 @@ class TdmsMapping:
             raise ValueError("appended records are counted as shots; take (?P<shot>...) out of the patterns")
         if len(self.coefficients_v) == 1 or not all(map(math.isfinite, self.coefficients_v)):
             raise ValueError(f"coefficients_v is {self.coefficients_v}; it needs two finite numbers or more")
+        if self.volts_per_unit == 0.0:
+            raise ValueError("volts_per_unit is 0.0; it must be finite and not 0")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
