@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import click
-import numpy as np
 
 from daq_service.errors import UsageError
 from daq_service.settings import Settings
 from daq_service.settings_file import load_settings
 from daq_service.sweep.shot import Specimen, coupled_numbers, coupled_shot, zener_numbers
+from daq_service.sweep.specification import spaced
 from simulator.chain_parameters import ChainParameters
 from simulator.errors import SimulatorError
 from simulator.plate_parameters import CorrosionParameters, PlateParameters
@@ -148,7 +148,7 @@ def _grid(text: str) -> list[float]:
         raise ValueError(f"--depths is {text!r}; write first:last:count, for example 0:0.8:9") from error
     if len(parts) != 3 or not 1 <= count <= 10_000:
         raise ValueError(f"--depths is {text!r}; write first:last:count with 1 to 10000 depths")
-    return [float(depth) for depth in np.linspace(first, last, count)]
+    return spaced(first, last, count)
 
 
 def _shot_of(
