@@ -46,8 +46,8 @@ def test_a_range_has_its_ends_its_count_and_even_steps(first: float, last: float
     assert len(values) == count
     assert (values[0], values[-1]) == (first, last)
     # Two values of 15 digits each, half of 1e-14 of the larger end at the most, and rounding.
-    largest = max(abs(first), abs(last))
-    assert np.allclose(np.diff(values), (last - first) / (count - 1), rtol=0.0, atol=1.1e-14 * largest + 5e-324)
+    rounding = 1.1e-14 * max(abs(first), abs(last)) + 5e-324
+    assert np.allclose(np.diff(values), (last - first) / (count - 1), rtol=0.0, atol=rounding)
 
 
 @given(st.floats(1e-200, 1e200), st.floats(1e-200, 1e200), st.integers(2, 200))
