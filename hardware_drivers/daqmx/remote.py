@@ -20,6 +20,10 @@ BYTES_PER_SAMPLE = 10
 """Largest varint of a negative 32-bit sample."""
 OTHER_BYTES = 4 * 1024 * 1024
 
+FIRST_PAUSE_MS, LONGEST_PAUSE_MS = 100, 1_000
+"""Between attempts to connect, after which a call fails at once; gRPC's own grow to two minutes, in which
+a server that is back would cost shot after shot."""
+
 
 class _CallDetails(
     namedtuple(
@@ -69,7 +73,15 @@ class Channel:
 
     def __init__(self, address: str, *, call_timeout_s: float, record_samples: int) -> None:
         largest = BYTES_PER_SAMPLE * record_samples + OTHER_BYTES
-        self._plain = grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", largest)])
+        options = [
+            ("grpc.max_receive_message_length", largest),
+            # gRPC shares connections between channels, and with them the pause after a failed attempt: a
+            # new channel to a server that is back would be refused by what the old one met.
+            ("grpc.use_local_subchannel_pool", 1),
+            ("grpc.initial_reconnect_backoff_ms", FIRST_PAUSE_MS),
+            ("grpc.max_reconnect_backoff_ms", LONGEST_PAUSE_MS),
+        ]
+        self._plain = grpc.insecure_channel(address, options=options)
         self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
 
     def close(self) -> None:
