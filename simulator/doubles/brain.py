@@ -48,6 +48,9 @@ Handler = Callable[[Bench, str, Arguments], Answer]
 CALLS_KEPT = 200_000
 """The record of calls is a ring."""
 
+RINGING_NS = 5_000_000
+"""So long after its contact no strike gives a wave: longer than any record."""
+
 EXIT_ON_DEATH = 70
 """Exit code of a process that was told to die."""
 
@@ -293,6 +296,19 @@ class Brain:
         """Wait until every task is gone, as after a client's death; False at the deadline."""
         with self.bench.changed:
             return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
+
+    def wait_until_quiet(self, timeout_s: float) -> bool:
+        """Wait until no striker is in flight and no wave rings on; False at the deadline."""
+        clock = self.bench.clock
+        deadline_ns = clock.now_ns() + round(timeout_s * 1e9)
+        with self.bench.changed:
+            while True:
+                contacts_ns = [strike.contact_ns for strike in self.bench.strikes.planned]
+                quiet_ns = max(contacts_ns) + RINGING_NS if contacts_ns else 0
+                now_ns = self.bench.settle()
+                if now_ns >= min(quiet_ns, deadline_ns):
+                    return now_ns >= quiet_ns
+                clock.wait(self.bench.changed, min(quiet_ns, deadline_ns))
 
     def record(self) -> dict[str, Any]:
         """Everything the double noticed, as JSON takes it."""

@@ -97,6 +97,10 @@ class DoublesControl:
         """Wait until every task is gone, as after a client's death; False at the deadline."""
         return bool(self._ask("wait_until_no_tasks", timeout_s=timeout_s))
 
+    def wait_until_quiet(self, timeout_s: float) -> bool:
+        """Wait until no striker is in flight and no wave rings on; False at the deadline."""
+        return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
+
     def record(self) -> dict[str, Any]:
         """Fetch calls, lines, levels, tasks, reservations, leaks, strikes, boards (`Brain.record`)."""
         found: dict[str, Any] = self._ask("record")

@@ -67,6 +67,8 @@ def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
             return brain.faults.wait_until_hanging(float(arguments["timeout_s"]))
         case "wait_until_no_tasks":
             return brain.wait_until_no_tasks(float(arguments["timeout_s"]))
+        case "wait_until_quiet":
+            return brain.wait_until_quiet(float(arguments["timeout_s"]))
         case "record":
             return brain.record()
         case "clear_record":

@@ -62,6 +62,16 @@ def test_each_command_reaches_the_brain(served):
     assert control.record()["calls"] == []
 
 
+def test_it_waits_until_every_striker_has_landed(served):
+    brain, _, control = served
+    assert control.wait_until_quiet(0.0) is True
+    now_ns = brain.bench.clock.now_ns()
+    strike = brain.bench.strikes.plan("B", now_ns, now_ns + 50_000_000)
+    assert control.wait_until_quiet(0.0) is False
+    assert control.wait_until_quiet(WAIT_S) is True
+    assert brain.bench.clock.now_ns() > strike.contact_ns
+
+
 @pytest.mark.parametrize(
     ("request_text", "reason"),
     [
