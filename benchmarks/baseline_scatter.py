@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.features import extract_features, mean_features
+from analysis.waves.features import extract_features, mean_features
 from hardware_drivers.measurement import ShotKey
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.scenario import PAPER_THINNING, DriftParameters, ScatterParameters, TwinParameters
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import PAPER_THINNING, DriftParameters, ScatterParameters, TwinParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 from simulator.specimen import Specimen, Transducer, build_specimen
 
 NAMES = ("tof_pp_s", "amplitude_ratio", "isw_amplitude_v")

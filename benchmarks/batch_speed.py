@@ -5,7 +5,7 @@
 Seconds are processor time of one core, so that other work on the machine counts less; single shots and
 batches take turns, and ratios are medians over the turns. Errors are relative L2 differences of the sensor
 force from 0 to 1.2 ms, the largest over four depths, against a step sixteen times smaller with more modes.
-Flops are counted in `coupled_kernel`, a fused multiply-add as two, a root or a quotient as one; the limit is
+Flops are counted in `shot.kernel`, a fused multiply-add as two, a root or a quotient as one; the limit is
 what independent fused multiply-adds reach here. Fails (exit code 1) above an error of 1e-4. Takes about half
 a minute, machine code compiled.
 """
@@ -27,11 +27,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numba
 import numpy as np
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_kernel import WIDEST
-from simulator.coupled_model import Impact, ShotModel
-from simulator.lanes import broadcast, fma, lane
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.numerics.lanes import broadcast, fma, lane
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.kernel import WIDEST
+from simulator.shot.model import Impact, ShotModel
 
 RECORD_S, COMPARED_S = 1.4e-3, 1.2e-3
 STEPS_S = (5e-7, 1e-6)

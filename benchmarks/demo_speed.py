@@ -37,20 +37,20 @@ from h5py import h5s
 
 from daq_service.archive import nexus
 from daq_service.catalogue import open_catalogue
-from daq_service.cost import STAGES
-from daq_service.folder import prepare_data_folder
-from daq_service.recording import record
-from daq_service.rig import open_rig
-from daq_service.settings import Settings
-from daq_service.settings_file import load_settings
+from daq_service.processes.data_folder import prepare_data_folder
+from daq_service.recording.cost import STAGES
+from daq_service.recording.session import record
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
-from simulator.coupled_model import ShotModel
 from simulator.instruments import build_bench
+from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer
 
 COMMAND, RECORDER, OBVIOUS = "command", "recorder", "obvious line"
 CACHES = {"NUMBA_CACHE_DIR": "machine-code", "XDG_CACHE_HOME": "reductions", "LOCALAPPDATA": "reductions"}
-"""Where machine code and reduced plates are kept (`simulator.array_cache`), and a folder for a cold start."""
+"""Where machine code and reduced plates are kept (`numerics.array_cache`), and a folder for a cold start."""
 
 
 @contextmanager

@@ -26,18 +26,18 @@ from typing import Any
 
 import numpy as np
 
-from analysis.baseline import fit_baseline
-from analysis.features import FEATURE_NAMES
-from analysis.novelty import distance_squared
-from analysis.threshold import f_predictive_limit
-from daq_service.assessment import SolitaryWaveAssessor
+from analysis.statistics.baseline import fit_baseline
+from analysis.statistics.distance import distance_squared
+from analysis.statistics.limits import f_predictive_limit
+from analysis.waves.features import FEATURE_NAMES
+from daq_service.acquisition.schedule import plan
 from daq_service.clock import parse_utc
-from daq_service.recorder import features_of
-from daq_service.schedule import plan
-from daq_service.settings import Settings
-from daq_service.settings_file import load_settings
+from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
+from daq_service.recording.recorder import features_of
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, ShotKey, Stamp
-from simulator.coupled_model import ShotModel
+from simulator.shot.model import ShotModel
 from simulator.specimen import Specimen, Transducer, build_specimen
 
 DEEPEST_FIRST_ALARM = 0.30

@@ -27,13 +27,14 @@ import numpy as np
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
 from hardware_drivers.measurement import ShotKey
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.doubles.control import running_doubles
-from simulator.doubles.description import SIMULTANEOUS_16_BIT, Description
-from simulator.doubles.description import TransducerWiring as DoubleWiring
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.scenario import NoiseParameters, ScatterParameters, TwinParameters
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
+from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring
+from simulator.doubles.doors.control import running_doubles
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.electronics import NoiseParameters
+from simulator.parameters.experiment import ScatterParameters, TwinParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer, build_specimen
 
 ROUNDS = 5

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.ultrasonic_thickness import (
+from analysis.ultrasound.thickness import (
     EchoReference,
     TravelTime,
     reference_echo,
@@ -24,13 +24,13 @@ from analysis.ultrasonic_thickness import (
     travel_time,
 )
 from hardware_drivers.measurement import ShotKey, Waveform
-from simulator.echo_parameters import EchoParameters
-from simulator.echo_records import ProbedWall, averaged_record, disturbance, probed_wall
-from simulator.far_wall import gaussian_field, rough_spot
-from simulator.scenario import TwinParameters
+from simulator.echo.far_wall import gaussian_field, rough_spot
+from simulator.echo.pulse import bubble_volts, echo_calibration, echo_volts
+from simulator.echo.records import ProbedWall, averaged_record, disturbance, probed_wall
+from simulator.electronics.transduction import counts_of
+from simulator.parameters.echo import EchoParameters
+from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import build_specimen
-from simulator.transduction import counts_of
-from simulator.ultrasonic_echo import bubble_volts, echo_calibration, echo_volts
 
 PRISTINE_M = 6.35e-3
 CORE_M = 3.8e-3

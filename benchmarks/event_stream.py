@@ -28,7 +28,7 @@ from daq_service.catalogue import open_catalogue
 SERVER = """
 import os, sys, threading
 from pathlib import Path
-from daq_service.settings import Settings
+from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.server import serve
 

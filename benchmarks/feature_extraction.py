@@ -5,7 +5,7 @@ Records are drawn, not simulated: cos^4 pulses as wide as the paper's, white noi
 
     python benchmarks/feature_extraction.py [--records N] [--rounds R] [--json]
 
-The direct computation is what the definitions in `analysis.features` say, sample by sample: quartics
+The direct computation is what the definitions in `analysis.waves.features` say, sample by sample: quartics
 by ``numpy.polyfit``, matched filter and autocorrelation by FFTs of the whole record. Both lie in
 O(n log n); the ratio shows what the reduction to block means is worth. The largest difference of the
 results stands beside it.
@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from analysis.features import extract_features
-from analysis.record_reduction import ExtractionSettings
+from analysis.waves.features import extract_features
+from analysis.waves.record_reduction import ExtractionSettings
 from hardware_drivers.measurement import Calibration, Waveform
 
 RATE_HZ = 10e6

@@ -12,11 +12,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from analysis.features import FLAGS, ShotFeatures, extract_features
+from analysis.waves.features import FLAGS, ShotFeatures, extract_features
 from hardware_drivers.measurement import ShotKey
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.fault_parameters import (
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import ThinningParameters, TwinParameters
+from simulator.parameters.faults import (
     BeadWearFault,
     ClippingFault,
     DoubleStrikeFault,
@@ -29,8 +29,8 @@ from simulator.fault_parameters import (
     TemperatureFault,
     TiltFault,
 )
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.scenario import ThinningParameters, TwinParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 from simulator.specimen import Specimen, Transducer, build_specimen
 
 HOUR_H = 8_766.0

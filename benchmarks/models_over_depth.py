@@ -24,13 +24,12 @@ from pathlib import Path
 # Small dense problems: BLAS threads only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.errors import SpecimenError
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.solid_mesh import SolidMesh
-from simulator.zener import reflect
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
+from simulator.zener.model import reflect
 
 REFERENCE = Path(__file__).resolve().parent.parent / "docs" / "reference"
 DEPTHS = tuple(k / 10 for k in range(9))

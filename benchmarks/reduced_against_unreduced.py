@@ -31,11 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.granular_chain import Chain, build_chain
-from simulator.mindlin_plate import AffinePlate, build_plate
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.chain.spheres import Chain, build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import AffinePlate, build_plate
+from simulator.shot.model import ShotModel
 
 FloatArray = NDArray[np.float64]
 

@@ -24,10 +24,10 @@ from pathlib import Path
 # Small dense problems: BLAS threads only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import Impact, ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import Impact, ShotModel
+from simulator.shot.pulse_summary import summarise
 
 RECORD_S = 1.4e-3
 COLD_RUNS, DEPTHS, WARM_SHOTS = 5, 40, 200

@@ -25,12 +25,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.solid_mesh import SolidMesh
-from simulator.solid_plate import build_solid_plate
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
+from simulator.plate.solid.plate import build_solid_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 RECORD_S = 1.4e-3
 MESHES = {

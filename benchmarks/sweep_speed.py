@@ -24,13 +24,13 @@ import threading
 from concurrent.futures import Executor
 from functools import partial
 
-from daq_service.sweep.execution import ExecutorKind, compute, opened_executor, usable_cores
-from daq_service.sweep.plan import Model, Plan, make_plan
-from daq_service.sweep.shot import coupled_numbers, zener_numbers
-from daq_service.sweep.specification import parse_axis
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from daq_service.cli.sweep.execution import ExecutorKind, compute, opened_executor, usable_cores
+from daq_service.cli.sweep.plan import Model, Plan, make_plan
+from daq_service.cli.sweep.shot import coupled_numbers, zener_numbers
+from daq_service.cli.sweep.specification import parse_axis
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 
 BASE = ChainParameters(), PlateParameters(), CorrosionParameters()
 

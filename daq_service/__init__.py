@@ -1,1 +1,1 @@
-"""Runs the rig: records, stores, analyses, serves and supervises."""
+"""Runs the rig: all that has a clock, a disk, a process or a person; no physics, no statistics."""

@@ -7,7 +7,7 @@
     ├── IntegrationError        the time integration lost energy or diverged: no numbers are returned
     └── NoSolitaryWaveError     the force holds no incident solitary wave: lengthen the record
 
-A single parameter out of its bounds is a plain ValueError of `chain_parameters` or `plate_parameters`.
+A single parameter out of its bounds is a plain ValueError of `parameters`.
 Each message names the value, the limit and the remedy.
 """
 

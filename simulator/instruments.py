@@ -19,7 +19,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Echo
 from hardware_drivers.measurement import ShotKey
 from simulator.errors import SimulatorError
-from simulator.scenario import TwinParameters
+from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import Specimen, Transducer, build_specimen
 
 log = logging.getLogger(__name__)

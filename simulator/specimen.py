@@ -13,13 +13,13 @@ from typing import Protocol
 
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
-from simulator.chain_parameters import ChainParameters
-from simulator.corrosion import Wall, WallHistory, held_hour_h, wall_history
-from simulator.coupled_model import Impact, ShotForce, ShotModel
-from simulator.echo_records import Disturbance, ProbedWall, averaged_record, disturbance, probed_wall
+from simulator.echo.far_wall import RoughSpot, rough_spot
+from simulator.echo.pulse import echo_calibration
+from simulator.echo.records import Disturbance, ProbedWall, averaged_record, disturbance, probed_wall
+from simulator.electronics.transduction import adc_calibration, counts_of, triggered_record
 from simulator.errors import SpecimenError
-from simulator.far_wall import RoughSpot, rough_spot
-from simulator.faults import (
+from simulator.experiment.corrosion import Wall, WallHistory, held_hour_h, wall_history
+from simulator.experiment.faults import (
     NO_FAULTS,
     SOUND,
     ShotFaults,
@@ -28,16 +28,16 @@ from simulator.faults import (
     faulty_strike,
     interference_of_shot,
 )
-from simulator.keyed_random import Purpose, generator
-from simulator.pulse_summary import summarise
-from simulator.scatter import Strike, Temperature, scattered_strike, temperature
-from simulator.scenario import ThinningParameters, TwinParameters
-from simulator.transduction import adc_calibration, counts_of, triggered_record
-from simulator.ultrasonic_echo import echo_calibration
+from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
+from simulator.numerics.keyed_random import Purpose, generator
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import ThinningParameters, TwinParameters
+from simulator.shot.model import Impact, ShotForce, ShotModel
+from simulator.shot.pulse_summary import summarise
 
 
 class SolitaryWaveModel(Protocol):
-    """Physics of one transducer on its plate (`simulator.coupled_model.ShotModel`)."""
+    """Physics of one transducer on its plate (`simulator.shot.model.ShotModel`)."""
 
     def shot(self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float) -> ShotForce:
         """Force at the sensor after a strike on a wall of this depth."""

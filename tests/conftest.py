@@ -1,1 +1,1 @@
-"""Puts `tests/` on the import path, so that tests of every kind share `synthetic_records`."""
+"""Puts `tests/` on the import path, so that tests of every kind share `support`."""

@@ -33,7 +33,7 @@ def hdf5_image(
     Parameters
     ----------
     swept, results, status, forces, facts, facts_text
-        Parts of a `daq_service.sweep.table.SweepTable`.
+        Parts of a `daq_service.cli.sweep.table.SweepTable`.
     """
     with image_file() as file:
         set_attributes(file, {"default": "entry"})

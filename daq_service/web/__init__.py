@@ -1,1 +1,1 @@
-"""The web service: REST, server-sent events, live waveforms and the dashboard."""
+"""The web service: application, server and guards; resources, answers and streams in rooms of their own."""

@@ -9,17 +9,22 @@ from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
 
-from daq_service.settings import Settings
-from daq_service.web import (
+from daq_service.settings.tree import Settings
+from daq_service.web import assets
+from daq_service.web.answers import problem
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import problem_schemas, problems
+from daq_service.web.answers.version import API_VERSION
+from daq_service.web.context import Context, context_of
+from daq_service.web.guards import RequestGuard
+from daq_service.web.routes import (
     alarms,
-    assets,
-    commands,
     environment,
     features,
     fits,
     health,
     info,
-    problem,
+    orders,
     sets,
     stream,
     thickness,
@@ -28,12 +33,7 @@ from daq_service.web import (
     verdicts,
     waveforms,
 )
-from daq_service.web.answers import JsonAnswer
-from daq_service.web.context import Context, context_of
-from daq_service.web.guards import RequestGuard
-from daq_service.web.models import problem_schemas, problems
-from daq_service.web.parameters import refuse_unknown_parameters
-from daq_service.web.version import API_VERSION
+from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
     info,
@@ -48,7 +48,7 @@ RESOURCES = (
     waveforms,
     environment,
     alarms,
-    commands,
+    orders,
     stream,
 )
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from daq_service.web.problem import not_found
+from daq_service.web.answers.problem import not_found
 
 router = APIRouter(include_in_schema=False)
 FOLDER = Path(__file__).parent / "dashboard"

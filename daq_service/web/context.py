@@ -12,12 +12,12 @@ from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
-from daq_service.heartbeat import Beat, overdue_s, read_heartbeat
-from daq_service.settings import Settings
-from daq_service.web.answers import NS_PER_H, NS_PER_S, rfc3339, with_utc
-from daq_service.web.hub import EventHub
-from daq_service.web.live_pictures import LivePictures
-from daq_service.web.problem import Problem, no_data_yet, not_found
+from daq_service.processes.heartbeat import Beat, overdue_s, read_heartbeat
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.json_answer import NS_PER_H, NS_PER_S, rfc3339, with_utc
+from daq_service.web.answers.problem import Problem, no_data_yet, not_found
+from daq_service.web.streams.hub import EventHub
+from daq_service.web.streams.live_pictures import LivePictures
 
 LOOK_BACK_EVENTS = 20
 """The recorder's farewell is among its last events: behind it come at most answers to commands."""

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from daq_service.web.problem import Problem, problem_response
+from daq_service.web.answers.problem import Problem, problem_response
 
 LARGEST_BODY_BYTES = 64 * 1024
 ALLOWED_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})

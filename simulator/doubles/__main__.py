@@ -16,10 +16,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from simulator.doubles.brain import Brain
-from simulator.doubles.control_server import ControlServer
-from simulator.doubles.description import default_description, read_description
-from simulator.doubles.grpc_front import GrpcFront, why_unavailable
-from simulator.doubles.server import WireServer
+from simulator.doubles.chassis.description import default_description, read_description
+from simulator.doubles.doors.control_server import ControlServer
+from simulator.doubles.doors.grpc_front import GrpcFront, why_unavailable
+from simulator.doubles.doors.server import WireServer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,7 +16,8 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles import (
+from simulator.doubles.chassis.description import Description
+from simulator.doubles.daqmx import (
     analog_calls,
     analog_input,
     channel_attributes,
@@ -29,18 +30,17 @@ from simulator.doubles import (
     tasks,
     watchdog,
 )
-from simulator.doubles.attributes import ATTRIBUTES
-from simulator.doubles.description import Description
-from simulator.doubles.devices import Devices
-from simulator.doubles.entry_points import EntryPoint
+from simulator.doubles.daqmx.devices import Devices
+from simulator.doubles.daqmx.lines import LineRecord
+from simulator.doubles.daqmx.reservations import Reservations
+from simulator.doubles.daqmx.strikes import Strikes
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Clock, WallClock
 from simulator.doubles.faults import Faults, lie
-from simulator.doubles.lines import LineRecord
-from simulator.doubles.niscope_brain import NiscopeBrain
-from simulator.doubles.reservations import Reservations
-from simulator.doubles.statuses import Status
-from simulator.doubles.strikes import Strikes
-from simulator.doubles.table import TABLE
-from simulator.doubles.tasks import Answer, Arguments, Bench, Clock, WallClock
+from simulator.doubles.niscope.brain import NiscopeBrain
+from simulator.doubles.vendor_api.attributes import ATTRIBUTES
+from simulator.doubles.vendor_api.entry_points import EntryPoint
+from simulator.doubles.vendor_api.statuses import Status
+from simulator.doubles.vendor_api.table import TABLE
 
 ClientKind = Literal["library", "grpc"]
 Handler = Callable[[Bench, str, Arguments], Answer]

@@ -9,10 +9,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from simulator.doubles.attributes import ATTRIBUTES
-from simulator.doubles.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
-from simulator.doubles.table import TABLE
-from simulator.doubles.wire import outputs
+from simulator.doubles.vendor_api.attributes import ATTRIBUTES
+from simulator.doubles.vendor_api.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
+from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.wire import outputs
 
 FaultKind = Literal["error", "hang", "lie", "death"]
 KINDS: tuple[FaultKind, ...] = ("error", "hang", "lie", "death")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from small_experiment import SMALL
+from support.small_experiment import SMALL
 
 VENDORS = ("nidaqmx", "serial", "niscope", "nitclk", "grpc", "nptdms")
 
@@ -15,7 +15,7 @@ WITHOUT = """
 import json, sys
 for name in {missing!r}:
     sys.modules[name] = None  # as if it were not installed
-from daq_service.cli import main
+from daq_service.cli.main import main
 sys.argv = ["solimon", *{arguments!r}]
 try:
     main()

@@ -5,8 +5,8 @@ import re
 import shutil
 
 import pytest
-from browser_pages import DESK
-from served_web import DEADLINE_S
+from support.browser_pages import DESK
+from support.served_web import DEADLINE_S
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
 ARGUMENTS = [

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from browser_pages import PHONE, expect
-from filled_folder import FilledFolder
-from served_web import served, served_app
+from support.browser_pages import PHONE, expect
+from support.filled_folder import FilledFolder
+from support.served_web import served, served_app
 
 from daq_service.catalogue import SetCommit
-from daq_service.settings import Settings
+from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
 pytestmark = pytest.mark.browser

@@ -11,7 +11,7 @@ import time
 
 import httpx
 import pytest
-from browser_pages import expect
+from support.browser_pages import expect
 
 pytestmark = [
     pytest.mark.browser,

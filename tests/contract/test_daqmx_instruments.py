@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import pytest
-from daqmx_rig import meet, parameters_of, quick_description, why_no
 from digitizer_contract import DigitizerContract
 from striker_contract import StrikerContract
+from support.daqmx_rig import meet, parameters_of, quick_description, why_no
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.control import running_doubles
+from simulator.doubles.doors.control import running_doubles
 
 DESCRIPTION = quick_description()
 

@@ -8,7 +8,7 @@ from datetime import datetime
 import h5py
 import numpy as np
 import pytest
-from archived_sets import CURVED, LINEAR, make_echo, make_set, make_shot
+from support.archived_sets import CURVED, LINEAR, make_echo, make_set, make_shot
 
 from daq_service.archive.layout import build_image
 

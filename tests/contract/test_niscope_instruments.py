@@ -2,9 +2,9 @@
 
 import dataclasses
 
-import niscope_rig as rig
 import numpy as np
 import pytest
+import support.niscope_rig as rig
 from pulse_echo_unit_contract import PulseEchoUnitContract
 
 from hardware_drivers.errors import (
@@ -17,9 +17,9 @@ from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.niscope.pulse_echo import open_niscope
-from simulator.doubles.description import ProbeWiring as DoubleProbe
-from simulator.doubles.niscope_scopes import ScopeParameters
-from simulator.scenario import EchoParameters, TwinParameters
+from simulator.doubles.chassis.description import ProbeWiring as DoubleProbe
+from simulator.doubles.chassis.scopes import ScopeParameters
+from simulator.parameters.experiment import EchoParameters, TwinParameters
 from simulator.specimen import build_specimen
 
 pytestmark = rig.needs_niscope

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.settings import Settings
+from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 from clock_contract import ClockContract
 from digitizer_contract import DigitizerContract
-from labview_files import write_set
 from pulse_echo_unit_contract import PulseEchoUnitContract
 from striker_contract import StrikerContract
+from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
+from support.labview_files import write_set
 
 from daq_service.archive import Archive
 from daq_service.clock import SimulatedClock
-from daq_service.playback_source import open_recording
+from daq_service.rig.playback import open_recording
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments

@@ -3,7 +3,7 @@
 import pytest
 from climate_probe_contract import ClimateProbeContract
 from power_supply_contract import PowerSupplyContract
-from serial_rig import NO_TERMINALS, SerialRig
+from support.serial_rig import NO_TERMINALS, SerialRig
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 

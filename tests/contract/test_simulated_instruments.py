@@ -10,11 +10,11 @@ from striker_contract import StrikerContract
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.measurement import ShotKey
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.instruments import build_bench
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.scenario import TwinParameters
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import TwinParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer
 
 EPOCH_NS = 1_704_067_200_000_000_000

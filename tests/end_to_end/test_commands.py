@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_experiment import rows_of
+from support.small_experiment import rows_of
 
-from daq_service.heartbeat import read_heartbeat
+from daq_service.processes.heartbeat import read_heartbeat
 
 # A coarse mesh: these tests are about processes.
 QUICK = {"SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16"}

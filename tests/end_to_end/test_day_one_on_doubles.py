@@ -10,11 +10,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from daqmx_rig import QUICK_PULSE_S, QUICK_TWIN, board, coil_pulses_s, parameters_of, quick_description
+from support.daqmx_rig import (
+    QUICK_PULSE_S,
+    QUICK_TWIN,
+    board,
+    coil_pulses_s,
+    parameters_of,
+    quick_description,
+)
 
-from simulator.doubles.control import running_doubles
-from simulator.doubles.library import why_unavailable
-from simulator.scenario import NoiseParameters
+from simulator.doubles.doors.control import running_doubles
+from simulator.doubles.doors.library import why_unavailable
+from simulator.parameters.electronics import NoiseParameters
 
 ROOT = Path(__file__).parents[2]
 DESCRIPTION = replace(

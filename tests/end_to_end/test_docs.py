@@ -10,11 +10,11 @@ from pathlib import Path
 import click
 import pytest
 from click.testing import CliRunner
-from small_experiment import run, small_settings
+from support.small_experiment import run, small_settings
 
 from daq_service.archive import set_files
-from daq_service.cli import cli
-from daq_service.settings_file import load_settings
+from daq_service.cli.main import cli
+from daq_service.settings.file import load_settings
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])

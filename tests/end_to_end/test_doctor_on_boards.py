@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from daqmx_rig import (
+from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
     board,
@@ -23,19 +23,19 @@ from daqmx_rig import (
     parameters_of,
     quick_description,
 )
-from small_experiment import run
+from support.small_experiment import run
 
 from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
-from daq_service.doctor.command import run_doctor
-from daq_service.folder import own_data_folder, prepare_data_folder
-from daq_service.settings import Settings
-from daq_service.settings_file import config_file, load_settings
+from daq_service.cli.doctor.command import run_doctor
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.client_lock import ClientLock
-from simulator.doubles.control import RunningDoubles, running_doubles
-from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW, Description
-from simulator.doubles.library import why_unavailable
-from simulator.scenario import NoiseParameters
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW, Description
+from simulator.doubles.doors.control import RunningDoubles, running_doubles
+from simulator.doubles.doors.library import why_unavailable
+from simulator.parameters.electronics import NoiseParameters
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
 
@@ -183,7 +183,8 @@ def test_boards_of_a_running_recorder_are_left_alone(
     folder, config = tmp_path / "data", configuration(tmp_path, doubles)
     prepare_data_folder(folder)
     script = (
-        "import sys; from pathlib import Path; from daq_service.folder import own_data_folder\n"
+        "import sys; from pathlib import Path\n"
+        "from daq_service.processes.data_folder import own_data_folder\n"
         "with own_data_folder(Path(sys.argv[1])):\n    print('owned', flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", script, str(folder)]

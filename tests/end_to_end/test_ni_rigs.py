@@ -13,15 +13,15 @@ import pytest
 
 from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
-from daq_service.demo_rig import DemoRig, running_rig
+from daq_service.cli.run import child_plans
 from daq_service.errors import UsageError
-from daq_service.folder import prepare_data_folder
-from daq_service.rig import CONTROL_VARIABLE
-from daq_service.run import child_plans
-from daq_service.supervisor import Supervisor
-from simulator.doubles.control import DoublesControl
-from simulator.doubles.grpc_front import why_unavailable as why_no_grpc
-from simulator.doubles.library import why_unavailable as why_no_library
+from daq_service.processes.data_folder import prepare_data_folder
+from daq_service.processes.supervisor import Supervisor
+from daq_service.rig.doubles import DemoRig, running_rig
+from daq_service.rig.open_rig import CONTROL_VARIABLE
+from simulator.doubles.doors.control import DoublesControl
+from simulator.doubles.doors.grpc_front import why_unavailable as why_no_grpc
+from simulator.doubles.doors.library import why_unavailable as why_no_library
 
 REASONS = {"daqmx-library": why_no_library(), "daqmx-grpc": why_no_grpc()}
 NI_RIGS = [

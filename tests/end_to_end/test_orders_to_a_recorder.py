@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_experiment import run, small_settings
+from support.small_experiment import run, small_settings
 
 from daq_service.archive import set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import UsageError
-from daq_service.orders import give_order
+from daq_service.orders.give import give_order
 
 LIMIT_S = 60.0
 """Far beyond what this takes on a loaded machine: a hang ends in an error."""

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from archived_sets import assert_same_records
-from labview_files import raw_properties, waveform_properties, write
-from small_experiment import disturbed_rig, rows_of, run, small_settings
+from support.archived_sets import assert_same_records
+from support.labview_files import raw_properties, waveform_properties, write
+from support.small_experiment import disturbed_rig, rows_of, run, small_settings
 
 from daq_service.archive import read_set, set_files
 from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
-from daq_service.rig import open_rig
-from daq_service.settings_file import load_settings
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.file import load_settings
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PulseEchoRecord
 

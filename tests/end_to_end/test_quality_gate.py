@@ -9,17 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from served_web import served
-from small_experiment import RigOpener, disturbed_rig, rows_of, run, small_settings
+from support.served_web import served
+from support.small_experiment import RigOpener, disturbed_rig, rows_of, run, small_settings
 
-import daq_service.operator_commands
-from analysis.features import ALL_FEATURE_NAMES
+import daq_service.orders.obey
+from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.archive import read_set, read_waveform, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.cli.inspection import describe_status, print_status
 from daq_service.clock import NS_PER_H, parse_utc
 from daq_service.errors import RigError
-from daq_service.inspection import describe_status, print_status
-from daq_service.settings import Settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
@@ -40,7 +40,7 @@ Order = tuple[float, str, dict[str, Any]]
 @pytest.fixture(autouse=True)
 def _orders_are_heard_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Simulated hours pass in milliseconds: no fifth of a second between two looks."""
-    monkeypatch.setattr(daq_service.operator_commands, "LISTEN_EVERY_NS", 0)
+    monkeypatch.setattr(daq_service.orders.obey, "LISTEN_EVERY_NS", 0)
 
 
 def clipped(acquired: Acquired) -> Acquired:

@@ -10,20 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
+from support.small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
 
-import daq_service.taken_set
-from analysis.features import extract_features, extract_from_average
+import daq_service.acquisition.taken_set
+from analysis.waves.features import extract_features, extract_from_average
 from daq_service.archive import Archive, ArchiveWriteError, read_set, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.errors import RigError, StorageError
-from daq_service.rig import open_rig
-from daq_service.settings import Settings
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
-from simulator.coupled_model import ShotModel
-from simulator.pulse_summary import summarise
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 
 @pytest.fixture(scope="module")
@@ -328,7 +328,7 @@ def test_a_shot_that_cannot_be_analysed_stops_nothing(
         return extract_features(waveform)
 
     calls: list[Any] = []
-    monkeypatch.setattr(daq_service.taken_set, "extract_features", failing)
+    monkeypatch.setattr(daq_service.acquisition.taken_set, "extract_features", failing)
     assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
     shots = rows_of(tmp_path)["shots"]
     flagged = [shot for shot in shots if "not_analysed" in shot["flags"]]

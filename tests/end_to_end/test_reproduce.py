@@ -18,19 +18,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_experiment import SETS, run, small_settings
+from support.small_experiment import SETS, run, small_settings
 
 from daq_service.archive import read_waveform, set_files
 from daq_service.catalogue import open_catalogue
+from daq_service.cli.reproduce.causes import cause_of
+from daq_service.cli.reproduce.comparison import NOT_AVAILABLE
+from daq_service.cli.reproduce.item import Item, Job
+from daq_service.cli.reproduce.items import ITEMS, chosen_items
+from daq_service.cli.reproduce.models import impact_over_inelasticity
+from daq_service.cli.reproduce.paper_values import PAPER_VALUES, of_paper, printed
+from daq_service.cli.reproduce.run import reproduce, reproduce_into
+from daq_service.cli.reproduce.slips import SLIPS
 from daq_service.errors import StorageError, UsageError
-from daq_service.reproduce.causes import cause_of
-from daq_service.reproduce.comparison import NOT_AVAILABLE
-from daq_service.reproduce.item import Item, Job
-from daq_service.reproduce.items import ITEMS, chosen_items
-from daq_service.reproduce.models import impact_over_inelasticity
-from daq_service.reproduce.paper_values import PAPER_VALUES, of_paper, printed
-from daq_service.reproduce.run import reproduce, reproduce_into
-from daq_service.reproduce.slips import SLIPS
 
 MODELS = tuple(item for item in ITEMS if not item.needs_test and item.name != "slips")
 MEASURED = tuple(item for item in ITEMS if item.needs_test)

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_experiment import rows_of, run, small_settings
+from support.small_experiment import rows_of, run, small_settings
 
-import daq_service.recording
+import daq_service.recording.session
 from daq_service.errors import BusyError, RigError
-from daq_service.heartbeat import read_heartbeat
-from daq_service.rig import open_rig
+from daq_service.processes.heartbeat import read_heartbeat
+from daq_service.rig.open_rig import open_rig
 from hardware_drivers import errors
 
 END_H = 2.0
@@ -42,8 +42,8 @@ WRONG = errors.ConfigurationError("range_v is 3 V; the board has 1, 2, 5 and 10 
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daq_service.recording, "WAITS_FOR_RIG_S", (0.01,))
-    monkeypatch.setattr(daq_service.recording, "BEAT_EVERY_S", 0.001)
+    monkeypatch.setattr(daq_service.recording.session, "WAITS_FOR_RIG_S", (0.01,))
+    monkeypatch.setattr(daq_service.recording.session, "BEAT_EVERY_S", 0.001)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ def test_the_heartbeat_allows_for_the_longest_call_over_a_network() -> None:
             "daqmx": {"transducers": wiring, **boards},
             "niscope": {"probes": {"A": {"resource": "PXI1Slot5"}}},
         }
-        return daq_service.recording.longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
+        return daq_service.recording.session.longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
 
     assert deadline_s() == 5.0
     assert deadline_s(transport="grpc", grpc_address="lab:31763", call_timeout_s=60.0) > 10 * 60.0

@@ -6,16 +6,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_experiment import small_settings
+from support.small_experiment import small_settings
 
 from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
-from daq_service.folder import own_data_folder, prepare_data_folder
-from daq_service.recording import record
-from daq_service.rig import open_rig
-from daq_service.settings import Settings
-from simulator.doubles.serial_instruments import SerialInstruments, Supply
-from simulator.doubles.serial_link import pseudo_terminals_missing
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.recording.session import record
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.tree import Settings
+from simulator.doubles.serial.instruments import SerialInstruments, Supply
+from simulator.doubles.serial.link import pseudo_terminals_missing
 
 NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")

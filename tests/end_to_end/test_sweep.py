@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from daq_service.cli import cli
+from daq_service.cli.main import cli
 from daq_service.errors import StorageError, UsageError
 
 SOLIMON = [sys.executable, "-m", "daq_service.cli"]

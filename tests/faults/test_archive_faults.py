@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from archived_sets import SET_INDEX, assert_same_set, make_set
+from support.archived_sets import SET_INDEX, assert_same_set, make_set
 
 from daq_service.archive import Archive, ArchiveWriteError, durable_file, read_set, set_files
 

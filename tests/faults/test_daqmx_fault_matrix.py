@@ -21,8 +21,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from daqmx_brains import RunningBrain, in_a_process, running_brain
-from daqmx_rig import (
+from nidaqmx.errors import DaqResourceWarning
+from support.daqmx_brains import RunningBrain, in_a_process, running_brain
+from support.daqmx_rig import (
     HOUR_H,
     QUICK_PULSE_S,
     Forwarder,
@@ -35,7 +36,6 @@ from daqmx_rig import (
     take,
     why_no,
 )
-from nidaqmx.errors import DaqResourceWarning
 
 from hardware_drivers.daqmx import DaqmxParameters, WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
@@ -295,7 +295,7 @@ def polynomial_v():
         pretrigger_samples=1_000,
         trigger_level_v=0.25,
     )
-    from simulator.transduction import adc_calibration
+    from simulator.electronics.transduction import adc_calibration
 
     return adc_calibration(adc).coefficients_v
 
@@ -456,7 +456,7 @@ def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
 
 def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> None:
     """Child: take the line with a call in it that never returns."""
-    from simulator.doubles.control import DoublesControl
+    from simulator.doubles.doors.control import DoublesControl
 
     with pytest.MonkeyPatch.context() as patch, DoublesControl(control) as connected:
         brain = RunningBrain(wire=wire, grpc="", control=connected, process=None)

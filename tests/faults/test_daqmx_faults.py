@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from daqmx_rig import (
+from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
     Forwarder,
@@ -39,9 +39,9 @@ from hardware_drivers.errors import (
     InstrumentError,
 )
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.control import running_doubles
-from simulator.doubles.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
-from simulator.scenario import NoiseParameters
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
+from simulator.doubles.doors.control import running_doubles
+from simulator.parameters.electronics import NoiseParameters
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
 NAME = SIMULTANEOUS_16_BIT.name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from daqmx_rig import (
+from support.daqmx_rig import (
     QUICK_TWIN,
     board,
     coil_pulses_s,
@@ -18,9 +18,9 @@ from daqmx_rig import (
 
 from hardware_drivers.daqmx.survey import survey, trial_strike
 from hardware_drivers.errors import BusyError
-from simulator.doubles.control import running_doubles
-from simulator.doubles.description import SIMULTANEOUS_16_BIT, SLOW
-from simulator.scenario import NoiseParameters
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
+from simulator.doubles.doors.control import running_doubles
+from simulator.parameters.electronics import NoiseParameters
 
 NOISE_V = 0.02
 DESCRIPTION = replace(

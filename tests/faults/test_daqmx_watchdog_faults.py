@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from daqmx_rig import (
+from support.daqmx_rig import (
     board,
     coil_pulses_s,
     counts_of_the_twin,
@@ -31,8 +31,8 @@ from hardware_drivers.errors import (
     ConnectionLostError,
 )
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.control import running_doubles
-from simulator.doubles.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT
+from simulator.doubles.chassis.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT
+from simulator.doubles.doors.control import running_doubles
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
 S_SERIES = SIMULTANEOUS_12_BIT.serial_number

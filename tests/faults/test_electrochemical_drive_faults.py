@@ -1,11 +1,11 @@
 """The corrosion drive on real lines: what the supply's own record of its output says after each fault."""
 
 import pytest
-from serial_rig import NO_TERMINALS, SerialRig
+from support.serial_rig import NO_TERMINALS, SerialRig
 
-from daq_service.corrosion_charge import DriveState, restored_state
-from daq_service.electrochemical_drive import ElectrochemicalDrive
-from simulator.doubles.serial_instruments import Cell
+from daq_service.corrosion_drive.charge import DriveState, restored_state
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from simulator.doubles.serial.instruments import Cell
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 

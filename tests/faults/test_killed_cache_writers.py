@@ -18,9 +18,9 @@ import time
 import numpy as np
 import pytest
 
-from simulator.array_cache import STALE_S, kept_arrays, read_arrays
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.reduction_cache import reduced_plate, reduction_key
+from simulator.numerics.array_cache import STALE_S, kept_arrays, read_arrays
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import reduced_plate, reduction_key
 
 PROCESSES = 4
 KILLS, KILLS_IN_WRITING = 12, 3
@@ -30,7 +30,7 @@ KEEPING = """
 import hashlib, sys
 from pathlib import Path
 import numpy as np
-from simulator.array_cache import kept_arrays
+from simulator.numerics.array_cache import kept_arrays
 
 for number in range(int(sys.argv[2]), 100_000):
     compute = lambda: {"a": np.arange(10_000) / (number + 1.0), "b": np.array([[number, -0.0]])}
@@ -57,8 +57,8 @@ Path.replace = stop
 REDUCING = """
 import hashlib, json, sys
 from pathlib import Path
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.reduction_cache import reduced_plate
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import reduced_plate
 
 print("ready", flush=True)
 sys.stdin.readline()

@@ -11,9 +11,9 @@ import sys
 from collections import Counter
 from contextlib import contextmanager
 
-import niscope_rig as rig
 import numpy as np
 import pytest
+import support.niscope_rig as rig
 
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
@@ -25,8 +25,8 @@ from hardware_drivers.errors import (
 from hardware_drivers.niscope.pulse_echo import open_niscope
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
 from simulator.doubles.brain import Brain
-from simulator.doubles.control import running_doubles
-from simulator.doubles.library import client_environment
+from simulator.doubles.doors.control import running_doubles
+from simulator.doubles.doors.library import client_environment
 
 pytestmark = rig.needs_niscope
 

@@ -10,15 +10,15 @@ from contextlib import contextmanager
 import pytest
 import serial
 from serial.tools.list_ports_common import ListPortInfo
-from serial_rig import NO_TERMINALS, READ_TIMEOUT_S, SerialRig
+from support.serial_rig import NO_TERMINALS, READ_TIMEOUT_S, SerialRig
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.serial_port import port as port_module
 from hardware_drivers.serial_port.line import ATTEMPTS_PER_OPENING, SHOWN_BYTES
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
-from simulator.doubles.serial_instruments import SUPPLY_IDENTITY, Cell
-from simulator.doubles.serial_link import GARBAGE, SerialLink
+from simulator.doubles.serial.instruments import SUPPLY_IDENTITY, Cell
+from simulator.doubles.serial.link import GARBAGE, SerialLink
 
 termios = pytest.importorskip("termios", reason="serial faults are tested on pseudo terminals")
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
@@ -603,7 +603,7 @@ def test_a_port_that_fails_to_close_is_closed_all_the_same(energised, raised, mo
 
 @contextmanager
 def child():
-    command = [sys.executable, "-m", "simulator.doubles.serial_instruments", "--json", "--noise-a", "0"]
+    command = [sys.executable, "-m", "simulator.doubles.serial.instruments", "--json", "--noise-a", "0"]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, encoding="utf-8"
     ) as process:

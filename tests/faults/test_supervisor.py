@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from daq_service.heartbeat import FILE_NAME
-from daq_service.supervisor import ChildPlan, Supervisor
+from daq_service.processes.heartbeat import FILE_NAME
+from daq_service.processes.supervisor import ChildPlan, Supervisor
 
 PRELUDE = """
 import json, os, sys, time
@@ -179,7 +179,7 @@ def test_a_line_that_is_no_message_is_logged_and_skipped(
 
 
 def test_messages_are_one_json_line(capsys: pytest.CaptureFixture[str]) -> None:
-    from daq_service.supervisor import tell_supervisor
+    from daq_service.processes.child import tell_supervisor
 
     tell_supervisor("listening", url="http://127.0.0.1:1/")
     assert json.loads(capsys.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from daq_service.clock import SimulatedClock, parse_utc
-from daq_service.rig import open_rig
-from daq_service.settings import Settings
-from daq_service.twin_process import records, transducers_of, twin_executor
+from daq_service.rig.open_rig import open_rig
+from daq_service.rig.twin import records, transducers_of, twin_executor
+from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
 from simulator.instruments import RECORDS_AHEAD, build_bench
 
@@ -90,8 +90,8 @@ def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
 
 ORPHAN = """
 import os, sys
-from daq_service.settings import Settings
-from daq_service.twin_process import twin_executor
+from daq_service.settings.tree import Settings
+from daq_service.rig.twin import twin_executor
 
 if __name__ == "__main__":
     executor = twin_executor(Settings.model_validate_json(sys.argv[1]))

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
-from daq_service.settings_file import load_settings
+from daq_service.settings.file import load_settings
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
-from daq_service.doctor.boards import digital_name
+from daq_service.cli.doctor.boards import digital_name
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, same_serial

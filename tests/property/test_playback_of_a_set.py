@@ -5,11 +5,11 @@ import itertools
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_records import Scene
+from support.synthetic_records import Scene
 
-from daq_service.acquisition import MissedShot, SetPlan, take_set
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from daq_service.clock import SimulatedClock
-from daq_service.schedule import DueSet
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.playback.clock import RecordedClock

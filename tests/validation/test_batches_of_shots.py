@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator import coupled_model
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_kernel import WIDEST
-from simulator.coupled_model import Impact, ShotModel
 from simulator.errors import IntegrationError
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot import model as shot_model
+from simulator.shot.kernel import WIDEST
+from simulator.shot.model import Impact, ShotModel
 
 PLATE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
 PATCH = CorrosionParameters()
@@ -99,7 +99,7 @@ def test_no_strikes_give_no_shots(model):
 def test_one_bad_strike_is_an_error_of_the_batch(model, monkeypatch):
     with pytest.raises(ValueError, match=r"depth_fraction is 0.99; it must be at most 0.95"):
         model.shots([Impact(), Impact(depth_fraction=0.99)])
-    monkeypatch.setattr(coupled_model, "ENERGY_TOLERANCE", 1e-12)
+    monkeypatch.setattr(shot_model, "ENERGY_TOLERANCE", 1e-12)
     with pytest.raises(IntegrationError, match="energy balance is off by"):
         model.shots([Impact(), Impact(drop_height_m=4e-3)])
 

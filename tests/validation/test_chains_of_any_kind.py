@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from simulator import side_by_side
-from simulator.chain_parameters import ChainParameters, SphereParameters
-from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.parameters.chain import ChainParameters, SphereParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot import side_by_side
+from simulator.shot.model import ENERGY_TOLERANCE, ShotModel
 
 PATCH = CorrosionParameters()
 WALL = PlateParameters(model="rigid_wall")

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
-from simulator.mindlin_element import SHEAR_CORRECTION
-from simulator.mindlin_plate import build_plate
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.element import SHEAR_CORRECTION
+from simulator.plate.mindlin.plate import build_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 PLATE = PlateParameters(
     width_m=0.6,

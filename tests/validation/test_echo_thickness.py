@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from analysis.ultrasonic_thickness import thickness, thickness_interval, travel_time
-from simulator.far_wall import FarWall
-from simulator.ultrasonic_echo import bubble_volts, echo_volts
+from analysis.ultrasound.thickness import thickness, thickness_interval, travel_time
+from simulator.echo.far_wall import FarWall
+from simulator.echo.pulse import bubble_volts, echo_volts
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "echo_bias.py"
 N_WALLS = 60

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from analysis.baseline import fit_baseline
-from analysis.novelty import distance_squared
-from analysis.threshold import f_predictive_limit, false_alarm_rate, paper_limit
+from analysis.statistics.baseline import fit_baseline
+from analysis.statistics.distance import distance_squared
+from analysis.statistics.limits import f_predictive_limit, false_alarm_rate, paper_limit
 
 P = 5
 NEW_SETS = 400

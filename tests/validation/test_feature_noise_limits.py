@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from synthetic_records import Scene, cos4
+from support.synthetic_records import Scene, cos4
 
-from analysis.features import ALL_FEATURE_NAMES, extract_from_volts
+from analysis.waves.features import ALL_FEATURE_NAMES, extract_from_volts
 
 N_RECORDS = 800
 SCENE = Scene(noise_fraction=0.01)

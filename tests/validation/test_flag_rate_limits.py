@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from synthetic_records import Scene, cos4, waveform_of
+from support.synthetic_records import Scene, cos4, waveform_of
 
-from analysis.features import extract_features
+from analysis.waves.features import extract_features
 
 N_RECORDS = 200
 

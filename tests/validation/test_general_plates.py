@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.mindlin_plate import build_plate
-from simulator.plate_parameters import (
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import (
     CorrosionParameters,
     LiquidParameters,
     PatchParameters,
     PlateParameters,
 )
-from simulator.plate_reduction import reduce_plate
-from simulator.pulse_summary import summarise
+from simulator.plate.mindlin.plate import build_plate
+from simulator.plate.mindlin.reduction import reduce_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 BASE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
 PATCH = CorrosionParameters()

@@ -11,13 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator import coupled_model
-from simulator.chain_parameters import ChainParameters
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.solid_contact import hertz_transform
-from simulator.solid_mesh import SolidMesh
-from simulator.solid_reduction import passive_modes, solid_modes
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
+from simulator.plate.solid.contact import hertz_transform
+from simulator.plate.solid.reduction import passive_modes, solid_modes
+from simulator.shot import model as shot_model
+from simulator.shot.pulse_summary import summarise
 
 E_PA, NU, RADIUS_M, DENSITY = 200e9, 0.3, 9.525e-3, 7790.0
 SHEAR_PA = E_PA / (2.0 * (1.0 + NU))
@@ -101,8 +100,8 @@ def test_what_the_rigid_mass_neglects(depth, shift_us, monkeypatch):
     )
     found = []
     for modes in (rigid, both):
-        monkeypatch.setattr(coupled_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
-        shot = coupled_model.ShotModel(ChainParameters(), plate, patch, cache_folder=None).shot()
+        monkeypatch.setattr(shot_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
+        shot = shot_model.ShotModel(ChainParameters(), plate, patch, cache_folder=None).shot()
         found.append(summarise(shot))
     assert found[1].tof_us - found[0].tof_us == pytest.approx(shift_us, abs=0.01)  # quoted in the docs
     assert abs(found[1].amplitude_ratio - found[0].amplitude_ratio) < 1.1e-3

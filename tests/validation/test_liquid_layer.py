@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from scipy import integrate, linalg
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.errors import SpecimenError
-from simulator.liquid_layer import layer_mass, sine_integrals, sine_terms
-from simulator.mindlin_plate import assemble, build_plate, plate_thinning
-from simulator.plate_parameters import CorrosionParameters, LiquidParameters, PlateParameters
-from simulator.plate_reduction import reduce_plate
-from simulator.pulse_summary import summarise
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
+from simulator.plate.mindlin.liquid_layer import layer_mass, sine_integrals, sine_terms
+from simulator.plate.mindlin.plate import assemble, build_plate, plate_thinning
+from simulator.plate.mindlin.reduction import reduce_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 PATCH = CorrosionParameters(size_m=0.3)
 PATCH_ANYWHERE = CorrosionParameters(size_m=0.5)

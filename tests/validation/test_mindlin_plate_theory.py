@@ -7,9 +7,9 @@ import pytest
 from scipy.sparse.linalg import eigsh, splu
 
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
-from simulator.mindlin_element import SHEAR_CORRECTION
-from simulator.mindlin_plate import AffinePlate, assemble, build_plate, plate_thinning
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.element import SHEAR_CORRECTION
+from simulator.plate.mindlin.plate import AffinePlate, assemble, build_plate, plate_thinning
 
 PAPER = PlateParameters()
 PATCH = CorrosionParameters()

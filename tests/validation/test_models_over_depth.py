@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from simulator.chain_parameters import ChainParameters
+from simulator.parameters.chain import ChainParameters
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "reference" / "models-over-depth.csv"

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import eigsh
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.materials import bending_stiffness_n_m
-from simulator.mindlin_plate import build_plate
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 THIN = PlateParameters(thickness_m=1e-3, suspension_hz=1.0)
 PATCH = CorrosionParameters(size_m=0.3048)

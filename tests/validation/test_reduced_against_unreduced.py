@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.granular_chain import build_chain
-from simulator.mindlin_plate import build_plate
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.chain.spheres import build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+from simulator.shot.model import ShotModel
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "reduced_against_unreduced.py"
 COARSE = PlateParameters(elements_per_edge=16, contact_element_m=2e-3)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ENERGY_TOLERANCE, Impact, ShotModel
-from simulator.granular_chain import build_chain
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.chain.spheres import build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ENERGY_TOLERANCE, Impact, ShotModel
 
 PATCH = CorrosionParameters()
 WALL = PlateParameters(model="rigid_wall")

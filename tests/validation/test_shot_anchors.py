@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
-from simulator.mindlin_plate import build_plate
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.plate_reduction import reduce_plate
-from simulator.pulse_summary import summarise
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+from simulator.plate.mindlin.reduction import reduce_plate
+from simulator.shot.model import ENERGY_TOLERANCE, ShotModel
+from simulator.shot.pulse_summary import summarise
 
 PATCH = CorrosionParameters()
 DEPTHS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95)

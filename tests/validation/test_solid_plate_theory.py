@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from simulator import coupled_model
-from simulator.chain_parameters import ChainParameters
 from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.solid_contact import (
+from simulator.numerics.tensor_basis import Axis
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
+from simulator.plate.solid.contact import (
     exact_contact_compliance_m_per_n,
     half_space_indentation_m_per_n,
     hertz_transform,
     surface_flexibility_m_per_pa,
 )
-from simulator.solid_mesh import SolidMesh
-from simulator.solid_plate import SolidPlate, assembled_solid, build_solid_plate
-from simulator.solid_reduction import krylov_fields, project, shifted_solver, solid_modes
-from simulator.tensor_basis import Axis
+from simulator.plate.solid.plate import SolidPlate, assembled_solid, build_solid_plate
+from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver, solid_modes
+from simulator.shot import model as shot_model
 
 THICK = PlateParameters(
     width_m=0.04,
@@ -190,9 +189,9 @@ def test_usual_number_of_vectors_keeps_the_waveform(depth, monkeypatch):
     waves = []
     for vectors in (60, 90):
         modes = solid_modes(PAPER, patch, vectors)
-        monkeypatch.setattr(coupled_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
+        monkeypatch.setattr(shot_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
         plate = replace(PAPER, model="solid")
-        shot = coupled_model.ShotModel(
+        shot = shot_model.ShotModel(
             ChainParameters(), plate, patch, duration_s=1.4e-3, cache_folder=None
         ).shot()
         waves.append(shot.force_n - shot.preload_n)

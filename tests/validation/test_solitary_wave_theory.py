@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.granular_chain import build_chain
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
+from simulator.chain.spheres import build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 
 BODIES = 60
 WALL = PlateParameters(model="rigid_wall")

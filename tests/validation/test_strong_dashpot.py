@@ -4,11 +4,11 @@ import numba
 import numpy as np
 import pytest
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ENERGY_TOLERANCE, ShotModel
-from simulator.granular_chain import build_chain
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.reduction_cache import reduced_plate
+from simulator.chain.spheres import build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import reduced_plate
+from simulator.shot.model import ENERGY_TOLERANCE, ShotModel
 
 PAPER = PlateParameters()
 ALUMINIUM_1_MM = PlateParameters(

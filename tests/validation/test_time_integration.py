@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 
 PATCH = CorrosionParameters()
 WALL = PlateParameters(model="rigid_wall")

@@ -5,13 +5,13 @@ The mesh is coarse (32 elements an edge): the pulses' shapes matter here, not th
 
 import numpy as np
 import pytest
-from synthetic_records import waveform_of
+from support.synthetic_records import waveform_of
 
-from analysis.features import extract_features
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import local_maxima, summarise
+from analysis.waves.features import extract_features
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import local_maxima, summarise
 
 GAIN_V_PER_N = 2.5 / 150.0
 ISW_AFTER_TRIGGER_S = 40e-6

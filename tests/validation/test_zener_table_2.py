@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from simulator.chain_parameters import ChainParameters
 from simulator.materials import thin_plate_impedance_n_s_per_m
-from simulator.plate_parameters import PlateParameters
-from simulator.zener import (
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import PlateParameters
+from simulator.zener.model import (
     amplitude_ratio,
     approximate_contact_time,
     approximate_restitution,
@@ -16,7 +16,7 @@ from simulator.zener import (
     reflect,
     solve_impact,
 )
-from simulator.zener_table_2 import table_2
+from simulator.zener.table_2 import table_2
 
 PRINTED = """
 2.0 0.20 0.14 0.59 0.237 0.68 0.624 3.38 430

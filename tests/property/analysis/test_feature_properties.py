@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_records import Scene
+from support.synthetic_records import Scene
 
-from analysis.baseline import fit_baseline
-from analysis.features import ALL_FEATURE_NAMES, INVALIDATING_FLAGS, extract_from_volts
-from analysis.novelty import contributions, distance_squared
-from analysis.sequential import AlarmRule, alarm_states
+from analysis.statistics.baseline import fit_baseline
+from analysis.statistics.distance import contributions, distance_squared
+from analysis.statistics.rules import AlarmRule, alarm_states
+from analysis.waves.features import ALL_FEATURE_NAMES, INVALIDATING_FLAGS, extract_from_volts
 
 SCENES = st.builds(
     Scene,

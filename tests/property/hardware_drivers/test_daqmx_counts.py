@@ -6,14 +6,18 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from daqmx_rig import board, counts_of_the_twin, meet, parameters_of, quick_description, take, why_no
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.daqmx_rig import board, counts_of_the_twin, meet, parameters_of, quick_description, take, why_no
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.control import running_doubles
-from simulator.doubles.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT
+from simulator.doubles.chassis.description import (
+    SIMULTANEOUS_12_BIT,
+    SIMULTANEOUS_16_BIT,
+    SIMULTANEOUS_18_BIT,
+)
+from simulator.doubles.doors.control import running_doubles
 
 BOARDS = {"16 bit": SIMULTANEOUS_16_BIT, "18 bit": SIMULTANEOUS_18_BIT, "12 bit": SIMULTANEOUS_12_BIT}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.settings_file import load_settings
+from daq_service.settings.file import load_settings
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
 
 LINE = SerialLineParameters(port="/dev/serial/by-id/usb-FTDI")
@@ -57,7 +57,7 @@ def test_what_supplies_need_before_they_obey_is_accepted():
 
 
 @pytest.mark.parametrize(
-    "module", ["hardware_drivers.serial_port.parameters", "daq_service.electrochemical_drive"]
+    "module", ["hardware_drivers.serial_port.parameters", "daq_service.corrosion_drive.drive"]
 )
 def test_settings_and_bookkeeping_need_no_serial_port(module):
     code = f"import sys, {module}; sys.exit('serial' in sys.modules)"

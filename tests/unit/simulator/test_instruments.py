@@ -11,19 +11,18 @@ import pytest
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import ShotKey
-from simulator.chain_parameters import ChainParameters
-from simulator.coupled_model import ShotModel
 from simulator.instruments import LARGEST_GROUP, RECORDS_AHEAD, build_bench
-from simulator.plate_parameters import CorrosionParameters, PlateParameters
-from simulator.pulse_summary import summarise
-from simulator.scenario import (
-    AdcParameters,
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.electronics import AdcParameters, NoiseParameters
+from simulator.parameters.experiment import (
     DriftParameters,
-    NoiseParameters,
     ScatterParameters,
     ThinningParameters,
     TwinParameters,
 )
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
 from simulator.specimen import Transducer, build_specimen
 
 EPOCH_NS = 1_704_067_200_000_000_000

@@ -4,7 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 
 import pytest
-from daqmx_rig import Forwarder
+from support.daqmx_rig import Forwarder
 
 grpc = pytest.importorskip("grpc")
 

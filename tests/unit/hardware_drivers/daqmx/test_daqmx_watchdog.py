@@ -6,13 +6,13 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from daqmx_rig import meet, parameters_of, quick_description, take, why_no
+from support.daqmx_rig import meet, parameters_of, quick_description, take, why_no
 
 from hardware_drivers.daqmx import WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.coil import Coil
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.control import running_doubles
+from simulator.doubles.doors.control import running_doubles
 
 
 class Recorder:

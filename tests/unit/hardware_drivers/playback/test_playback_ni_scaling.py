@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from labview_files import polynomial
 from nptdms.scaling import get_scaling
+from support.labview_files import polynomial
 
 from hardware_drivers.playback.ni_scaling import ScalingError, raw_polynomial
 

@@ -1,7 +1,7 @@
 """Shots are found by their key, unchanged, and loaded when they are asked for."""
 
 import pytest
-from archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
+from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from archived_sets import CURVED, assert_same_waveform, counts_of, make_shot
-from labview_files import polynomial, raw_properties, waveform_properties, write, write_set
+from support.archived_sets import CURVED, assert_same_waveform, counts_of, make_shot
+from support.labview_files import polynomial, raw_properties, waveform_properties, write, write_set
 
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo

@@ -1,3 +1,3 @@
-from doubles_bench import double_library, doubles, meeting
+from support.doubles_bench import double_library, doubles, meeting
 
 __all__ = ["double_library", "doubles", "meeting"]

@@ -4,13 +4,13 @@ import threading
 
 import numpy as np
 import pytest
-from doubles_bench import Caller, SteppedClock
+from support.doubles_bench import Caller, SteppedClock
 
 from simulator.doubles.brain import Brain
-from simulator.doubles.description import default_description
+from simulator.doubles.chassis.description import default_description
 from simulator.doubles.faults import KINDS, Faults, lie
-from simulator.doubles.statuses import TEXTS, Status
-from simulator.doubles.table import TABLE
+from simulator.doubles.vendor_api.statuses import TEXTS, Status
+from simulator.doubles.vendor_api.table import TABLE
 
 WAIT_S = 10.0
 """Far beyond what a thread needs to get going."""

@@ -1,0 +1,1 @@
+"""Numbers that decide: baseline, distance, limits, rules, trend. Nothing of waves."""

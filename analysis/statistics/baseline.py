@@ -1,0 +1,227 @@
+"""A frozen baseline: mean and covariance of the healthy sets, and its own screen for suspects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.errors import InvalidInputError, NotEnoughSetsError, SingularCovarianceError
+from analysis.statistics.limits import phase_one_limit
+from analysis.waves.features import EXTRACTOR_VERSION, FEATURE_NAMES
+from analysis.waves.record_reduction import FloatArray
+
+MINIMUM_SETS = 15
+"""Fewer sets are refused: at p = 5 the limit would exceed 65 and its realised rate scatter tenfold."""
+ADVISED_SETS = 48
+"""Fewer sets bring a warning: the paper's 24 hours at one set every 30 minutes."""
+SMALLEST_EIGENVALUE = 1e-10
+"""Of the correlation matrix; below, a feature is a copy of others to rounding and has no distance."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Baseline:
+    """Healthy state of one transducer, never updated (it would learn the damage).
+
+    Attributes
+    ----------
+    name
+        Unique name, for people and the catalogue.
+    feature_names, set_indices
+        What the columns and rows of the fit were, lengths p and n.
+    mean, covariance
+        Shapes (p,) and (p, p), covariance with n - 1.
+    distances_squared
+        Of the baseline's own sets, shape (n,), in the order of ``set_indices``.
+    suspects
+        Sets beyond ``suspect_limit``; a person decides about them.
+    suspect_limit
+        Phase I limit: 5 % chance that any of n healthy normal sets exceeds it.
+    warnings
+        What the reader of a verdict should know.
+    extractor_version
+        Version of the extractor the vectors came from; versions must not be mixed.
+    """
+
+    name: str
+    feature_names: tuple[str, ...]
+    set_indices: tuple[int, ...]
+    mean: FloatArray
+    covariance: FloatArray
+    distances_squared: FloatArray
+    suspects: tuple[int, ...]
+    suspect_limit: float
+    warnings: tuple[str, ...] = ()
+    extractor_version: str = EXTRACTOR_VERSION
+    sd: FloatArray = field(init=False)
+    correlation: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "covariance", "distances_squared"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+        p, n = len(self.feature_names), len(self.set_indices)
+        shapes = (self.mean.shape, self.covariance.shape, self.distances_squared.shape)
+        if shapes != ((p,), (p, p), (n,)):
+            raise InvalidInputError(
+                f"mean, covariance and distances_squared have shapes {shapes}; {p} features of {n} sets "
+                f"need ({p},), ({p}, {p}) and ({n},)"
+            )
+        sd = np.sqrt(np.diag(self.covariance))
+        object.__setattr__(self, "sd", _read_only(sd))
+        object.__setattr__(self, "correlation", _read_only(self.covariance / np.outer(sd, sd)))
+
+    @property
+    def n(self) -> int:
+        """Number of sets."""
+        return len(self.set_indices)
+
+    @property
+    def p(self) -> int:
+        """Number of features."""
+        return len(self.feature_names)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain lists, numbers and strings; `from_dict` restores the same bits, through JSON too."""
+        return {
+            "name": self.name,
+            "feature_names": list(self.feature_names),
+            "set_indices": list(self.set_indices),
+            "mean": self.mean.tolist(),
+            "covariance": self.covariance.tolist(),
+            "distances_squared": self.distances_squared.tolist(),
+            "suspects": list(self.suspects),
+            "suspect_limit": self.suspect_limit,
+            "warnings": list(self.warnings),
+            "extractor_version": self.extractor_version,
+        }
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Baseline:
+        """Restore what `to_dict` gave.
+
+        Raises
+        ------
+        InvalidInputError
+            A key is missing, or shapes contradict each other.
+        """
+        keys = (
+            "name", "feature_names", "set_indices", "mean", "covariance", "distances_squared",
+            "suspects", "suspect_limit", "warnings", "extractor_version",
+        )  # fmt: skip
+        missing = [key for key in keys if key not in stored]
+        if missing:
+            raise InvalidInputError(f"stored baseline lacks {', '.join(missing)}; fit it again from its sets")
+        return cls(
+            name=str(stored["name"]),
+            feature_names=tuple(stored["feature_names"]),
+            set_indices=tuple(int(index) for index in stored["set_indices"]),
+            mean=np.array(stored["mean"], dtype=np.float64),
+            covariance=np.array(stored["covariance"], dtype=np.float64),
+            distances_squared=np.array(stored["distances_squared"], dtype=np.float64),
+            suspects=tuple(int(index) for index in stored["suspects"]),
+            suspect_limit=float(stored["suspect_limit"]),
+            warnings=tuple(stored["warnings"]),
+            extractor_version=str(stored["extractor_version"]),
+        )
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    copy = np.array(values, dtype=np.float64, copy=True)
+    copy.flags.writeable = False
+    return copy
+
+
+def whitening_matrix(correlation: FloatArray) -> FloatArray:
+    """Symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
+
+    Raises
+    ------
+    SingularCovarianceError
+        An eigenvalue is 0 to rounding.
+    """
+    values, vectors = np.linalg.eigh(correlation)
+    if not values[0] > SMALLEST_EIGENVALUE:
+        raise SingularCovarianceError(
+            f"smallest eigenvalue of the baseline's correlation matrix is {values[0]:.2g}, it must exceed "
+            f"{SMALLEST_EIGENVALUE:g}: a feature is a combination of others; switch the scatter on or drop it"
+        )
+    return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
+
+
+def fit_baseline(
+    vectors: ArrayLike,
+    set_indices: Sequence[int],
+    *,
+    name: str,
+    feature_names: Sequence[str] = FEATURE_NAMES,
+) -> Baseline:
+    """Mean, covariance and own distances of healthy sets.
+
+    Parameters
+    ----------
+    vectors
+        Shape (n, p), one row a set; sets that are not to be judged must be left out by the caller.
+    set_indices
+        Their n indices.
+
+    Raises
+    ------
+    NotEnoughSetsError
+        Fewer than 15 sets (or not more than p + 1); its message is the reason to store beside a null limit.
+    SingularCovarianceError
+        A feature is constant, or a combination of others.
+    InvalidInputError
+        Shapes do not fit, or a number is missing.
+    """
+    x = np.asarray(vectors, dtype=np.float64)
+    n, p = len(set_indices), len(feature_names)
+    needed = max(MINIMUM_SETS, p + 2)
+    if n < needed:
+        raise NotEnoughSetsError(
+            f"a baseline of {n} sets; at least {needed} are needed and {ADVISED_SETS} advised: "
+            "let the test run longer or extend the baseline"
+        )
+    if x.shape != (n, p):
+        raise InvalidInputError(f"vectors have shape {x.shape}; {n} sets of {p} features need ({n}, {p})")
+    incomplete = [index for index, row in zip(set_indices, x, strict=True) if not np.isfinite(row).all()]
+    if incomplete:
+        raise InvalidInputError(
+            f"sets {incomplete} lack a feature; leave sets of bad quality out of the baseline"
+        )
+    mean = x.mean(axis=0)
+    covariance = np.atleast_2d(np.cov(x, rowvar=False, ddof=1))
+    sd = np.sqrt(np.diag(covariance))
+    # Rounding of the mean leaves a constant feature a spread of some 1e-16 of its size.
+    constant = [f for f, s, m in zip(feature_names, sd, mean, strict=True) if not s > 1e-12 * abs(m)]
+    if constant:
+        raise SingularCovarianceError(
+            f"{', '.join(constant)} constant in all {n} baseline sets, so no distance exists: "
+            "switch the scatter on, or check that the sensor is connected"
+        )
+    whitened = ((x - mean) / sd) @ whitening_matrix(covariance / np.outer(sd, sd))
+    distances = (whitened**2).sum(axis=1)
+    limit = phase_one_limit(n, p)
+    suspects = tuple(int(i) for i, d in zip(set_indices, distances, strict=True) if d > limit)
+    return Baseline(
+        name=name,
+        feature_names=tuple(feature_names),
+        set_indices=tuple(int(index) for index in set_indices),
+        mean=mean,
+        covariance=covariance,
+        distances_squared=distances,
+        suspects=suspects,
+        suspect_limit=limit,
+        warnings=_warnings(n, suspects),
+    )
+
+
+def _warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
+    warnings = []
+    if n < ADVISED_SETS:
+        warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")
+    if suspects:
+        warnings.append(f"sets {list(suspects)} stand out of the baseline: inspect them")
+    return tuple(warnings)

@@ -1,0 +1,159 @@
+"""Rules over the sequence of sets: when verdicts become an alarm, and when the wall has a hole.
+
+States are small frozen values; a step takes one and returns the next, so a restart resumes from what
+the catalogue holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from analysis.errors import InvalidInputError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmRule:
+    """On when ``k`` of the last ``n`` judged sets are outliers, off when at most ``off_at_most`` are.
+
+    A set that was not judged (None) does not enter the window: it neither raises nor clears. So the
+    rule's rate a judged set does not depend on gaps, and a sensor that fails often cannot hide outliers.
+    The alarm clears only over a full window of n judged sets.
+    """
+
+    k: int = 3
+    n: int = 5
+    off_at_most: int = 0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.k <= self.n:
+            raise InvalidInputError(f"k is {self.k} of n = {self.n}; it must lie in 1..n")
+        if not 0 <= self.off_at_most < self.k:
+            raise InvalidInputError(
+                f"off_at_most is {self.off_at_most}; it must lie in 0..k - 1 = {self.k - 1}"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmState:
+    """Memory of the rule.
+
+    Attributes
+    ----------
+    recent
+        Verdicts of the last judged sets, oldest first, at most n.
+    active
+        The alarm is on.
+    """
+
+    recent: tuple[bool, ...] = ()
+    active: bool = False
+
+
+def next_alarm_state(
+    state: AlarmState,
+    outlier: bool | None,
+    rule: AlarmRule = AlarmRule(),
+) -> AlarmState:
+    """State after one more set; ``outlier`` is None where the set was not judged."""
+    if outlier is None:
+        return state
+    recent = (*state.recent, bool(outlier))[-rule.n :]
+    count = sum(recent)
+    clears = len(recent) == rule.n and count <= rule.off_at_most
+    return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
+
+
+def alarm_states(
+    outliers: Iterable[bool | None],
+    rule: AlarmRule = AlarmRule(),
+    start: AlarmState = AlarmState(),
+) -> list[AlarmState]:
+    """State after each set of a sequence, oldest first."""
+    states = []
+    state = start
+    for outlier in outliers:
+        state = next_alarm_state(state, outlier, rule)
+        states.append(state)
+    return states
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoleRule:
+    """A hole: no reflected wave in ``shots`` shots of a set, in ``consecutive_sets`` sets running.
+
+    A set without any shot (a gap) neither counts nor interrupts; a set with some shots but fewer than
+    ``shots`` without reflection interrupts.
+    """
+
+    shots: int = 7
+    consecutive_sets: int = 2
+
+    def __post_init__(self) -> None:
+        if self.shots < 1 or self.consecutive_sets < 1:
+            raise InvalidInputError(
+                f"shots is {self.shots} and consecutive_sets {self.consecutive_sets}; both must be at least 1"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HoleState:
+    """Sets running without a reflected wave, and whether that makes a hole (for good: it does not heal)."""
+
+    sets_running: int = 0
+    hole: bool = False
+
+
+def next_hole_state(
+    state: HoleState,
+    shot_flags: Sequence[Sequence[str]],
+    rule: HoleRule = HoleRule(),
+) -> HoleState:
+    """State after one more set.
+
+    Parameters
+    ----------
+    shot_flags
+        Flags of each shot taken (`analysis.waves.features.ShotFeatures.flags`).
+    """
+    if not shot_flags:
+        return state
+    silent = sum("no_psw" in flags for flags in shot_flags)
+    running = state.sets_running + 1 if silent >= rule.shots else 0
+    return HoleState(sets_running=running, hole=state.hole or running >= rule.consecutive_sets)
+
+
+def hole_states(
+    sets: Iterable[Sequence[Sequence[str]]],
+    rule: HoleRule = HoleRule(),
+    start: HoleState = HoleState(),
+) -> list[HoleState]:
+    """State after each set of a sequence, oldest first."""
+    states = []
+    state = start
+    for shot_flags in sets:
+        state = next_hole_state(state, shot_flags, rule)
+        states.append(state)
+    return states
+
+
+def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:
+    """Count the sets running that gave too few valid shots, after one more set.
+
+    Parameters
+    ----------
+    running
+        The count before this set.
+    n_valid
+        Valid shots of the set.
+    n_tried
+        Shots tried, repetitions not counted.
+    n_planned
+        Shots planned. A set that was cut short (a hold, a rig that is gone) says nothing of the
+        transducer unless it has valid shots enough: it neither counts nor interrupts.
+    minimum_valid
+        Fewer make a poor set.
+    """
+    if n_valid >= minimum_valid:
+        return 0
+    return running + 1 if n_tried >= n_planned else running

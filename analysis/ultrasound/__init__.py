@@ -1,0 +1,1 @@
+"""Thickness from ultrasonic echoes."""

@@ -1,0 +1,105 @@
+"""Envelopes, correlations and picks of ultrasonic echoes: the signal processing below the thickness."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import fft, ifft, next_fast_len
+
+from analysis.waves.pulses import parabola_peak
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
+
+
+def analytic(values: FloatArray) -> NDArray[np.complex128]:
+    """Analytic signal: negative frequencies removed, positive doubled; its modulus is the envelope."""
+    n = next_fast_len(values.size)
+    return np.asarray(ifft(_one_sided(fft(values, n))))[: values.size]
+
+
+def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    half = spectrum.size // 2
+    out = np.zeros_like(spectrum)
+    out[0] = spectrum[0]
+    out[1 : (spectrum.size + 1) // 2] = 2.0 * spectrum[1 : (spectrum.size + 1) // 2]
+    if spectrum.size % 2 == 0:
+        out[half] = spectrum[half]
+    return out
+
+
+def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
+    """Correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
+    n = next_fast_len(values.size + template.size)
+    product = fft(values, n) * np.conj(fft(template, n))
+    return np.asarray(ifft(_one_sided(product)))[: values.size]
+
+
+def envelope_peak(envelope: FloatArray, peak: int) -> float:
+    """Peak of the envelope: vertex of the parabola through its logarithm above half height.
+
+    Exact for a Gaussian envelope. Three samples around the peak would be thirty times noisier.
+    """
+    low, high = echo_extent(envelope, peak, 0.5)
+    if high - low < 3:
+        return peak + parabola_peak(*(float(v) for v in envelope[peak - 1 : peak + 2]))
+    x = np.arange(low, high + 1) - peak
+    square, linear, _ = np.linalg.lstsq(np.vander(x / (high - low), 3), np.log(envelope[low : high + 1]))[0]
+    vertex = -0.5 * linear / square * (high - low)
+    return float(np.clip(peak + vertex, low, high))
+
+
+def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
+    """First and last sample around ``peak`` where the envelope stays above a fraction of it."""
+    low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
+    before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
+    first = int(before[-1]) + 1 if before.size else 0
+    last = int(after[0]) - 1 if after.size else envelope.size - 1
+    return first, last
+
+
+def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
+    """Index of the first maximum between two indices of at least a fraction of the highest there."""
+    gate = envelope[first - 1 : last + 2]
+    inner = gate[1:-1]
+    floor = fraction * float(inner.max())
+    found = np.flatnonzero((inner > gate[:-2]) & (inner >= gate[2:]) & (inner >= floor) & (inner > 0.0))
+    return first + int(found[0]) if found.size else None
+
+
+def nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool]:
+    """Lag of the carrier maximum nearest to ``coarse``, and whether it may be the wrong one.
+
+    It may be if a neighbour is higher, or if it lies more than a quarter period from ``coarse``: the
+    echo's shape has changed then.
+    """
+    maxima = np.flatnonzero((carrier[1:-1] > carrier[:-2]) & (carrier[1:-1] >= carrier[2:])) + 1
+    k = int(np.argmin(np.abs(maxima - coarse)))
+    neighbours = maxima[max(0, k - 1) : k + 2]
+    period = float(np.diff(neighbours).mean()) if neighbours.size > 1 else math.inf
+    doubtful = carrier[neighbours].max() > carrier[maxima[k]] or abs(maxima[k] - coarse) > 0.25 * period
+    return int(maxima[k]), bool(doubtful)
+
+
+def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
+    """Likeness of two stretches of record, -1..1; NaN if one of them is silent."""
+    norm = math.sqrt(float(segment @ segment) * float(template @ template))
+    return float(segment @ template) / norm if norm > 0.0 else math.nan
+
+
+def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
+    """Cramer-Rao bound of an echo's time in white noise: noise over the root of the slope's energy.
+
+    The noise is read from the differences between samples, which hold little of an echo.
+    """
+    differences = np.diff(volts)
+    noise_v = MAD_TO_SD * float(np.median(np.abs(differences - np.median(differences)))) / math.sqrt(2.0)
+    slope = np.gradient(echo_v) * rate_hz
+    return noise_v / math.sqrt(float(slope @ slope))
+
+
+def centre_of_gravity_hz(values: FloatArray, rate_hz: float) -> float:
+    """Centre of gravity of the power spectrum."""
+    power = np.abs(fft(values, 8 * values.size)[: 4 * values.size]) ** 2
+    frequency_hz = np.arange(power.size) * rate_hz / (8 * values.size)
+    return float(power @ frequency_hz / power.sum())

@@ -1,0 +1,1 @@
+"""A solitary-wave record becomes pulses, features and quality flags."""

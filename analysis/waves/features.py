@@ -1,0 +1,395 @@
+"""Features of a solitary-wave shot and of a set of shots (paper, section 4; definitions below).
+
+All features come from x, the record in volts minus its quiet level:
+
+- ``tof_pp_s``: PSW minus ISW time, each the peak of a quartic fitted by least squares above half height
+  (the paper's "peak to peak"); amplitudes are the heights of these quartics.
+- ``tof_mf_s``: the same between the maxima of a matched filter with kernel cos^4(pi t / W), |t| < W/2,
+  W = 2.75 x the ISW's FWHM of the baseline: the quietest one, for detection and inversion.
+- ``tof_ac_s``, ``autocorrelation_coefficient``: x is set to zero outside [t_ISW - 90 us, t_PSW + 90 us];
+  R(k) is its linear autocorrelation, smoothed by a triangle with a base of 10 us (that is, the
+  autocorrelation of x after a 5-us moving mean); R(0) is not smoothed and loses the noise's share,
+  N_gate sigma^2. ``tof_ac_s`` is the lag of the maximum of r = R/R(0) within 40 us of ``tof_pp_s``, the
+  coefficient is r there. For two equal pulses of ratio a it is a / (1 + a^2), less .15 % by the triangle:
+  it nearly repeats the ratio.
+- ``psw_area_v_s``: integral of x over t_PSW +- 90 us; ``psw_isw_area_ratio`` is free of gain.
+
+These estimators are different quantities once the PSW is skewed: never mix two versions of the
+extractor in one baseline.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.fft import irfft, rfft
+from scipy.fft import next_fast_len
+
+from analysis.errors import InvalidInputError, RecordError
+from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
+from analysis.waves.record_reduction import (
+    ExtractionSettings,
+    FloatArray,
+    ReducedRecord,
+    mean_weights,
+    reduce_record,
+)
+from hardware_drivers.measurement import Waveform
+
+EXTRACTOR_VERSION = "1.1"
+"""Changes whenever any feature of any record would."""
+
+FEATURE_NAMES = (
+    "tof_pp_s",
+    "tof_ac_s",
+    "amplitude_ratio",
+    "autocorrelation_coefficient",
+    "psw_area_v_s",
+)
+"""The five of the Mahalanobis vector, in its order (paper, below eq. 15)."""
+
+OTHER_FEATURE_NAMES = (
+    "tof_mf_s",
+    "isw_amplitude_v",
+    "psw_amplitude_v",
+    "ssw_amplitude_v",
+    "isw_time_s",
+    "psw_time_s",
+    "ssw_time_s",
+    "isw_fwhm_s",
+    "psw_isw_area_ratio",
+    "noise_rms_v",
+)
+ALL_FEATURE_NAMES = FEATURE_NAMES + OTHER_FEATURE_NAMES
+
+FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "psw_merged", "baseline", "noisy")
+INVALIDATING_FLAGS = frozenset({"missed", "double", "clipped", "inverted", "no_psw"})
+"""A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
+
+The other three leave the vector usable: a merged PSW is what a badly corroded wall sends back, and
+dropping it would hide the damage.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotFeatures:
+    """Features of one shot; NaN where not available.
+
+    Attributes
+    ----------
+    flags
+        What is wrong with the shot, of `FLAGS`, in that order.
+    valid
+        No flag of `INVALIDATING_FLAGS`.
+    quality
+        ``good`` (no flag), ``suspect`` (valid, with a flag) or ``bad`` (not valid).
+    """
+
+    tof_pp_s: float = math.nan
+    tof_ac_s: float = math.nan
+    amplitude_ratio: float = math.nan
+    autocorrelation_coefficient: float = math.nan
+    psw_area_v_s: float = math.nan
+    tof_mf_s: float = math.nan
+    isw_amplitude_v: float = math.nan
+    psw_amplitude_v: float = math.nan
+    ssw_amplitude_v: float = math.nan
+    isw_time_s: float = math.nan
+    psw_time_s: float = math.nan
+    ssw_time_s: float = math.nan
+    isw_fwhm_s: float = math.nan
+    psw_isw_area_ratio: float = math.nan
+    noise_rms_v: float = math.nan
+    flags: tuple[str, ...] = ()
+    valid: bool = True
+    quality: str = "good"
+
+    def values(self) -> dict[str, float]:
+        """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
+        return {name: getattr(self, name) for name in ALL_FEATURE_NAMES}
+
+    def vector(self) -> FloatArray:
+        """Return the five features of the Mahalanobis vector, shape (5,)."""
+        return np.array([getattr(self, name) for name in FEATURE_NAMES])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetFeatures:
+    """Mean features of a set's valid shots.
+
+    Attributes
+    ----------
+    mean, sd
+        By name (`ALL_FEATURE_NAMES`). Means are NaN where fewer than the demanded number of shots
+        are valid; standard deviations (one shot, n - 1) also for a single shot.
+    n_shots, n_valid
+        Shots handed in, and those in the mean.
+    quality
+        ``bad``: too few valid shots, not to be judged; ``suspect``: some shots were left out or at
+        least half of the valid ones are suspect; else ``good``.
+    reason
+        Why the quality is not good, empty if it is.
+    """
+
+    mean: dict[str, float]
+    sd: dict[str, float]
+    n_shots: int
+    n_valid: int
+    quality: str
+    reason: str
+
+    def vector(self) -> FloatArray:
+        """Return the five features of the Mahalanobis vector, shape (5,)."""
+        return np.array([self.mean[name] for name in FEATURE_NAMES])
+
+
+def extract_features(waveform: Waveform, settings: ExtractionSettings = ExtractionSettings()) -> ShotFeatures:  # noqa: B008 frozen, so a shared default is safe
+    """Features of one shot.
+
+    Parameters
+    ----------
+    waveform
+        Record with at least some pre-trigger and all of the search windows.
+
+    Raises
+    ------
+    RecordError
+        The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead).
+    """
+    return extract_from_volts(
+        waveform.volts(),
+        waveform.sample_rate_hz,
+        waveform.pretrigger_samples,
+        clipped=waveform.clipped,
+        settings=settings,
+    )
+
+
+def extract_from_average(
+    waveforms: Sequence[Waveform],
+    settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+) -> ShotFeatures:
+    """Features of the mean of a set's records (the paper's way), clipped if any of them is.
+
+    The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
+
+    Raises
+    ------
+    RecordError
+        No record, or records that differ in rate, length or pre-trigger.
+    """
+    if not waveforms:
+        raise RecordError("no record to average; a set needs at least one")
+    shapes = {(w.counts.size, w.sample_rate_hz, w.pretrigger_samples) for w in waveforms}
+    if len(shapes) != 1:
+        raise RecordError(
+            f"records to average differ in (samples, sample_rate_hz, pretrigger_samples): {sorted(shapes)}"
+        )
+    total = waveforms[0].volts()
+    for waveform in waveforms[1:]:
+        total += waveform.volts()
+    return extract_from_volts(
+        total / len(waveforms),
+        waveforms[0].sample_rate_hz,
+        waveforms[0].pretrigger_samples,
+        clipped=any(waveform.clipped for waveform in waveforms),
+        settings=settings,
+    )
+
+
+def extract_from_volts(
+    volts_v: FloatArray,
+    sample_rate_hz: float,
+    pretrigger_samples: int,
+    *,
+    clipped: bool = False,
+    settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+) -> ShotFeatures:
+    """Features of a record given as volts, shape (n_samples,); see `extract_features`."""
+    samples = np.asarray(volts_v, dtype=np.float64)
+    if samples.ndim != 1 or not np.isfinite(samples.sum()):
+        raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
+    record = reduce_record(samples, sample_rate_hz, pretrigger_samples, settings)
+    pulses = find_pulses(record, settings)
+    found = {"clipped"} if clipped else set()
+    found |= _flags(record, pulses, settings)
+    flags = tuple(flag for flag in FLAGS if flag in found)
+    valid = INVALIDATING_FLAGS.isdisjoint(flags)
+    return ShotFeatures(
+        **_measured(record, pulses, settings),
+        noise_rms_v=record.noise_rms_v,
+        flags=flags,
+        valid=valid,
+        quality="bad" if not valid else "suspect" if flags else "good",
+    )
+
+
+def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> set[str]:
+    if pulses.inverted:
+        return {"inverted"}
+    if pulses.isw is None:
+        return {"missed"}
+    found = set()
+    if pulses.psw is None:
+        found.add("no_psw")
+    if pulses.double:
+        found.add("double")
+    if pulses.psw_merged:
+        found.add("psw_merged")
+    if pulses.isw.amplitude_v < settings.noisy_below_snr * record.noise_rms_v:
+        found.add("noisy")
+    if _baseline_drifts(record, pulses.isw, settings):
+        found.add("baseline")
+    return found
+
+
+def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
+    """Whether the quiet stretch before the ISW or the end of the record leaves the quiet level.
+
+    Both are taken as 10-us means: a range above the stated fraction of the ISW and above six standard
+    deviations of white noise cannot be noise.
+    """
+    width = max(1, round(10e-6 / record.step_s))
+    tail = record.blocks_v[-10 * width :].mean()
+    quiet = record.blocks_v[: record.quiet_blocks - record.quiet_blocks % width]
+    steps = quiet.reshape(-1, width).mean(axis=1)
+    noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
+    limit = max(settings.baseline_drift_fraction * isw.amplitude_v, 6.0 * noise)
+    return bool(abs(tail) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
+
+
+def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> dict[str, float]:
+    """Every feature that can be had."""
+    isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
+    values: dict[str, float] = {}
+    if isw is None:
+        return values
+    values.update(isw_time_s=isw.time_s, isw_amplitude_v=isw.amplitude_v, isw_fwhm_s=isw.fwhm_s)
+    if ssw is not None:
+        values.update(ssw_time_s=ssw.time_s, ssw_amplitude_v=ssw.amplitude_v)
+    if psw is None:
+        return values
+    tof_ac, coefficient = _autocorrelation(record, isw, psw, settings)
+    psw_area = _area(record, psw.time_s, settings.window_half_width_s)
+    isw_area = _area(record, isw.time_s, settings.window_half_width_s)
+    values.update(
+        tof_pp_s=psw.time_s - isw.time_s,
+        tof_mf_s=psw.matched_time_s - isw.matched_time_s,
+        tof_ac_s=tof_ac,
+        amplitude_ratio=psw.amplitude_v / isw.amplitude_v,
+        autocorrelation_coefficient=coefficient,
+        psw_area_v_s=psw_area,
+        psw_isw_area_ratio=psw_area / isw_area if isw_area > 0.0 else math.nan,
+        psw_time_s=psw.time_s,
+        psw_amplitude_v=psw.amplitude_v,
+    )
+    return values
+
+
+def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
+    """Integral of the record over ``centre_s`` +- ``half_width_s`` in V s, cut at the record's ends."""
+    n = record.blocks_v.size
+    first = min(max(record.index(centre_s - half_width_s) + 0.5, 0.0), float(n))
+    last = min(max(record.index(centre_s + half_width_s) + 0.5, 0.0), float(n))
+    inner_first, inner_last = math.ceil(first), math.floor(last)
+    total = float(record.blocks_v[inner_first:inner_last].sum())
+    if inner_first > first:
+        total += (inner_first - first) * float(record.blocks_v[inner_first - 1])
+    if last > inner_last:
+        total += (last - inner_last) * float(record.blocks_v[inner_last])
+    return total * record.step_s
+
+
+def _autocorrelation(
+    record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
+) -> tuple[float, float]:
+    """Time of flight and coefficient of the gated, smoothed autocorrelation (module docstring).
+
+    The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
+    sample: the mean leaves nothing for the missing samples to add.
+    """
+    n = record.blocks_v.size
+    first = max(0, round(record.index(isw.time_s - settings.window_half_width_s)))
+    last = min(n, round(record.index(psw.time_s + settings.window_half_width_s)) + 1)
+    gate = record.blocks_v[first:last]
+    samples = record.samples_v[first * record.block_samples : last * record.block_samples] - record.offset_v
+    power = float(np.einsum("i,i->", samples, samples)) - samples.size * record.noise_rms_v**2
+    tof = (psw.time_s - isw.time_s) / record.step_s
+    search = settings.autocorrelation_search_half_width_s / record.step_s
+    low = max(1, math.ceil(tof - search))
+    high = min(gate.size - 2, math.floor(tof + search))
+    if power <= 0.0 or high <= low:
+        return math.nan, math.nan
+    width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
+    smooth = np.correlate(gate, mean_weights(width), "full")
+    n_fft = next_fast_len(smooth.size + high + 2, real=True)
+    spectrum = rfft(smooth, n_fft)
+    correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
+    peak = low + int(correlation[low : high + 1].argmax())
+    before, centre, after = (float(v) for v in correlation[peak - 1 : peak + 2])
+    if not before <= centre >= after:
+        # The highest value lies on the edge of the search window: it is no maximum, so not the PSW's.
+        return math.nan, math.nan
+    shift = parabola_peak(before, centre, after)
+    height = centre - 0.25 * (before - after) * shift
+    return (peak + shift) * record.step_s, height * record.block_samples / power
+
+
+def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = 7) -> SetFeatures:
+    """Mean and standard deviation of the valid shots' features.
+
+    Parameters
+    ----------
+    shots
+        Every shot that was taken, valid or not.
+    minimum_valid
+        Fewer valid shots make no mean (the paper takes ten shots a set).
+    """
+    if minimum_valid < 1:
+        raise InvalidInputError(f"minimum_valid is {minimum_valid}; it must be at least 1")
+    valid = [shot for shot in shots if shot.valid]
+    n_valid = len(valid)
+    counts = {flag: sum(flag in shot.flags for shot in shots) for flag in FLAGS}
+    listed = ", ".join(f"{flag} in {count}" for flag, count in counts.items() if count)
+    missing = dict.fromkeys(ALL_FEATURE_NAMES, math.nan)
+    if n_valid < minimum_valid:
+        reason = f"{n_valid} of {len(shots)} shots valid, {minimum_valid} needed"
+        return SetFeatures(
+            mean=missing,
+            sd=dict(missing),
+            n_shots=len(shots),
+            n_valid=n_valid,
+            quality="bad",
+            reason=f"{reason} ({listed})" if listed else reason,
+        )
+    table = np.array([[getattr(shot, name) for name in ALL_FEATURE_NAMES] for shot in valid])
+    mean, sd = _column_statistics(table)
+    reasons = []
+    if n_valid < len(shots):
+        reasons.append(f"{len(shots) - n_valid} of {len(shots)} shots left out")
+    n_suspect = sum(shot.quality == "suspect" for shot in valid)
+    if 2 * n_suspect >= n_valid:
+        reasons.append(f"{n_suspect} of {n_valid} valid shots suspect")
+    reason = "; ".join(reasons)
+    return SetFeatures(
+        mean=dict(zip(ALL_FEATURE_NAMES, mean, strict=True)),
+        sd=dict(zip(ALL_FEATURE_NAMES, sd, strict=True)),
+        n_shots=len(shots),
+        n_valid=n_valid,
+        quality="suspect" if reasons else "good",
+        reason=f"{reason} ({listed})" if reason else "",
+    )
+
+
+def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:
+    """Mean and standard deviation (n - 1) of each column's numbers, NaN where there are too few."""
+    present = ~np.isnan(table)
+    n = present.sum(axis=0)
+    filled = np.where(present, table, 0.0)
+    mean = np.where(n > 0, filled.sum(axis=0) / np.maximum(n, 1), np.nan)
+    residual = np.where(present, table - mean, 0.0)
+    sd = np.where(n > 1, np.sqrt((residual**2).sum(axis=0) / np.maximum(n - 1, 1)), np.nan)
+    return mean.tolist(), sd.tolist()

@@ -1,0 +1,295 @@
+"""Find the solitary waves of a record: incident (ISW), primary (PSW) and secondary (SSW) reflected wave."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from analysis.waves.record_reduction import ExtractionSettings, FloatArray, ReducedRecord, moving_mean
+
+__all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
+
+TOP_SMOOTHING_S = 11e-6
+"""Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
+FLANK_SMOOTHING_S = 5e-6
+"""Moving mean in which the half-height crossings are read: too short to widen the pulse."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pulse:
+    """One solitary wave.
+
+    Attributes
+    ----------
+    time_s
+        Peak of the quartic through the top (above half height), from the trigger.
+    amplitude_v
+        Height of that quartic.
+    matched_time_s
+        Peak of the matched filter, from the trigger.
+    fwhm_s
+        Full width at half maximum, NaN where a flank does not fall to half height; 0 for a spike so narrow
+        that `FLANK_SMOOTHING_S` leaves less than half of its height.
+    regular
+        False where the quartic has no maximum inside (two tops, a plateau): time and amplitude are
+        those of the highest smoothed value then.
+    """
+
+    time_s: float
+    amplitude_v: float
+    matched_time_s: float
+    fwhm_s: float
+    regular: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pulses:
+    """The solitary waves of one record; None where there is none.
+
+    Attributes
+    ----------
+    inverted
+        The record's strongest pulse is negative; nothing else was looked for.
+    double
+        There is a third pulse, or the ISW is too wide for one strike.
+    psw_merged
+        The PSW holds more than one maximum, or is much wider than the ISW.
+    """
+
+    isw: Pulse | None = None
+    psw: Pulse | None = None
+    ssw: Pulse | None = None
+    inverted: bool = False
+    double: bool = False
+    psw_merged: bool = False
+
+
+def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
+    """Find ISW, PSW and SSW.
+
+    The ISW is the first maximum of the matched filter above half of its largest; it must leave room in
+    the record for the PSW's window, and rise ``missed_below_snr`` above the noise. The PSW is the first
+    maximum, ``psw_earliest_s`` to ``psw_latest_s`` later, of at least half the highest there; the SSW the
+    highest one a set time after the PSW.
+
+    Parameters
+    ----------
+    record
+        From `analysis.waves.record_reduction.reduce_record`.
+
+    Returns
+    -------
+    Pulses
+        ``isw`` is None for a missed strike, ``psw`` None where no wave came back.
+    """
+    matched = record.matched_v
+    top = float(matched.max())
+    bottom = float(matched.min())
+    if -bottom > max(top, settings.missed_below_snr * record.noise_rms_v):
+        return Pulses(inverted=True)
+    maxima = _maxima(matched)
+    isw = _find_isw(record, maxima, top, settings)
+    if isw is None:
+        return Pulses()
+    floor = settings.no_psw_below_sigmas * record.matched_noise_v
+    isw_index = record.index(isw.matched_time_s)
+    psw = _leading(
+        record,
+        maxima,
+        isw_index + settings.psw_earliest_s / record.step_s,
+        isw_index + settings.psw_latest_s / record.step_s,
+        settings.psw_leading_fraction,
+        max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
+    )
+    ssw = None
+    if psw is not None:
+        psw_index = record.index(psw.matched_time_s)
+        ssw = _leading(
+            record,
+            maxima,
+            psw_index + settings.ssw_after_psw_earliest_s / record.step_s,
+            psw_index + settings.ssw_after_psw_latest_s / record.step_s,
+            1.0,
+            max(floor, settings.ssw_below_fraction * isw.amplitude_v),
+        )
+    double, merged = _extra_pulses(record, isw, psw, settings)
+    return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged)
+
+
+def _find_isw(
+    record: ReducedRecord, maxima: list[int], top: float, settings: ExtractionSettings
+) -> Pulse | None:
+    first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
+    if first is None or top <= 0.0:
+        return None
+    room = (settings.psw_latest_s + settings.window_half_width_s) / record.step_s
+    if first + room > record.blocks_v.size:
+        return None
+    pulse = _measure(record, first)
+    if pulse is None or pulse.amplitude_v < settings.missed_below_snr * record.noise_rms_v:
+        return None
+    if pulse.fwhm_s < settings.spike_width_ratio * settings.isw_fwhm_s:
+        return None
+    return pulse
+
+
+def _maxima(values: FloatArray) -> list[int]:
+    """Return the indices of the interior local maxima (the first sample of a plateau)."""
+    rising = values[1:-1] > values[:-2]
+    return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
+
+
+def _leading(
+    record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
+) -> Pulse | None:
+    """First pulse between two indices of at least ``fraction`` of the highest there and above ``floor``."""
+    inside = [(index, float(record.matched_v[index])) for index in maxima if first <= index <= last]
+    highest = max((height for _, height in inside), default=0.0)
+    if highest <= 0.0:
+        return None
+    pulse = _measure(record, next(index for index, height in inside if height >= fraction * highest))
+    return None if pulse is None or pulse.amplitude_v < floor else pulse
+
+
+def parabola_peak(before: float, centre: float, after: float) -> float:
+    """Offset of a parabola's maximum from the middle one of three equally spaced values, in samples."""
+    curvature = before - 2.0 * centre + after
+    return 0.0 if curvature >= 0.0 else 0.5 * (before - after) / curvature
+
+
+def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
+    """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
+    blocks, matched = record.blocks_v, record.matched_v
+    shift = parabola_peak(*(float(v) for v in matched[matched_index - 1 : matched_index + 2]))
+    reach = round(150e-6 / record.step_s)
+    start = max(0, matched_index - reach)
+    near_pulse = blocks[start : matched_index + reach + 1]
+    smooth = moving_mean(near_pulse, _odd(TOP_SMOOTHING_S / record.step_s))
+    centre = matched_index - start
+    near = round(40e-6 / record.step_s)
+    low = max(0, centre - near)
+    peak = low + int(smooth[low : centre + near + 1].argmax())
+    first, last = _above(smooth, peak, 0.5 * float(smooth[peak]))
+    if last - first < 6:
+        return None
+    fit = _quartic_maximum(near_pulse[first : last + 1])
+    regular = fit is not None
+    position, height = fit if fit is not None else (float(peak - first), float(smooth[peak]))
+    flanks = moving_mean(near_pulse, _odd(FLANK_SMOOTHING_S / record.step_s))
+    return Pulse(
+        time_s=record.time_s(start + first + position),
+        amplitude_v=height,
+        matched_time_s=record.time_s(matched_index + shift),
+        fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
+        regular=regular,
+    )
+
+
+def _odd(width: float) -> int:
+    """Nearest odd number, at least 1."""
+    return 2 * max(0, round(0.5 * (width - 1.0))) + 1
+
+
+def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
+    """First and last index of the stretch around ``peak`` that stays above ``level``.
+
+    The last lies before the first if ``peak`` itself does not.
+    """
+    below = values <= level
+    if below[peak]:
+        return peak, peak - 1
+    # argmax gives the first True, or 0 if there is none: then the stretch reaches the end.
+    left, right = int(below[peak::-1].argmax()), int(below[peak:].argmax())
+    return (peak - left + 1 if left else 0), (peak + right - 1 if right else values.size - 1)
+
+
+def _width_at(values: FloatArray, peak: int, level: float) -> float:
+    """Distance in samples between the linearly interpolated crossings of ``level`` around ``peak``.
+
+    0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
+    """
+    first, last = _above(values, peak, level)
+    if last < first:
+        return 0.0
+    if first == 0 or last == values.size - 1:
+        return math.nan
+    left = first - (values[first] - level) / (values[first] - values[first - 1])
+    right = last + (values[last] - level) / (values[last] - values[last + 1])
+    return float(right - left)
+
+
+@lru_cache(maxsize=1024)
+def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
+    """Design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
+    design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
+    solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
+    for array in (design, solver):
+        array.flags.writeable = False
+    return design, solver
+
+
+def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
+    """Position (samples) and height of the least-squares quartic's maximum; None if it has none inside."""
+    n = values.size
+    design, solver = _quartic_design(n)
+    coefficients = solver @ values
+    c0, c1, c2, c3, c4 = coefficients.tolist()
+    # Newton from the highest grid point: a quartic may have two maxima.
+    u = float(design[(design @ coefficients).argmax(), 1])
+    for _ in range(20):
+        slope = c1 + u * (2.0 * c2 + u * (3.0 * c3 + u * 4.0 * c4))
+        curvature = 2.0 * c2 + u * (6.0 * c3 + u * 12.0 * c4)
+        if curvature >= 0.0:
+            return None
+        step = slope / curvature
+        u -= step
+        if not -1.0 < u < 1.0:
+            return None
+        if abs(step) < 1e-12:
+            break
+    height = c0 + u * (c1 + u * (c2 + u * (c3 + u * c4)))
+    return 0.5 * (n - 1) * (1.0 + u), height
+
+
+def _extra_pulses(
+    record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings
+) -> tuple[bool, bool]:
+    """Whether there is a second strike, and whether the PSW is merged with another wave."""
+    double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
+    merged = psw is not None and not psw.regular
+    smooth = moving_mean(record.blocks_v, _odd(TOP_SMOOTHING_S / record.step_s))
+    for index in prominent_maxima(
+        smooth,
+        settings.double_above_fraction * isw.amplitude_v,
+        settings.double_valley_fraction * isw.amplitude_v,
+    ):
+        time_s = record.time_s(index)
+        if abs(time_s - isw.time_s) <= 0.25 * settings.isw_fwhm_s:
+            continue
+        if psw is None and time_s > isw.time_s + settings.psw_latest_s:
+            continue  # a reflected wave that came too late looks like a second strike
+        if psw is None or abs(time_s - psw.time_s) > settings.merged_distance_s:
+            double = True
+        elif abs(time_s - psw.time_s) > 0.25 * settings.isw_fwhm_s:
+            merged = True
+    if psw is not None:
+        double = double or psw.amplitude_v > settings.double_above_amplitude_ratio * isw.amplitude_v
+        merged = merged or not psw.fwhm_s <= settings.merged_width_ratio * isw.fwhm_s
+    return double, merged
+
+
+def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:
+    """Return indices of maxima of at least ``floor``, with a fall of at least ``valley`` between any two."""
+    kept: list[int] = []
+    for index in _maxima(np.where(values >= floor, values, floor)):
+        if kept:
+            lowest = float(values[kept[-1] : index].min())
+            if min(values[kept[-1]], values[index]) - lowest < valley:
+                if values[index] > values[kept[-1]]:
+                    kept[-1] = index
+                continue
+        kept.append(index)
+    return kept

@@ -1,0 +1,89 @@
+"""Quality gate of a shot: which strikes are worth repeating, and which attempt counts.
+
+A poor strike (nothing triggered, struck twice, clipped, ...) is repeated at once instead of being
+averaged in or silently dropped. Both records stay; one of them counts. The number of repetitions in a
+set is bounded: what stays poor after that is the transducer's state, not an accident.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from analysis.errors import InvalidInputError
+from analysis.waves.features import FLAGS
+
+RESTRIKE_FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "noisy")
+"""Flags of a shot that a repetition may cure; a merged reflection or a drifting baseline it would not."""
+
+ACCEPTED, SUPERSEDED = "accepted", "superseded"
+_RANK = {"bad": 0, "suspect": 1, "good": 2}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RestrikeRule:
+    """Repeat a shot with one of ``flags`` once, at most ``restrikes_per_set`` times in a set.
+
+    Attributes
+    ----------
+    flags
+        Of `analysis.waves.features.FLAGS`; a strike that left no record counts as ``missed``.
+    restrikes_per_set
+        For each transducer.
+    """
+
+    flags: tuple[str, ...] = RESTRIKE_FLAGS
+    restrikes_per_set: int = 3
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.flags) - set(FLAGS))
+        if unknown:
+            raise InvalidInputError(f"{unknown} are no flags of a shot; there are {', '.join(FLAGS)}")
+        if self.restrikes_per_set < 0:
+            raise InvalidInputError(
+                f"restrikes_per_set is {self.restrikes_per_set}; it must not be negative (0: never)"
+            )
+
+    def wants(self, shot_flags: Sequence[str], *, attempt: int, restrikes_so_far: int) -> bool:
+        """Say whether a shot is to be struck again.
+
+        Parameters
+        ----------
+        shot_flags
+            Its flags, ``("missed",)`` where no record came.
+        attempt
+            0 for the first strike; only that one is repeated.
+        restrikes_so_far
+            Repetitions already made for this transducer in this set.
+        """
+        poor = not set(self.flags).isdisjoint(shot_flags)
+        return poor and attempt == 0 and restrikes_so_far < self.restrikes_per_set
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Attempt:
+    """One record of a shot: which shot of the set, which attempt, how good."""
+
+    shot_index: int
+    attempt: int
+    quality: str
+
+
+def outcomes(attempts: Sequence[Attempt]) -> list[str]:
+    """Say ``accepted`` or ``superseded`` of each record: of a shot's attempts the best one counts.
+
+    Of equally good ones the last counts: it was struck because something was wrong with the first.
+    """
+    best: dict[int, int] = {}
+    for number, item in enumerate(attempts):
+        if item.quality not in _RANK:
+            raise InvalidInputError(f"quality is {item.quality!r}; it must be one of {', '.join(_RANK)}")
+        rival = best.get(item.shot_index)
+        if rival is None or _merit(item) >= _merit(attempts[rival]):
+            best[item.shot_index] = number
+    chosen = set(best.values())
+    return [ACCEPTED if number in chosen else SUPERSEDED for number in range(len(attempts))]
+
+
+def _merit(item: Attempt) -> tuple[int, int]:
+    return _RANK[item.quality], item.attempt

@@ -1,0 +1,223 @@
+"""Take one set: strike, read, and yield what came, in the order in which it was taken.
+
+A set is one due time: one pulse-echo record of each ultrasonic position, then ten strikes of each
+transducer, one transducer after the other. A strike that the quality gate wants again is repeated at
+once; what comes after it moves by one interval.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from daq_service.acquisition.schedule import DueSet
+from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
+from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+
+NS_PER_S = 1_000_000_000
+
+LOST_IN_A_ROW = 3
+"""Records running that a lost connection may cost before the set is given up: as many as a driver's
+recovery has rungs (fresh tasks, reset, find the board again). The next set tries again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedShot:
+    """A strike or echo that left no record.
+
+    Attributes
+    ----------
+    reason
+        ``no_trigger``: nothing came in time; ``connection_lost``: the instrument did not answer.
+    """
+
+    key: ShotKey
+    cause: str
+    reason: Literal["no_trigger", "connection_lost"] = "no_trigger"
+
+
+Measurement = Shot | PulseEchoRecord | MissedShot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetPlan:
+    """What is wanted of a set.
+
+    Attributes
+    ----------
+    positions
+        Active positions and their method, in the order in which they are measured.
+    """
+
+    due: DueSet
+    positions: Mapping[str, str]
+    shots_per_set: int
+    shot_interval_s: float
+    read_timeout_s: float
+
+    def of_method(self, method: str) -> Sequence[str]:
+        """Positions of one method."""
+        return [name for name, its_method in self.positions.items() if its_method == method]
+
+
+def strikes_after(
+    sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
+) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
+    """Tell what `take_set` will strike after a given strike, set after set, if nothing intervenes.
+
+    Parameters
+    ----------
+    sets
+        Every planned set; the set of index k is the k-th.
+    positions
+        Solitary-wave positions, in the order in which they are struck.
+
+    Returns
+    -------
+    Callable
+        Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it.
+    """
+    order = list(itertools.product(positions, range(shots_per_set)))
+    slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
+
+    def planned(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+        if (key.position, key.shot_index) not in order:
+            return
+        number = order.index((key.position, key.shot_index))
+        start_ns = utc_ns - slots_ns[number]
+        following = itertools.islice(sets, key.set_index + 1, None)
+        begins = itertools.chain(
+            [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
+        )
+        left = number + 1
+        for set_index, start_ns in begins:
+            for slot, (position, shot_index) in enumerate(order[left:], left):
+                shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
+                yield shot, start_ns + slots_ns[slot]
+            left = 0
+
+    return planned
+
+
+def take_set(
+    rig: Rig,
+    plan: SetPlan,
+    *,
+    first_sequence: int,
+    boot_id: str,
+    idle: Callable[[], bool],
+    wants_restrike: Callable[[Shot | MissedShot], bool] = lambda _: False,
+    may_strike: Callable[[str], bool] = lambda _: True,
+) -> Iterator[Measurement]:
+    """Yield the measurements of a set; ends early once ``idle()`` is False.
+
+    Parameters
+    ----------
+    wants_restrike
+        Asked after each strike, when the caller has looked at it: strike once more?
+    may_strike
+        Asked before each strike: a position that an operator retires is not struck once more.
+
+    Raises
+    ------
+    InstrumentError
+        Anything but a missed record; what was yielded before is whole. A lost connection is raised
+        only after `LOST_IN_A_ROW` records running, when the driver has tried all it can.
+    """
+    sequence = itertools.count(first_sequence)
+    start_ns = max(rig.clock.utc_ns(), plan.due.due_utc_ns)
+    lost = 0
+    for position in plan.of_method("pulse_echo"):
+        if not rig.clock.wait_until(start_ns, idle):
+            return
+        key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
+        yield _echo(rig, plan, key, sequence, boot_id)
+    strikes = itertools.product(plan.of_method("solitary_wave"), range(plan.shots_per_set))
+    slot = itertools.count()
+    for position, shot_index in strikes:
+        for attempt in itertools.count():
+            if not may_strike(position):
+                break
+            if not rig.clock.wait_until(start_ns + round(next(slot) * plan.shot_interval_s * NS_PER_S), idle):
+                return
+            if not may_strike(position):  # orders are heard while waiting
+                break
+            key = ShotKey(
+                position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
+            )
+            taken, error = _strike(rig, plan, key, sequence, boot_id)
+            yield taken
+            lost = 0 if error is None else lost + 1
+            if error is not None and lost >= LOST_IN_A_ROW:
+                raise error
+            if error is not None or not wants_restrike(taken):
+                break
+
+
+def _strike(
+    rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
+) -> tuple[Shot | MissedShot, ConnectionLostError | None]:
+    """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards."""
+    stamp = _stamp(rig, boot_id)
+    try:
+        rig.digitizer.arm(key)
+        rig.striker.strike(key)
+        acquired = rig.digitizer.read(plan.read_timeout_s)
+    except AcquisitionTimeoutError as error:
+        rig.make_safe()
+        return MissedShot(key=key, cause=str(error)), None
+    except ConnectionLostError as error:
+        _make_safe_as_far_as_reachable(rig, error)
+        return MissedShot(key=key, cause=str(error), reason="connection_lost"), error
+    except BaseException:
+        rig.make_safe()
+        raise
+    shot = Shot(
+        sequence=next(sequence),
+        key=key,
+        stamp=stamp,
+        waveform=acquired.waveform,
+        truth=acquired.truth,
+        settings=acquired.settings,
+    )
+    return shot, None
+
+
+def _make_safe_as_far_as_reachable(rig: Rig, error: ConnectionLostError) -> None:
+    """Switch off what answers; the pulse of a coil that cannot be reached ends by itself, in hardware."""
+    try:
+        rig.make_safe()
+    except InstrumentError as unreachable:
+        error.add_note(f"and it could not be made safe by command: {unreachable}")
+
+
+def _echo(
+    rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
+) -> PulseEchoRecord | MissedShot:
+    """One averaged record; a unit that does not answer costs its own record, not the strikes after it."""
+    assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
+    stamp = _stamp(rig, boot_id)
+    try:
+        echo = rig.pulse_echo.acquire(key, plan.read_timeout_s)
+    except AcquisitionTimeoutError as error:
+        return MissedShot(key=key, cause=str(error))
+    except ConnectionLostError as error:
+        return MissedShot(key=key, cause=str(error), reason="connection_lost")
+    return PulseEchoRecord(
+        sequence=next(sequence),
+        key=key,
+        stamp=stamp,
+        waveform=echo.waveform,
+        gain_db=echo.gain_db,
+        offset_v=echo.offset_v,
+        averages=echo.averages,
+        truth=echo.truth,
+        settings=echo.settings,
+    )
+
+
+def _stamp(rig: Rig, boot_id: str) -> Stamp:
+    return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -1,0 +1,170 @@
+"""A set while it is taken: whatever ends it early, what came before stays."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from analysis.waves.features import ShotFeatures, extract_features
+from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
+from daq_service.acquisition.take_set import Measurement, MissedShot
+from daq_service.archive import MissedRecord, SetRecord
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+
+log = logging.getLogger(__name__)
+
+DRY_RUN = "dry_run"
+"""Flag of a record of a rehearsal: noise at the input, since no coil was energised."""
+NOT_ANALYSED = "not_analysed"
+"""Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class TakenSet:
+    """Records, misses and features so far, and what the quality gate made of them.
+
+    Attributes
+    ----------
+    retired
+        Positions that were left out from the beginning, and why.
+    features
+        Features of each shot by its sequence.
+    trouble
+        The instrument's error that ended the set; None: it ran to its end or was told to stop.
+    """
+
+    rule: RestrikeRule
+    retired: Mapping[str, str] = field(default_factory=dict)
+    shots: list[Shot] = field(default_factory=list)
+    echoes: list[PulseEchoRecord] = field(default_factory=list)
+    missed: list[MissedShot] = field(default_factory=list)
+    features: dict[int, ShotFeatures] = field(default_factory=dict)
+    restrikes: Counter[str] = field(default_factory=Counter)
+    trouble: InstrumentError | None = None
+    started_ns: int = 0
+    ended_ns: int = 0
+
+    def keep(self, measurement: Measurement) -> None:
+        """Take a measurement in; a shot's features are found elsewhere (`features`)."""
+        if isinstance(measurement, MissedShot):
+            log.warning("%s: %s", measurement.key, measurement.cause)
+            self.missed.append(measurement)
+        elif isinstance(measurement, Shot):
+            self.shots.append(measurement)
+        else:
+            self.echoes.append(measurement)
+
+    def wants_restrike(self, taken: Shot | MissedShot) -> bool:
+        """Ask the quality gate, and count what it grants."""
+        position = taken.key.position
+        flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
+        granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
+        if granted:
+            self.restrikes[position] += 1
+            log.info("%s is %s: struck once more", taken.key, ", ".join(flags))
+        return granted
+
+    @property
+    def is_empty(self) -> bool:
+        """True if there is not one record."""
+        return not self.shots and not self.echoes
+
+    def n_records(self, position: str) -> int:
+        """Shots of a position that have a record (each counted once), or its pulse-echo records."""
+        records: list[Shot | PulseEchoRecord] = [*self.shots, *self.echoes]
+        return len({item.key.shot_index for item in records if _at(item, position)})
+
+    def shortfall(self, position: str, n_planned: int, told_to: str) -> str:
+        """Why a position has fewer records than planned; empty if it has all.
+
+        Parameters
+        ----------
+        told_to
+            Why the set was ended where the instruments had no trouble.
+        """
+        if self.n_records(position) >= n_planned:
+            return ""
+        ended_by = told_to if self.trouble is None else str(self.trouble)
+        missed = [item for item in self.missed if _at(item, position)]
+        attempts: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *missed]
+        tried = {item.key.shot_index for item in attempts if _at(item, position)}
+        causes = [ended_by] if len(tried) < n_planned else []
+        if missed and missed[0].cause not in causes:
+            causes.append(f"{len(missed)} missed: {missed[0].cause}")
+        return "; ".join(causes)
+
+    def missed_records(self) -> list[MissedRecord]:
+        """List what was tried and left no record, in the archive's form."""
+        return [MissedRecord(key=item.key, cause=item.cause, reason=item.reason) for item in self.missed]
+
+    def told_trouble(self) -> str:
+        """Name the instrument's error in the archive's form, ``class: message``; empty: there was none."""
+        if self.trouble is None:
+            return ""
+        # A driver may have a subclass of its own; the archive tells the kind that every driver shares.
+        kinds = (kind for kind in type(self.trouble).__mro__ if kind.__module__ == InstrumentError.__module__)
+        return f"{next(kinds).__name__}: {self.trouble}"
+
+    def superseded(self) -> dict[int, str]:
+        """Sequence to outcome of the shots that do not count."""
+        return superseded(self.shots, self.features)
+
+
+def _at(item: Shot | PulseEchoRecord | MissedShot | MissedRecord, position: str) -> bool:
+    return item.key.position == position
+
+
+def features_of(shot: Shot) -> ShotFeatures:
+    """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
+    try:
+        return extract_features(shot.waveform)
+    except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
+        log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
+        return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
+
+
+def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:
+    """All that noise tells: its rms about its mean."""
+    noise_rms_v = float(np.std(shot.waveform.volts()))
+    return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)
+
+
+def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int, str]:
+    """Sequence to outcome of the shots whose repetition counts instead of them."""
+    found: dict[int, str] = {}
+    for position in {shot.key.position for shot in shots}:
+        own = [shot for shot in shots if shot.key.position == position]
+        attempts = [
+            Attempt(
+                shot_index=shot.key.shot_index,
+                attempt=shot.key.attempt,
+                quality=features[shot.sequence].quality,
+            )
+            for shot in own
+        ]
+        for shot, outcome in zip(own, outcomes(attempts), strict=True):
+            if outcome == SUPERSEDED:
+                found[shot.sequence] = outcome
+    return found
+
+
+def n_missed(record: SetRecord, position: str) -> int:
+    """Strikes or echoes of a position that left no record."""
+    return sum(_at(item, position) for item in record.missed)
+
+
+def n_tried(record: SetRecord, position: str) -> int:
+    """Shots of a position that were struck, with or without a record; repetitions are not counted."""
+    tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
+    return sum(_at(item, position) and item.key.attempt == 0 for item in tried)
+
+
+def n_restrikes(record: SetRecord, position: str) -> int:
+    """Repetitions of a position's shots, with or without a record."""
+    tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
+    return sum(_at(item, position) and item.key.attempt > 0 for item in tried)

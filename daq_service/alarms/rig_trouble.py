@@ -1,0 +1,55 @@
+"""The alarm of the rig itself: its instruments end a set, or answer to nothing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.take_set import MissedShot
+from daq_service.alarms.states import Condition
+from daq_service.archive import MissedRecord
+from hardware_drivers.errors import BusyError, ConnectionLostError
+
+PASSING = (BusyError.__name__, ConnectionLostError.__name__)
+"""What may be over by the next set: a board that is busy or gone may be free or back by then."""
+
+
+def lost_cause(missed: Sequence[MissedShot | MissedRecord]) -> str:
+    """Last cause, where every one of these attempts lost its connection; else empty.
+
+    Parameters
+    ----------
+    missed
+        Everything that was tried with an instrument, none of which left a record.
+    """
+    if not missed or any(item.reason != "connection_lost" for item in missed):
+        return ""
+    return missed[-1].cause
+
+
+def rig_condition(due: DueSet, trouble: str, unanswered: str) -> Condition:
+    """Alarm while the instruments do not answer, belong to somebody else, or cannot do what is asked.
+
+    Parameters
+    ----------
+    trouble
+        What ended the set, ``class: message``; empty if nothing did.
+    unanswered
+        Why nothing in the set was answered (`lost_cause`); empty if anything was.
+    """
+    error, _, message = trouble.partition(": ")
+    happened = "ended early"
+    if not trouble and unanswered:
+        error, message, happened = ConnectionLostError.__name__, unanswered, "got no answer"
+    outlook = "the next set tries again"
+    if error not in PASSING:
+        outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
+    return Condition(
+        position=None,
+        kind="rig_unavailable",
+        family="device",
+        severity="high",
+        present=bool(trouble or unanswered),
+        message=f"set {due.set_index} {happened}: {message}; {outlook}",
+        proof={"set_index": due.set_index, "error": error},
+    )

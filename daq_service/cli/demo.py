@@ -1,0 +1,199 @@
+"""``solimon demo``: the paper's experiment through the real recorder, storage, analysis and service."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.acquisition.schedule import due_hours
+from daq_service.cli.run import STOPPED, child_plans
+from daq_service.cli.summary import print_summary, summarise_run
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
+from daq_service.processes.child import log_to, stop_on_signals
+from daq_service.processes.data_folder import check_owner, prepare_data_folder, write_configuration
+from daq_service.processes.supervisor import Message, Supervisor
+from daq_service.rig.doubles import DemoRig, running_rig
+from daq_service.settings.tree import Settings
+
+WATCHABLE_PACE_H_PER_S = 5.0
+"""The 350 h pass in 70 s."""
+
+PATIENCE_S = 16.0
+"""Longest wait for the first set before the dashboard's address is printed."""
+
+
+def run_demo(
+    *,
+    hours: float | None,
+    seed: int | None,
+    pace: float | None,
+    port: int,
+    exit_when_done: bool,
+    no_web: bool,
+    data_dir: Path | None,
+    rig: str,
+    as_json: bool,
+) -> int:
+    """Carry out the command; the exit code."""
+    started_s = _process_start_s()
+    pace = pace if pace is not None or exit_when_done or no_web else WATCHABLE_PACE_H_PER_S
+    with running_rig(rig, _overrides(hours, seed, pace)) as running:
+        return _run_on(
+            running,
+            (data_dir or _new_folder()).absolute(),
+            port=port,
+            web=not no_web,
+            stay=not exit_when_done and not no_web,
+            as_json=as_json,
+            started_s=started_s,
+        )
+
+
+def _run_on(
+    running: DemoRig, folder: Path, *, port: int, web: bool, stay: bool, as_json: bool, started_s: float
+) -> int:
+    settings = running.settings
+    prepare_data_folder(folder)
+    check_owner(settings, folder)
+    config = write_configuration(settings, folder)
+    log_to(folder / "logs" / "supervisor.log")
+    say = _Say(settings, as_json=as_json)
+    say.line(f"data: {folder}")
+    for note in running.notes:
+        say.line(note)
+    invitation = _Invitation(say.line)
+
+    def on_message(child: str, message: Message) -> None:
+        del child
+        if message["event"] == "listening":
+            invitation.listening(message["url"])
+        elif message["event"] == "progress":
+            invitation.recording()
+            say.progress(message)
+        elif message["event"] == "stopped":
+            say.line(STOPPED)
+        elif message["event"] == "finished" and stay:
+            print_summary(summarise_run(settings, folder), folder)
+            say.line("The test is done; the dashboard stays until Ctrl-C.")
+
+    with stop_on_signals() as stop:
+        supervisor = Supervisor(
+            child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
+            folder,
+            on_message=on_message,
+            give_up=True,
+        )
+        code = supervisor.run(stop, stay=stay)
+        interrupted = stop.is_set()
+    if code != EXIT_OK:
+        return code
+    if interrupted:
+        say.line(f"interrupted; what was taken is in {folder}")
+        return EXIT_INTERRUPTED
+    summary = summarise_run(settings, folder)
+    elapsed_s = time.time() - started_s
+    if as_json:
+        click.echo(json.dumps({**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}))
+    else:
+        print_summary(summary, folder)
+        click.echo(f"done in {elapsed_s:.1f} s")
+    return EXIT_OK
+
+
+def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, Any]:
+    overrides: dict[str, Any] = {}
+    if hours is not None:
+        overrides["schedule"] = {"end_h": hours}
+    if seed is not None:
+        overrides["twin"] = {"seed": seed}
+    if pace is not None:
+        overrides["clock"] = {"pace_h_per_s": pace}
+    return overrides
+
+
+def _new_folder() -> Path:
+    """Return a folder that does not exist yet, named by the time."""
+    base = Path.cwd() / f"solimon-demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    folder, number = base, 1
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder
+
+
+def _process_start_s() -> float:
+    """Unix time at which this process started, so that imports count too."""
+    try:
+        fields = Path("/proc/self/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        up_s = float(Path("/proc/uptime").read_text(encoding="ascii").split()[0])
+        return time.time() - up_s + int(fields[19]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, AttributeError):
+        # No /proc (Windows, macOS): the interpreter's own clock started a few ms later.
+        return time.time() - time.process_time()
+
+
+class _Invitation:
+    """Print the dashboard's address once there is something to see.
+
+    On a fresh machine the recorder compiles its kernels first; should that take long, the address is
+    printed all the same.
+    """
+
+    def __init__(self, say: Callable[[str], None]) -> None:
+        self._say = say
+        self._lock = threading.Lock()
+        self._url: str | None = None
+        self._recording = False
+        self._patience = threading.Timer(PATIENCE_S, self.recording)
+        self._patience.daemon = True
+        self._patience.start()
+
+    def listening(self, url: str) -> None:
+        """Keep the address that the web service answers at."""
+        with self._lock:
+            self._url = url
+            self._invite()
+
+    def recording(self) -> None:
+        """Note that the first set is in, or that waiting has taken long enough."""
+        with self._lock:
+            self._recording = True
+            self._patience.cancel()
+            self._invite()
+
+    def _invite(self) -> None:
+        if self._url is not None and self._recording:
+            self._say(f"dashboard: {self._url}  (Ctrl-C ends)")
+            self._url = None
+
+
+class _Say:
+    """Lines and progress: on standard error when standard output belongs to ``--json``."""
+
+    def __init__(self, settings: Settings, *, as_json: bool) -> None:
+        self._as_json = as_json
+        self._planned = sum(1 for _ in due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
+        self._shown_tenth = -1
+
+    def line(self, text: str) -> None:
+        click.echo(text, err=self._as_json)
+
+    def progress(self, message: Message) -> None:
+        done, due_h = int(message["done"]), float(message["due_h"])
+        tenth = 10 * done // max(self._planned, 1)
+        if sys.stderr.isatty():
+            click.echo(
+                f"\rhour {due_h:6.1f}  set {done} of {self._planned} ", nl=done == self._planned, err=True
+            )
+        elif tenth > self._shown_tenth:
+            self._shown_tenth = tenth
+            click.echo(f"hour {due_h:.1f}, set {done} of {self._planned}", err=True)

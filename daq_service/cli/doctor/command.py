@@ -1,0 +1,234 @@
+"""``solimon doctor``: run the checks, print them, end with the exit code that fits."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.cli.doctor.boards import board_checks
+from daq_service.cli.doctor.check import Check, exit_code
+from daq_service.cli.doctor.machine import machine_checks
+from daq_service.cli.doctor.other_instruments import climate_checks, probe_checks, supply_checks
+from daq_service.cli.doctor.software import software_checks
+from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
+from daq_service.cli.doctor.trial import Trial, require_position, strike_once
+from daq_service.errors import BusyError
+from daq_service.processes.data_folder import data_folder
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+
+Progress = Callable[[str], None]
+
+
+def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
+    """Carry out the command; the exit code."""
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    if strike is not None:
+        require_position(settings, strike)
+    owner = owner_of(folder)
+    if strike is not None:
+        _refuse_while_owned(owner)
+    checks = list(checkup(settings, folder, owner, _progress))
+    trial: Trial | None = None
+    if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
+        checks.append(_no_strike(strike))
+    elif strike is not None:
+        _progress(f"one test strike at {strike}")
+        with held_folder(folder) as owner:
+            _refuse_while_owned(owner)
+            trial = strike_once(settings, strike)
+        checks += trial.checks
+    code = exit_code(checks)
+    if as_json:
+        click.echo(json.dumps(_plain(_report(settings, folder, checks, trial, code)), allow_nan=False))
+    else:
+        _print_table(checks, trial)
+    return code
+
+
+def _refuse_while_owned(owner: str) -> None:
+    if owner:
+        raise BusyError(f"--strike is refused: {owner}")
+
+
+def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
+    """Yield every check but the test strike.
+
+    Parameters
+    ----------
+    owner
+        Recorder that owns the folder, in words; its instruments are left alone. Empty: none.
+    """
+    started_wall_s, started_mono_s = time.time(), time.monotonic()
+    progress("packages")
+    software = software_checks(settings.rig)
+    yield from software
+    progress(f"data folder {folder}")
+    yield _recorder(owner)
+    yield from storage_checks(settings, folder)
+    if owner:
+        yield from _left_alone(settings)
+    else:
+        missing = {check.name for check in software if check.state == "fail"}
+        yield from rig_checks(settings, missing, progress)
+    progress("clocks and sleep")
+    yield from machine_checks(
+        settings.clock.kind, started_wall_s=started_wall_s, started_mono_s=started_mono_s
+    )
+
+
+def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Iterator[Check]:
+    """Yield the checks of the instruments.
+
+    Parameters
+    ----------
+    missing
+        Packages that are not there or too old: what needs them is skipped.
+    """
+    rig = settings.rig
+    if rig.kind != "daqmx":
+        yield Check(area="rig", name="rig", state="ok", found=f"{rig.kind}: no boards to look at")
+    elif rig.daqmx is not None and _usable({"nidaqmx"} | _grpc(settings), missing):
+        from hardware_drivers.daqmx.survey import survey
+
+        progress(f"NI-DAQmx boards, {len(rig.daqmx.transducers)} transducers; nothing strikes")
+        yield from board_checks(rig.daqmx, survey, shot_interval_s=settings.schedule.shot_interval_s)
+    else:
+        yield _needs_package("boards")
+    if rig.kind == "daqmx" and rig.niscope is not None:
+        if _usable({"niscope"}, missing):
+            progress("NI-SCOPE boards")
+            yield from probe_checks(rig.niscope)
+        else:
+            yield _needs_package("ultrasonic probes")
+    if (rig.supply is not None or rig.climate is not None) and not _usable({"pyserial"}, missing):
+        yield _needs_package("instruments on serial lines")
+        return
+    if rig.supply is not None:
+        progress("supply; nothing is switched")
+        yield from supply_checks(rig.supply)
+    if rig.climate is not None:
+        progress("climate probe")
+        yield from climate_checks(rig.climate)
+
+
+def _grpc(settings: Settings) -> set[str]:
+    boards = settings.rig.daqmx
+    return {"grpcio"} if boards is not None and boards.transport == "grpc" else set()
+
+
+def _usable(needed: set[str], missing: set[str]) -> bool:
+    return not needed & missing
+
+
+def _needs_package(what: str) -> Check:
+    return Check(
+        area="rig",
+        name=what,
+        state="skipped",
+        found="not looked at: a package they need is missing",
+        remedy="install what failed above, then look again",
+    )
+
+
+def _recorder(owner: str) -> Check:
+    name = "recorder"
+    if not owner:
+        return Check(area="recorder", name=name, state="ok", found="no recorder owns the data folder")
+    problem, _, remedy = owner.partition("; ")
+    return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
+
+
+def _left_alone(settings: Settings) -> Iterator[Check]:
+    """Skip what the running recorder uses: a look would reserve boards and ports it needs to strike."""
+    rig = settings.rig
+    there = {
+        "boards": rig.kind == "daqmx",
+        "ultrasonic probes": rig.niscope is not None,
+        "supply": rig.supply is not None,
+        "climate probe": rig.climate is not None,
+    }
+    for name, configured in there.items():
+        if configured:
+            yield Check(
+                area="rig",
+                name=name,
+                state="skipped",
+                found="not looked at: a recorder uses it",
+                remedy="stop the recorder first, or read `solimon status`",
+            )
+
+
+def _no_strike(position: str) -> Check:
+    return Check(
+        area="rig",
+        name=f"strike {position}: record",
+        state="skipped",
+        found="not struck: a package is missing",
+        remedy="install what failed above, then strike",
+    )
+
+
+# What a person or a program reads --------------------------------------------------------------------
+
+
+def _progress(text: str) -> None:
+    click.echo(f"looking at: {text}", err=True)
+
+
+def _print_table(checks: list[Check], trial: Trial | None) -> None:
+    width = max(len(check.name) for check in checks)
+    for check in checks:
+        state = check.state.upper() if check.state in ("warn", "fail") else check.state
+        click.echo(f"{state:<8} {check.name:<{width}}  {check.found}")
+        if check.remedy:
+            click.echo(f"{'':<8} {'':<{width}}  -> {check.remedy}")
+    if trial is not None and trial.features is not None:
+        for name, value in trial.as_row()["features"].items():
+            shown = f"{value:.6g}" if isinstance(value, float) else value
+            click.echo(f"{'':<8} {name:<{width}}  {shown}")
+    counts = Counter(check.state for check in checks)
+    click.echo(", ".join(f"{counts[state]} {state}" for state in ("fail", "warn", "ok", "skipped")))
+
+
+def _report(
+    settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
+) -> dict[str, Any]:
+    rows = [
+        {
+            "area": check.area,
+            "name": check.name,
+            "state": check.state,
+            "found": check.found,
+            "remedy": check.remedy,
+            "values": dict(check.values),
+        }
+        for check in checks
+    ]
+    return {
+        "configuration_hash": settings.configuration_hash(),
+        "rig": settings.rig.kind,
+        "data_folder": str(folder),
+        "exit_code": code,
+        "checks": rows,
+        "strike": None if trial is None else trial.as_row(),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN: what is not available is null."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, dict):
+        return {key: _plain(below) for key, below in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(below) for below in value]
+    return value

@@ -1,0 +1,121 @@
+"""Python, and the packages that this configuration needs."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import re
+import sys
+from collections.abc import Callable, Iterable
+from importlib.metadata import PackageNotFoundError, requires, version
+
+from daq_service.cli.doctor.check import Check
+from daq_service.settings.tree import RigSettings
+
+OLDEST_PYTHON = (3, 11)
+ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
+COMPILED = ("numpy", "scipy.signal", "h5py", "numba")
+"""Imported too: what does not load is usually a binary that fits another Python, numpy or processor."""
+
+LOAD_ERRORS = (ImportError, OSError, ValueError, RuntimeError, AttributeError, SystemError, TypeError)
+"""How a binary fails that was built for something else: a missing symbol, another numpy's layout."""
+
+_MINIMUM = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?\s*>=\s*([0-9][0-9.]*)")
+
+
+def software_checks(
+    rig: RigSettings,
+    *,
+    installed: Callable[[str], str] = version,
+    load: Callable[[str], object] = importlib.import_module,
+) -> list[Check]:
+    """Versions beside the oldest ones that solimon accepts.
+
+    Parameters
+    ----------
+    installed
+        Version of an installed package; raises PackageNotFoundError.
+    """
+    oldest = _oldest_versions(requires("solimon") or ())
+    checks = [_python(), _package("solimon", "", installed)]
+    checks += [_package(name, oldest.get(name, ""), installed) for name in (*ALWAYS, *_needed(rig))]
+    return [*checks, _binaries(load)]
+
+
+def _needed(rig: RigSettings) -> list[str]:
+    """Name the packages that only some rigs need."""
+    names = []
+    if rig.kind == "daqmx":
+        names.append("nidaqmx")
+        if rig.daqmx is not None and rig.daqmx.transport == "grpc":
+            names.append("grpcio")
+        if rig.niscope is not None:
+            names.append("niscope")
+    if rig.supply is not None or rig.climate is not None:
+        names.append("pyserial")
+    if rig.kind == "playback" and rig.playback is not None and rig.playback.format == "tdms":
+        names.append("npTDMS")
+    return names
+
+
+EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms"}
+
+
+def _python() -> Check:
+    bits = 64 if sys.maxsize > 2**32 else 32
+    fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
+    return Check(
+        area="software",
+        name="python",
+        state="ok" if fits else "fail",
+        found=f"{platform.python_version()}, {bits} bit, {platform.platform()}",
+        remedy="" if fits else f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit",
+        values={"version": platform.python_version(), "bits": bits, "platform": platform.platform()},
+    )
+
+
+def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
+    extra = EXTRAS.get(name)
+    wanted = "solimon" if extra is None else f"solimon[{extra}]"
+    remedy = f'install it: python -m pip install "{wanted}"'
+    try:
+        found = installed(name)
+    except PackageNotFoundError:
+        return Check(area="software", name=name, state="fail", found="not installed", remedy=remedy)
+    fits = _numbers(found) >= _numbers(oldest)
+    return Check(
+        area="software",
+        name=name,
+        state="ok" if fits else "fail",
+        found=found + (f" (at least {oldest})" if oldest else ""),
+        remedy="" if fits else remedy,
+        values={"version": found, "oldest": oldest or None},
+    )
+
+
+def _binaries(load: Callable[[str], object]) -> Check:
+    broken = {}
+    for name in COMPILED:
+        try:
+            load(name)
+        except LOAD_ERRORS as error:
+            broken[name] = f"{type(error).__name__}: {error}"
+    return Check(
+        area="software",
+        name="compiled packages",
+        state="fail" if broken else "ok",
+        found="; ".join(f"{name} does not load ({why})" for name, why in broken.items())
+        or f"{', '.join(COMPILED)} load",
+        remedy=f"install again: python -m pip install --force-reinstall {' '.join(broken)}" if broken else "",
+    )
+
+
+def _oldest_versions(requirements: Iterable[str]) -> dict[str, str]:
+    found = (_MINIMUM.match(requirement) for requirement in requirements)
+    return {match[1]: match[2] for match in found if match}
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    """Leading numbers of a version: ``1.26.4rc1`` gives (1, 26, 4)."""
+    match = re.match(r"\d+(?:\.\d+)*", text)
+    return tuple(int(part) for part in match[0].split(".")) if match else ()

@@ -1,0 +1,153 @@
+"""The data folder: who owns it, where it is, whether it can be written and is large enough."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.cli.doctor.check import Check
+from daq_service.cli.inspection import describe_plan
+from daq_service.errors import BusyError, StorageError
+from daq_service.processes.data_folder import OWN_NAMES, check_owner, own_data_folder
+from daq_service.settings.tree import Settings
+
+SLOW_WRITE_S = 1.0
+"""A small file that takes longer to become durable means a disk that will hold sets up."""
+COMFORTABLE = 2.0
+"""Free space over planned data: less is worth a word."""
+
+
+@contextmanager
+def held_folder(folder: Path) -> Iterator[str]:
+    """Hold the recorder's lock, so that no recorder starts meanwhile.
+
+    Yields
+    ------
+    str
+        Who holds it instead; empty: nobody. A folder without a lock file has never had a recorder,
+        and none is made here.
+    """
+    with ExitStack() as stack:
+        owner = ""
+        if (folder / "recorder.lock").is_file():
+            try:
+                stack.enter_context(own_data_folder(folder))
+            except BusyError as error:
+                owner = str(error)
+            except OSError as error:
+                owner = (
+                    f"a recorder may own {folder}: its lock cannot be opened ({error.strerror}); look as the "
+                    "user that runs the recorder"
+                )
+        yield owner
+
+
+def owner_of(folder: Path) -> str:
+    """Who holds the recorder's lock, without keeping it.
+
+    A recorder that is started again just now must not find it taken: its supervisor would end the test.
+    Boards that are being looked at it waits for.
+    """
+    with held_folder(folder) as owner:
+        return owner
+
+
+def storage_checks(settings: Settings, folder: Path) -> list[Check]:
+    """Look at the folder; a probe file is written and removed, nothing else is made."""
+    return [_place(folder), _writable(folder), _owner(settings, folder), _space(settings, folder)]
+
+
+def _existing(folder: Path) -> Path:
+    """Return the folder, or the nearest one above it that exists."""
+    return next(place for place in (folder, *folder.parents) if place.exists())
+
+
+def _place(folder: Path) -> Check:
+    kind = network_filesystem(folder)
+    found, remedy = "on a local file system", ""
+    if kind is not None:
+        found, remedy = f"on a network file system ({kind})", "choose a local disk with --data-dir"
+    elif sys.platform not in ("linux", "win32"):
+        found, remedy = "this system does not tell whether it is local", "see that it is on a local disk"
+    return Check(
+        area="folder",
+        name="data folder: place",
+        state="fail" if kind is not None else "warn" if remedy else "ok",
+        found=f"{folder} is {found}" if kind or not remedy else f"{folder}: {found}",
+        remedy=remedy,
+        values={"folder": str(folder), "network_file_system": kind},
+    )
+
+
+def _writable(folder: Path) -> Check:
+    """Write, flush to the disk, remove: what each set does."""
+    name, place = "data folder: writable", _existing(folder)
+    if not place.is_dir():
+        return _cannot(name, f"{place} is a file", "choose another folder with --data-dir")
+    if place == folder:
+        names = {path.name for path in folder.iterdir()}
+        if names and not names & OWN_NAMES:
+            found = f"{folder} is not empty and no data folder of solimon (it holds {min(names)!r})"
+            return _cannot(name, found, "choose a new or empty folder with --data-dir")
+    probe = place / f".write-test-{uuid.uuid4().hex}"
+    started_s = time.monotonic()
+    try:
+        with probe.open("xb") as file:
+            file.write(b"solimon")
+            file.flush()
+            os.fsync(file.fileno())
+        probe.unlink()
+    except OSError as error:
+        found = f"{place} cannot be written: {error.strerror}"
+        return _cannot(name, found, "correct its permissions or choose another folder with --data-dir")
+    took_s = time.monotonic() - started_s
+    return Check(
+        area="folder",
+        name=name,
+        state="ok" if took_s <= SLOW_WRITE_S else "warn",
+        found=f"{folder}{'' if place == folder else ' (to be made)'}; a small file is durable after "
+        f"{took_s * 1e3:.0f} ms",
+        remedy="" if took_s <= SLOW_WRITE_S else "use a faster disk, or find what keeps it busy",
+        values={"exists": place == folder, "durable_write_s": took_s},
+    )
+
+
+def _cannot(name: str, found: str, remedy: str) -> Check:
+    return Check(area="folder", name=name, state="fail", found=found, remedy=remedy)
+
+
+def _owner(settings: Settings, folder: Path) -> Check:
+    name, own_hash = "data folder: configuration", settings.configuration_hash()
+    try:
+        check_owner(settings, folder)
+    except StorageError as error:
+        return _cannot(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
+    return Check(
+        area="folder",
+        name=name,
+        state="ok",
+        found=f"free for this configuration ({own_hash[:12]})",
+        values={"configuration_hash": own_hash},
+    )
+
+
+def _space(settings: Settings, folder: Path) -> Check:
+    facts = describe_plan(settings, folder)
+    stored = sum(path.stat().st_size for path in (folder / "sets").glob("*.h5"))
+    needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])
+    enough = free >= needed
+    return Check(
+        area="folder",
+        name="disk: space",
+        state="fail" if not enough else "ok" if free >= COMFORTABLE * needed else "warn",
+        found=f"{free / 1e9:.2f} GB free, about {needed / 1e9:.2f} GB still to come "
+        f"({facts['sets']} sets planned, {stored / 1e9:.2f} GB stored)",
+        remedy="" if free >= COMFORTABLE * needed else "free space, or choose a larger disk with --data-dir",
+        values={"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored},
+    )

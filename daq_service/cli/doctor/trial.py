@@ -1,0 +1,184 @@
+"""One test strike, the way of every shot: arm, strike, read, make safe; then features and flags."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from analysis.waves.features import ShotFeatures
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
+from daq_service.acquisition.taken_set import features_of
+from daq_service.cli.doctor.check import Check, Value, failure
+from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
+from daq_service.errors import UsageError
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.tree import Settings
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.measurement import Shot
+
+REMEDIES: Mapping[str, str] = {
+    "double": "let the striker come to rest on its stop: shorten pulse_s or damp the guide",
+    "clipped": "take a larger range_v, or lower the gain before the input",
+    "inverted": "swap the PZT's leads, or set trigger_slope to the other direction",
+    "no_psw": "see that the chain stands on the plate; a hole or a lifted chain reflects nothing",
+    "psw_merged": "see that the chain is upright and the plate supported as planned",
+    "baseline": "look for drift and hum before the wave: grounding, screen, charge amplifier",
+    "noisy": "look for noise: screen and grounding of the PZT's cable",
+    "not_analysed": "see the log; the record could not be analysed",
+}
+LEVEL_PART = (0.02, 0.5)
+"""A trigger level between these parts of the incident wave is passed once, early and safely above noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """What a test strike gave.
+
+    Attributes
+    ----------
+    features
+        Features of the record; None where there is none.
+    settings
+        What the instrument says of the record.
+    """
+
+    position: str
+    checks: tuple[Check, ...]
+    features: ShotFeatures | None = None
+    settings: Mapping[str, float | str] = field(default_factory=dict)
+
+    def as_row(self) -> dict[str, Any]:
+        """Everything, for programs."""
+        told = self.features
+        return {
+            "position": self.position,
+            "features": None
+            if told is None
+            else {item.name: getattr(told, item.name) for item in fields(told)},
+            "settings": dict(self.settings),
+        }
+
+
+def require_position(settings: Settings, position: str) -> None:
+    """Refuse what cannot be struck.
+
+    Raises
+    ------
+    UsageError
+        No such transducer, a rehearsal, or a recording.
+    """
+    names = settings.names_of("solitary_wave")
+    if position not in names:
+        raise UsageError(
+            f"--strike is {position!r}; solitary-wave transducers are: {', '.join(names) or 'none'}"
+        )
+    if settings.rig.kind == "playback":
+        raise UsageError(
+            "--strike: rig.kind is 'playback', which strikes nothing; use the rig's configuration"
+        )
+    if settings.rig.kind == "daqmx" and settings.rig.daqmx is not None and settings.rig.daqmx.dry_run:
+        raise UsageError(
+            "--strike: rig.daqmx.dry_run is true, so no coil is ever energised; set it to false when nobody "
+            "has hands in the rig"
+        )
+
+
+def strike_once(settings: Settings, position: str) -> Trial:
+    """Strike one transducer once; an instrument's error is a check that failed."""
+    settings = _this_transducer_only(settings, position)
+    clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
+    plan = SetPlan(
+        due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
+        positions={position: "solitary_wave"},
+        shots_per_set=1,
+        shot_interval_s=settings.schedule.shot_interval_s,
+        read_timeout_s=settings.rig.read_timeout_s,
+    )
+    started_s = time.monotonic()
+    try:
+        with open_rig(settings, clock, clock.utc_ns()) as rig:
+            taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
+    except InstrumentError as error:
+        refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
+        return Trial(position=position, checks=(refused,))
+    took_s = time.monotonic() - started_s
+    (measurement,) = taken
+    if isinstance(measurement, MissedShot):
+        return Trial(position=position, checks=(_missed(measurement),))
+    assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
+    features = features_of(measurement)
+    return Trial(
+        position=position,
+        checks=(_record(measurement, features, took_s), *_level(settings, measurement, features)),
+        features=features,
+        settings=measurement.settings,
+    )
+
+
+def _this_transducer_only(settings: Settings, position: str) -> Settings:
+    """Leave out what the strike does not need: another broken instrument must not forbid it."""
+    rig = settings.rig.model_copy(update={"niscope": None, "supply": None, "climate": None})
+    if rig.daqmx is not None:
+        rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
+    places = {position: settings.positions[position]}
+    return settings.model_copy(update={"rig": rig, "positions": places})
+
+
+def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
+    wiring, watchdog = boards.transducers[position], boards.watchdog
+    if watchdog is not None and int(watchdog.board_serial, 16) != int(wiring.coil_serial, 16):
+        watchdog = None
+    return replace(boards, transducers={position: wiring}, watchdog=watchdog)
+
+
+def _missed(missed: MissedShot) -> Check:
+    return Check(
+        area="rig",
+        name=f"strike {missed.key.position}: record",
+        state="fail",
+        found=f"no record ({missed.reason}): {missed.cause}",
+        remedy="see whether the striker lifts and falls, then the sensor's cable, trigger_level_v and "
+        "trigger_slope",
+        values={"reason": missed.reason},
+    )
+
+
+def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
+    flags = features.flags
+    filled = features.isw_amplitude_v / shot.waveform.calibration.range_v
+    reflected = f"reflected {features.psw_amplitude_v:.3g} V after {features.tof_pp_s * 1e6:.1f} us, "
+    return Check(
+        area="rig",
+        name=f"strike {shot.key.position}: record",
+        state="warn" if flags else "ok",
+        found=f"{features.quality}, flags: {', '.join(flags) or 'none'}; incident wave "
+        f"{features.isw_amplitude_v:.3g} V ({filled:.0%} of the range), "
+        f"{'' if math.isnan(features.psw_amplitude_v) else reflected}noise {features.noise_rms_v:.2g} V rms; "
+        f"in {took_s:.1f} s",
+        remedy="; ".join(REMEDIES.get(flag, "see docs/explanation/detection.md") for flag in flags),
+        values={"flags": ",".join(flags), "quality": features.quality},
+    )
+
+
+def _level(settings: Settings, shot: Shot, features: ShotFeatures) -> list[Check]:
+    """Compare the trigger level with the incident wave."""
+    boards = settings.rig.daqmx
+    level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
+    part = abs(level_v) / features.isw_amplitude_v
+    fits = LEVEL_PART[0] <= part <= LEVEL_PART[1]
+    values: dict[str, Value] = {"trigger_level_v": level_v, "isw_amplitude_v": features.isw_amplitude_v}
+    return [
+        Check(
+            area="rig",
+            name=f"strike {shot.key.position}: trigger level",
+            state="ok" if fits else "warn",
+            found=f"{level_v:g} V is {part:.0%} of the incident wave",
+            remedy="" if fits else "set trigger_level_v to a tenth of the incident wave",
+            values=values,
+        )
+    ]

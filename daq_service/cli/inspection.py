@@ -1,0 +1,174 @@
+"""``check-config`` and ``status``: what a test will do, and how it stands."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.acquisition.schedule import plan
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.clock import format_utc, parse_utc
+from daq_service.processes.data_folder import data_folder
+from daq_service.processes.heartbeat import overdue_s, read_heartbeat
+from daq_service.settings.file import load_settings, settings_schema
+from daq_service.settings.tree import Settings
+
+PACKED_FRACTION = 0.5
+"""Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
+
+
+def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
+    """Carry out ``check-config``."""
+    if schema:
+        click.echo(json.dumps(settings_schema(), indent=1))
+        return
+    settings = load_settings(config)
+    facts = describe_plan(settings, data_folder(settings, config, data_dir))
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    click.echo(f"{settings.name}: the configuration is good ({settings.configuration_hash()[:12]})")
+    click.echo(f"sets       {facts['sets']}, the last one due at hour {facts['last_due_h']:g}")
+    click.echo(f"strikes    {facts['strikes']} ({settings.schedule.shots_per_set} a set and transducer)")
+    click.echo(f"echoes     {facts['pulse_echo_records']}")
+    if facts["record_samples"] is not None:
+        click.echo(
+            f"record     {facts['record_samples']} samples at {facts['sample_rate_hz'] / 1e6:g} MS/s: "
+            f"{facts['record_s'] * 1e3:.4g} ms"
+        )
+    click.echo(
+        f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk"
+    )
+    click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
+    click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
+    if facts["stored_bytes"] > facts["free_bytes"]:
+        click.echo(
+            "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
+        )
+
+
+def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
+    """Numbers of a planned test."""
+    start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
+    planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
+    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
+    echoes = len(planned) * len(settings.names_of("pulse_echo"))
+    strike, echo = _records(settings)
+    raw_bytes = strikes * strike.n_bytes + echoes * echo.n_bytes
+    existing = next(place for place in (folder, *folder.parents) if place.exists())
+    return {
+        "name": settings.name,
+        "configuration_hash": settings.configuration_hash(),
+        "sets": len(planned),
+        "strikes": strikes,
+        "pulse_echo_records": echoes,
+        "record_samples": strike.samples if strike.known else None,
+        "sample_rate_hz": strike.sample_rate_hz if strike.known else None,
+        "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
+        "raw_bytes": raw_bytes,
+        "stored_bytes": round(PACKED_FRACTION * raw_bytes),
+        "free_bytes": shutil.disk_usage(existing).free,
+        "data_folder": str(folder),
+        "last_due_h": planned[-1].due_h if planned else None,
+        "end_utc": format_utc(planned[-1].due_utc_ns) if planned else None,
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record:
+    """Size of one record.
+
+    Attributes
+    ----------
+    known
+        False for a recording that is played back: its records are assumed to be like the twin's.
+    """
+
+    samples: int
+    sample_rate_hz: float
+    bytes_per_sample: int = 2
+    known: bool = True
+
+    @property
+    def n_bytes(self) -> int:
+        return self.samples * self.bytes_per_sample
+
+
+def _records(settings: Settings) -> tuple[_Record, _Record]:
+    """Record of a strike and of an echo, as the configured instruments will make them."""
+    adc, sampled_echo = settings.twin.adc, settings.twin.echo
+    known = settings.rig.kind != "playback"
+    strike = _Record(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
+    echo = _Record(
+        samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known
+    )
+    boards, probes = settings.rig.daqmx, settings.rig.niscope
+    if settings.rig.kind == "daqmx" and boards is not None:
+        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
+        strike = _Record(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
+    if settings.rig.kind == "daqmx" and probes is not None:
+        # The sum of the averaged records.
+        echo = _Record(
+            samples=probes.record_samples, sample_rate_hz=probes.sample_rate_hz, bytes_per_sample=4
+        )
+    return strike, echo
+
+
+def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
+    """Carry out ``status``."""
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    facts = describe_status(folder)
+    if as_json:
+        click.echo(json.dumps(facts))
+        return
+    click.echo(f"data      {folder}")
+    click.echo(f"recorder  {facts['recorder']}")
+    if facts["held"]:
+        click.echo(f"on hold   {facts['held']}; nothing strikes until it is released")
+    if facts["counts"] is None:
+        click.echo("no data yet")
+        return
+    click.echo(f"sets      {facts['counts']['sets']}, {facts['counts']['missed_sets']} missed")
+    for name, row in facts["positions"].items():
+        click.echo(f"{name:<9} {json.dumps(row)}")
+
+
+FAREWELLS = {
+    "schedule_done": "finished: every planned set has its row",
+    "recorder_stopped": "stopped by its operator; start it again to go on",
+}
+
+
+def describe_status(folder: Path) -> dict[str, Any]:
+    """Read the recorder's state, the counts, and the last word on each position."""
+    try:
+        with open_catalogue(folder, writer=False) as catalogue:
+            told = [row["kind"] for row in catalogue.events_after(0, {"service"}, limit=None)]
+            return {
+                "recorder": FAREWELLS.get(told[-1] if told else "", _sign_of_life(folder)),
+                "held": catalogue.held(),
+                "counts": catalogue.counts(),
+                "positions": catalogue.positions_state(),
+                "alarms": catalogue.list_alarms(active=True),
+            }
+    except NoDataYetError:
+        nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
+        return {"recorder": _sign_of_life(folder), **nothing}
+
+
+def _sign_of_life(folder: Path) -> str:
+    beat = read_heartbeat(folder)
+    if beat is None:
+        return "never started here"
+    late_s = overdue_s(beat, mono_ns=time.monotonic_ns())
+    if late_s > 0.0:
+        return f"not running: last sign of life {late_s + beat.deadline_s:.0f} s ago while {beat.doing}"
+    return f"running, {beat.doing}"

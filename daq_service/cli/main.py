@@ -1,0 +1,306 @@
+"""The command ``solimon``: parses, then hands over; everything heavy is imported inside a command.
+
+Exit codes: 0 done, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.errors import EXIT_INTERRUPTED, SolimonError
+
+CONFIG = click.argument("config", required=False, type=click.Path(dir_okay=False, path_type=Path))
+DATA_DIR = click.option(
+    "--data-dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Data folder; default: the configuration's.",
+)
+JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
+POSITION = click.option("--position", required=True, help="The transducer's position, for example B.")
+SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
+
+
+def order_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Options of an order to a running recorder."""
+    command = JSON(command)
+    command = click.option("--author", help="Who gives the order; default: this user.")(command)
+    return click.option("--note", default="", help="Why.")(command)
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(package_name="solimon")
+def cli() -> None:
+    """Acquire and monitor with highly nonlinear solitary waves.
+
+    Without hardware: `solimon demo` runs the paper's 350-hour corrosion test on the physics twin.
+    """
+
+
+@cli.command()
+@click.option(
+    "--hours",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Stop the test at this hour; default: its end, 350 h.",
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+@click.option(
+    "--pace",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Hours of test a second; default 5, with --exit as fast as it goes.",
+)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    show_default=True,
+    help="Port of the dashboard; 0 takes a free one.",
+)
+@click.option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done.")
+@click.option("--no-web", is_flag=True, help="Without dashboard.")
+@click.option(
+    "--rig",
+    type=click.Choice(["simulated", "daqmx-library", "daqmx-grpc"]),
+    default="simulated",
+    show_default=True,
+    help="The twin itself, or NI's own nidaqmx package on doubles of the boards, in real time a strike.",
+)
+@DATA_DIR
+@JSON
+def demo(**options: Any) -> None:
+    """Run the paper's experiment on the twin and show it live."""
+    from daq_service.cli.demo import run_demo
+
+    sys.exit(run_demo(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option(
+    "--port", type=click.IntRange(0, 65535), help="Port of the dashboard; default: the configuration's."
+)
+@click.option("--no-web", is_flag=True, help="Without dashboard.")
+def run(**options: Any) -> None:
+    """Record and serve under a supervisor that restarts what fails."""
+    from daq_service.cli.run import run_supervised
+
+    sys.exit(run_supervised(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--linger", is_flag=True, help="Stay after the last set and carry out orders.")
+@click.option("--restarted-because", default="", hidden=True)
+@SUPERVISED
+def record(**options: Any) -> None:
+    """Record only: own the rig and the data folder, follow the schedule."""
+    from daq_service.cli.run import record_alone
+
+    sys.exit(record_alone(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--port", type=click.IntRange(0, 65535), help="Port; 0 takes a free one.")
+@click.option("--restarted-because", default="", hidden=True)
+@SUPERVISED
+def serve(**options: Any) -> None:
+    """Serve a data folder only: REST, stream and dashboard."""
+    from daq_service.cli.run import serve_alone
+
+    sys.exit(serve_alone(**options))
+
+
+@cli.command("check-config")
+@CONFIG
+@DATA_DIR
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of the configuration and stop.")
+@JSON
+def check_config(**options: Any) -> None:
+    """Read a configuration and say what it will do: sets, shots, bytes, end, free disk."""
+    from daq_service.cli.inspection import print_configuration
+
+    print_configuration(**options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--strike", metavar="POSITION", help="Also strike this transducer, once.")
+@JSON
+def doctor(**options: Any) -> None:
+    """Look at software, rig, data folder and clocks; says what to do. Strikes nothing unless told to."""
+    from daq_service.cli.doctor.command import run_doctor
+
+    sys.exit(run_doctor(**options))
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@JSON
+def status(**options: Any) -> None:
+    """Say how a test stands: recorder, last sets, features, alarms."""
+    from daq_service.cli.inspection import print_status
+
+    print_status(**options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@order_options
+def hold(**options: Any) -> None:
+    """Strike no more until `release`: somebody works at the rig. Sets that fall due are missed."""
+    _give_order("hold", **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@order_options
+def release(**options: Any) -> None:
+    """End a hold: the next due set is taken."""
+    _give_order("release", **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@POSITION
+@order_options
+def retire(position: str, **options: Any) -> None:
+    """Let a transducer strike no more, until `reinstate`."""
+    _give_order("retire", arguments={"position": position}, **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@POSITION
+@order_options
+def reinstate(position: str, **options: Any) -> None:
+    """Let a retired transducer strike again, from the next set on."""
+    _give_order("reinstate", arguments={"position": position}, **options)
+
+
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--on/--off", "on", default=None, help="Switch the corrosion drive on or off.")
+@click.option("--voltage-v", type=float, help="With --on: voltage in V; default: the configuration's.")
+@click.option("--current-limit-a", type=float, help="With --on: limit in A; default: the configuration's.")
+@order_options
+def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: Any) -> None:
+    """Switch the corrosion drive of a running test; nothing else ever switches it on."""
+    if on is None:
+        raise click.UsageError("say --on or --off")
+    if not on and (voltage_v is not None or current_limit_a is not None):
+        raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
+    values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}
+    _give_order("supply_on" if on else "supply_off", arguments=values if on else {}, **options)
+
+
+def _give_order(kind: str, **options: Any) -> None:
+    from daq_service.orders.give import give_order
+
+    sys.exit(give_order(kind, **options))
+
+
+@cli.command()
+@CONFIG
+@click.option(
+    "--model",
+    type=click.Choice(["coupled", "zener"]),
+    default="coupled",
+    help="coupled: chain and plate together (default); zener: the last sphere strikes a large plate.",
+)
+@click.option("--position", help="Use this position's chain, plate and footprint.")
+@click.option("--depth", "depth_fraction", type=float, help="Lost part of the thickness, 0 to 0.95.")
+@click.option("--drop-height-m", type=float, help="Drop height of the striker in m.")
+@click.option("--tilt-rad", type=float, help="Tilt of the sensor disk in rad.")
+@click.option("--depths", help="Short for --sweep corrosion.depth_fraction=..., for example 0:0.8:9.")
+@click.option(
+    "--sweep",
+    "sweeps",
+    metavar="KEY=VALUES",
+    multiple=True,
+    help="Values of a key: a,b,c or first:last:count or log:first:last:count; several make a grid.",
+)
+@click.option(
+    "--sweep-file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="CSV file: a header of keys, then one row a shot.",
+)
+@click.option("--zip", "element_wise", is_flag=True, help="First values together, then second ones: no grid.")
+@click.option("--skip-invalid", is_flag=True, help="Keep refused combinations as rows with their reason.")
+@click.option(
+    "--out",
+    "outputs",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="File of the sweep's table: .csv, .h5 or .parquet; may be given several times.",
+)
+@click.option("--waveforms", is_flag=True, help="Store the forces at the sensor, too (.h5 only).")
+@click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each core.")
+@click.option(
+    "--executor",
+    type=click.Choice(["processes", "threads"]),
+    help="Default: threads for a short sweep, processes for a long one.",
+)
+@click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
+@JSON
+def simulate(**options: Any) -> None:
+    """One shot of the physics twin, or a sweep over any parameters of chain, plate and corrosion."""
+    from daq_service.cli.simulate import print_simulation
+
+    print_simulation(**options)
+
+
+@cli.command()
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder for figures, tables and report; default: a new one here.",
+)
+@click.option(
+    "--from",
+    "data_dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Data folder of a test; default: the paper's test is run on the twin.",
+)
+@click.option("--only", metavar="NAMES", help="Some of them only, for example fig12,table2.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+@JSON
+def reproduce(**options: Any) -> None:
+    """Draw the paper's figures and tables from a test and the models, and say where they deviate."""
+    from daq_service.cli.reproduce.run import reproduce as carry_out
+
+    sys.exit(carry_out(**options))
+
+
+def main() -> None:
+    """Entry point: errors of the tree become one line and their exit code."""
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Abort:
+        _end("interrupted", EXIT_INTERRUPTED)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        _end("interrupted", EXIT_INTERRUPTED)
+    except SolimonError as error:
+        _end(str(error), error.exit_code)
+
+
+def _end(message: str, code: int) -> None:
+    click.echo(f"solimon: {message}", err=True)
+    sys.exit(code)

@@ -1,0 +1,132 @@
+"""The paper's value, ours, the deviation and its cause, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from daq_service.cli.reproduce.causes import GIVEN, cause_of
+from daq_service.cli.reproduce.item import Found, missing
+from daq_service.cli.reproduce.paper_values import PaperValue, values_of
+
+NOT_AVAILABLE = "not available"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One quantity, side by side.
+
+    Attributes
+    ----------
+    deviation
+        Ours less the paper's, in `unit`; None where one of them is no number.
+    deviation_percent
+        The same relative to the paper's; None also where that is 0 or the unit is %.
+    cause
+        Why they differ; empty where they agree to rounding, unless the twin was given the value.
+    """
+
+    item: str
+    quantity: str
+    text: str
+    where: str
+    unit: str
+    paper: float | None
+    paper_shown: str
+    ours: float | None
+    ours_shown: str
+    ours_words: str
+    deviation: float | None
+    deviation_percent: float | None
+    cause: str
+
+    @property
+    def deviation_shown(self) -> str:
+        """For people."""
+        if self.deviation is None:
+            return "-"
+        if _vanishes(self.deviation, self.paper):
+            return "none"
+        if self.deviation_percent is not None:
+            return f"{self.deviation_percent:+.1f} %"
+        return f"{self.deviation:+.3g} {'points' if self.unit == '%' else self.unit}"
+
+
+def compare(item: str, found: Mapping[str, Found], *, origin: str) -> list[Row]:
+    """Rows of one item in the paper's order; a quantity that was not found says so and why.
+
+    Parameters
+    ----------
+    origin
+        Of the measurements, as in `causes.cause_of`.
+    """
+    return [
+        _row(value, found.get(value.quantity, missing("this figure does not give it")), origin=origin)
+        for value in values_of(item)
+    ]
+
+
+def tally(rows: Sequence[Row]) -> dict[str, int]:
+    """Count how the paper's values fare: agree (to rounding), deviate, words only, not available."""
+    counts = {"values": len(rows), "agree": 0, "deviate": 0, "words": 0, "not_available": 0}
+    for row in rows:
+        if row.ours is None:
+            counts["not_available"] += 1
+        elif row.deviation is None:
+            counts["words"] += 1
+        else:
+            counts["agree" if _vanishes(row.deviation, row.paper) else "deviate"] += 1
+    return counts
+
+
+def not_made(item: str, reason: str) -> list[Row]:
+    """Rows of an item that could not be made."""
+    return [_row(value, missing(reason), origin="shipped") for value in values_of(item)]
+
+
+def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:
+    deviation = None if ours.value is None or value.value is None else ours.value - value.value
+    relative = None
+    if deviation is not None and value.value and value.unit != "%":
+        relative = 100.0 * deviation / value.value
+    agrees = deviation is not None and _vanishes(deviation, value.value)
+    return Row(
+        item=value.item,
+        quantity=value.quantity,
+        text=value.text,
+        where=value.where,
+        unit=value.unit,
+        paper=value.value,
+        paper_shown=_paper_shown(value),
+        ours=ours.value,
+        ours_shown=NOT_AVAILABLE if ours.value is None else _shown(ours.value, value),
+        ours_words=ours.words if ours.value is not None else ours.reason,
+        deviation=deviation,
+        deviation_percent=relative,
+        cause=_cause(value, ours, agrees=agrees, origin=origin),
+    )
+
+
+def _vanishes(deviation: float, paper: float | None) -> bool:
+    """Nothing but rounding of floats is left."""
+    return abs(deviation) < 1e-9 * max(1.0, abs(paper or 0.0))
+
+
+def _cause(value: PaperValue, ours: Found, *, agrees: bool, origin: str) -> str:
+    cause = "" if ours.value is None else cause_of(value, origin=origin)
+    return "" if agrees and not cause.startswith(GIVEN) else cause
+
+
+def _paper_shown(value: PaperValue) -> str:
+    number = "" if value.value is None else f"{value.value:.{value.decimals}f}"
+    sign = "±" if value.said.startswith("+-") else ""
+    words = value.said.removeprefix("+-").strip("; ")
+    return f"{sign}{number} ({words})" if number and words else f"{sign}{number}" or words
+
+
+def _shown(number: float, value: PaperValue) -> str:
+    """Ours with one digit more than the print; whole numbers as such where the print is whole."""
+    decimals = value.decimals + 1 if value.value is not None else 2
+    if value.value is not None and value.decimals == 0 and float(number).is_integer():
+        decimals = 0
+    return f"{round(number, decimals) + 0.0:.{decimals}f}"  # no minus before a zero

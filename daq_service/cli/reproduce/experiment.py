@@ -1,0 +1,78 @@
+"""Run the paper's test on the twin as `solimon demo --exit --no-web` does: supervised and unpaced."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from daq_service.cli.run import child_plans
+from daq_service.errors import BusyError, RigError, SolimonError, StorageError, UsageError
+from daq_service.processes.child import log_to
+from daq_service.processes.data_folder import check_owner, prepare_data_folder, write_configuration
+from daq_service.processes.supervisor import Message, Supervisor
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+
+_ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError, BusyError)}
+
+
+def twin_settings(seed: int | None) -> Settings:
+    """Give the shipped configuration, the environment on top, with another seed if one is given."""
+    return load_settings(None, overrides={} if seed is None else {"twin": {"seed": seed}})
+
+
+def check_test_folder(settings: Settings, folder: Path) -> None:
+    """Refuse a folder of another test before anything is computed.
+
+    Raises
+    ------
+    StorageError
+        It belongs to another configuration: both hashes.
+    """
+    if folder.exists():
+        check_owner(settings, folder)
+
+
+def run_test(
+    settings: Settings, folder: Path, *, stop: threading.Event, progress: Callable[[int, int, float], None]
+) -> bool:
+    """Record to the schedule's end, or until `stop`; a folder that is done already is left as it is.
+
+    Parameters
+    ----------
+    progress
+        Called with sets done, sets planned and the hour.
+
+    Returns
+    -------
+    bool
+        True when every set is recorded.
+
+    Raises
+    ------
+    SolimonError
+        The recorder ended with an error (its words are on standard error).
+    """
+    prepare_data_folder(folder)
+    config = write_configuration(settings, folder)
+    log_to(folder / "logs" / "supervisor.log")
+
+    def on_message(child: str, message: Message) -> None:
+        del child
+        if message["event"] == "progress":
+            progress(int(message["done"]), int(message["planned"]), float(message["due_h"]))
+
+    supervisor = Supervisor(
+        child_plans(config, folder, port=None, web=False, linger=False),
+        folder,
+        on_message=on_message,
+        give_up=True,
+    )
+    code = supervisor.run(stop, stay=False)
+    if stop.is_set():
+        return False
+    if code:
+        kind = _ERRORS.get(code, SolimonError)
+        raise kind(f"the test on the twin failed (exit code {code}); see {folder / 'logs'}")
+    return True

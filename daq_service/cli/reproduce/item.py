@@ -1,0 +1,160 @@
+"""What a figure or table of the reproduction is made of, and what it gives back.
+
+An item names the computations (`Job`) it needs, and turns their results and the test's evidence into a
+drawing, tables and our values of the paper's quantities. Items know nothing of each other, of files or of
+processes; `daq_service.cli.reproduce.run` brings them together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+from daq_service.cli.reproduce.evidence import Evidence
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class NotAvailableError(Exception):
+    """A quantity, or a whole figure, cannot be had from this test; the message says why."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job:
+    """A computation of the models: a function of `daq_service.cli.reproduce.models`, run by an executor.
+
+    Equal jobs are computed once, so the arguments must be hashable and picklable.
+    """
+
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Found:
+    """Our value of one of the paper's quantities, in the paper's unit.
+
+    Attributes
+    ----------
+    value
+        None where it is not available, or where it is no number.
+    words
+        Where a number alone does not say it; else empty.
+    reason
+        Why `value` is not available; empty where it is.
+    """
+
+    value: float | None = None
+    words: str = ""
+    reason: str = ""
+
+
+def found(value: float | None, words: str = "", *, reason: str = "") -> Found:
+    """Our value; None or NaN becomes "not available" with the reason."""
+    if value is None or not math.isfinite(value):
+        return Found(words=words, reason=reason or "not a finite number")
+    return Found(value=float(value), words=words)
+
+
+def missing(reason: str) -> Found:
+    """Not available, and why."""
+    return Found(reason=reason)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Columns of a CSV file, of equal length; the name of a column ends with its unit."""
+
+    columns: Mapping[str, Sequence[Any] | NDArray[Any]]
+
+    def __post_init__(self) -> None:
+        lengths = {name: len(values) for name, values in self.columns.items()}
+        if len(set(lengths.values())) > 1:
+            raise ValueError(f"columns of a table differ in length: {lengths}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Material:
+    """What an item is made from.
+
+    Attributes
+    ----------
+    evidence
+        Of the test; None where no chosen item needs one.
+    results
+        Of the item's jobs, by the names it gave them; an exception where a job failed.
+    """
+
+    evidence: Evidence | None
+    results: Mapping[str, Any]
+
+    def result(self, name: str) -> Any:
+        """Give the result of a job.
+
+        Raises
+        ------
+        NotAvailableError
+            The model refused or failed.
+        """
+        value = self.results[name]
+        if isinstance(value, Exception):
+            raise NotAvailableError(f"the model says: {value}") from value
+        return value
+
+    @property
+    def test(self) -> Evidence:
+        """The test's evidence, for an item that needs it."""
+        if self.evidence is None:
+            raise NotAvailableError("no test was run or read")
+        return self.evidence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Product:
+    """What an item came to.
+
+    Attributes
+    ----------
+    drawing
+        None for a table.
+    tables
+        By the ending of their file's name: the empty one is the item's own, ``mesh`` is ``fig05_mesh.csv``.
+    found
+        Our values by quantity.
+    notes
+        What a reader of the figure should know: whole sentences.
+    """
+
+    drawing: Figure | None = None
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    found: Mapping[str, Found] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Item:
+    """A figure or table of the paper, or the list of its slips.
+
+    Attributes
+    ----------
+    name
+        As in ``--only`` and in file names.
+    shows
+        Caption: what is drawn here, and what the paper's figure shows where that cannot be computed.
+    needs_test
+        Whether it draws measurements.
+    jobs
+        By a name of the item's own.
+    """
+
+    name: str
+    title: str
+    shows: str
+    make: Callable[[Material], Product]
+    needs_test: bool = False
+    jobs: Mapping[str, Job] = field(default_factory=dict)

@@ -1,0 +1,253 @@
+"""What the models say: functions for an executor, in another process if it likes.
+
+Everything here is the paper's specimen unless a study changes one thing; the parameters' defaults are the
+paper's, whatever a configuration says.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from simulator.chain.spheres import build_chain
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+from simulator.plate.solid.plate import build_solid_plate
+from simulator.shot.model import ShotModel
+from simulator.shot.pulse_summary import summarise
+from simulator.zener.model import (
+    ZenerReflection,
+    approximate_contact_time,
+    approximate_restitution,
+    reflect,
+    solve_impact,
+)
+from simulator.zener.table_2 import Table2Row, table_2
+
+FloatArray = NDArray[np.float64]
+
+ISW_STEPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
+"""ISW amplitude over the nominal one (figure 12)."""
+
+LONGEST_SEARCH = 60
+
+
+def plate_models() -> tuple[str, ...]:
+    """Names of the plate models that this version has."""
+    return tuple(get_args(get_type_hints(PlateParameters)["model"]))
+
+
+def plate_of_model(model: str) -> PlateParameters:
+    """Give the paper's plate by one of `plate_models`."""
+    if model not in plate_models():
+        raise ValueError(f"plate model {model!r}; this version has {', '.join(plate_models())}")
+    # The type checker cannot see that the name is one of the literal ones.
+    values: dict[str, Any] = {"model": model}
+    return PlateParameters(**values)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pulse:
+    """Noise-free shot: peaks of the sensor's force, static preload included."""
+
+    depth_fraction: float
+    drop_height_m: float
+    isw_peak_n: float
+    isw_time_us: float
+    tof_us: float
+    amplitude_ratio: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceTrace:
+    """Force at one body of the chain over time, arrays of shape (n,)."""
+
+    body: int
+    time_s: FloatArray
+    force_n: FloatArray
+
+
+def pulses_over_depth(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
+) -> list[Pulse]:
+    """One shot a depth."""
+    model = ShotModel(chain, plate, patch)
+    return [_pulse(model, depth, chain.drop_height_m) for depth in depths]
+
+
+def pulses_over_isw(
+    chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]
+) -> list[tuple[float, Pulse]]:
+    """Shots whose ISW is `ratios` times the nominal one, each found by its drop height."""
+    model = ShotModel(chain, plate, CorrosionParameters())
+    nominal_n = _pulse(model, 0.0, chain.drop_height_m).isw_peak_n
+    found = []
+    for ratio in ratios:
+        # F ~ h^(3/5) in a long chain: the root lies well inside half and twice that.
+        guess_m = chain.drop_height_m * ratio ** (5.0 / 3.0)
+        height_m = brentq(
+            lambda h, ratio=ratio: _pulse(model, 0.0, h).isw_peak_n / nominal_n - ratio,
+            0.5 * guess_m,
+            2.0 * guess_m,
+            xtol=1e-9,
+            maxiter=LONGEST_SEARCH,
+        )
+        found.append((ratio, _pulse(model, 0.0, float(height_m))))
+    return found
+
+
+def zener_over_isw(ratios: tuple[float, ...], *, closed_form: bool) -> list[tuple[float, ZenerReflection]]:
+    """Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in the paper's Table 2."""
+    chain, plate = ChainParameters(), PlateParameters()
+    return [
+        (
+            ratio,
+            reflect(
+                replace(chain, drop_height_m=chain.drop_height_m * ratio ** (5.0 / 3.0)),
+                plate,
+                closed_form=closed_form,
+            ),
+        )
+        for ratio in ratios
+    ]
+
+
+def zener_by_eq_8(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
+    """Eq. 8 solved numerically."""
+    return zener_over_isw(ratios, closed_form=False)
+
+
+def zener_by_closed_forms(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
+    """Eqs 10 and 12."""
+    return zener_over_isw(ratios, closed_form=True)
+
+
+def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
+    """Restitution and contact time by eq. 8 and by eqs 10 and 12; NaN where a closed form does not hold."""
+    columns: dict[str, list[float]] = {
+        name: [] for name in ("inelasticity", "e_eq8", "e_eq10", "tau_c_eq8", "tau_c_eq12")
+    }
+    for inelasticity in inelasticities:
+        exact = solve_impact(inelasticity)
+        columns["inelasticity"].append(inelasticity)
+        columns["e_eq8"].append(exact.restitution)
+        columns["e_eq10"].append(approximate_restitution(inelasticity) if inelasticity <= 1.0 else math.nan)
+        columns["tau_c_eq8"].append(exact.contact_time)
+        columns["tau_c_eq12"].append(approximate_contact_time(inelasticity))
+    return columns
+
+
+def zeners_table() -> tuple[Table2Row, ...]:
+    """Table 2."""
+    return table_2()
+
+
+def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
+    """Force at every body between striker and last sphere.
+
+    The chain is of equal spheres, sensor included, so it does not matter where the sensor is called:
+    each body in turn is, and all shots are the same one.
+    """
+    chain = ChainParameters(sensor="sphere")
+    bodies = chain.spheres_above + 1 + chain.spheres_below
+    found = []
+    for body in range(1, bodies - 1):
+        moved = replace(chain, spheres_above=body, spheres_below=bodies - 1 - body)
+        force = ShotModel(moved, plate, CorrosionParameters()).shot()
+        found.append(ForceTrace(body=body, time_s=force.time_s, force_n=force.force_n))
+    return found
+
+
+def sensor_force(chain: ChainParameters, plate: PlateParameters, depth_fraction: float) -> ForceTrace:
+    """Force at the sensor."""
+    force = ShotModel(chain, plate, CorrosionParameters()).shot(depth_fraction=depth_fraction)
+    return ForceTrace(body=chain.spheres_above, time_s=force.time_s, force_n=force.force_n)
+
+
+def chain_constants(chain: ChainParameters, plate: PlateParameters) -> dict[str, float]:
+    """Constants of eqs 1 and 2 for `chain` on `plate`, SI units."""
+    built = build_chain(chain, plate)
+    return {
+        "sphere_stiffness": float(built.stiffness_n_per_m15[0]),
+        "plate_stiffness": float(built.stiffness_n_per_m15[-1]),
+        "impact_speed_m_per_s": built.impact_speed_m_per_s,
+        "preload_n": built.preload_n,
+    }
+
+
+def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
+    summary = summarise(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
+    return Pulse(
+        depth_fraction=depth,
+        drop_height_m=drop_height_m,
+        isw_peak_n=summary.isw_peak_n,
+        isw_time_us=summary.isw_time_us,
+        tof_us=math.nan if summary.tof_us is None else summary.tof_us,
+        amplitude_ratio=math.nan if summary.amplitude_ratio is None else summary.amplitude_ratio,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeshLines:
+    """Edges of the elements of a quarter of a plate from the contact outwards, in m.
+
+    Attributes
+    ----------
+    z_m
+        From the face under the chain; empty for a plate theory.
+    nodes_m
+        Nodes along x: the edges themselves where elements are linear.
+    """
+
+    x_m: FloatArray
+    y_m: FloatArray
+    z_m: FloatArray
+    nodes_m: FloatArray
+    patch_m: float
+    depth_fraction: float
+    unknowns: int
+    contact_element_m: float
+
+
+def mindlin_mesh(plate: PlateParameters) -> MeshLines:
+    """Mesh of the plate theory."""
+    patch = CorrosionParameters()
+    built = build_plate(plate, patch)
+    return MeshLines(
+        x_m=built.x_m,
+        y_m=built.y_m,
+        z_m=np.empty(0),
+        nodes_m=built.x_m,
+        patch_m=patch.size_m,
+        depth_fraction=0.0,
+        unknowns=int(built.free.size),
+        contact_element_m=float(built.x_m[1] - built.x_m[0]),
+    )
+
+
+def solid_mesh(plate: PlateParameters, depth_fraction: float) -> MeshLines:
+    """Mesh of the solid plate with the default patch thinned to a depth."""
+    patch = CorrosionParameters(depth_fraction=depth_fraction)
+    built = build_solid_plate(plate, patch)
+    x_m, y_m = built.x.breaks_m, built.y.breaks_m
+    return MeshLines(
+        x_m=x_m,
+        y_m=y_m,
+        z_m=built.z.breaks_m,
+        nodes_m=built.x.nodes_m,
+        patch_m=patch.size_m,
+        depth_fraction=depth_fraction,
+        unknowns=int(built.load.size),
+        contact_element_m=float(x_m[1] - x_m[0]),
+    )
+
+
+def zener_on_thickness(thickness_m: float) -> ZenerReflection:
+    """Zener's model on a plate of another thickness; a very thick one is a rigid wall to it."""
+    return reflect(ChainParameters(), replace(PlateParameters(), thickness_m=thickness_m))

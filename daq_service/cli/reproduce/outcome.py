@@ -1,0 +1,160 @@
+"""What a reproduction came to: its facts, the report and the record, and the table for a terminal."""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.cli.reproduce.comparison import Row, tally
+from daq_service.cli.reproduce.evidence import Evidence
+from daq_service.cli.reproduce.output import RECORD, REPORT, write_json, write_whole
+from daq_service.cli.reproduce.page import Report, Section, report_page
+from daq_service.recording.provenance import PACKAGES
+
+TITLE = "The paper's evaluation, reproduced"
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What one reproduction has come to."""
+
+    out: Path
+    started_s: float
+    facts: dict[str, Any]
+    sections: list[Section] = field(default_factory=list)
+    slips: list[dict[str, str]] = field(default_factory=list)
+
+    @property
+    def rows(self) -> list[Row]:
+        """Of all items that are made, in order."""
+        return [row for section in self.sections for row in section.rows]
+
+
+def versions() -> dict[str, Any]:
+    """Facts of a run before it has a test."""
+    return {
+        "seed": None,
+        "configuration_hash": None,
+        "test": None,
+        "data_dir": None,
+        "versions": {
+            **{name: version(name) for name in (*PACKAGES, "matplotlib")},
+            "python": platform.python_version(),
+        },
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def facts_of_test(test: Evidence) -> dict[str, Any]:
+    """Facts of a test."""
+    return {
+        "seed": test.seed,
+        "configuration_hash": test.configuration_hash,
+        "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
+        f"strikes, {test.counts['pulse_echo_records']} echoes, {test.counts['missed_sets']} sets missed "
+        f"({'twin' if test.from_twin else 'real specimen'}, recorded by solimon {test.solimon_version})",
+        "data_dir": str(test.folder),
+    }
+
+
+def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, Any]:
+    """Write report and record, and give the record.
+
+    Parameters
+    ----------
+    names
+        Of the items that were wanted; those that are not made are named as missing.
+    """
+    made = {section.name for section in run.sections}
+    missing = [name for name in names if name not in made]
+    elapsed_s = time.monotonic() - run.started_s
+    counts = tally(run.rows)
+    result: dict[str, Any] = {
+        **run.facts,
+        "elapsed_s": round(elapsed_s, 3),
+        "interrupted": interrupted,
+        "out": str(run.out),
+        "report": str(run.out / REPORT),
+        "items": {
+            section.name: {"files": list(section.files), "not_available": section.trouble or None}
+            for section in run.sections
+        },
+        "missing": missing,
+        "tally": counts,
+        "comparison": [_row_dict(row) for row in run.rows],
+        "slips": run.slips,
+    }
+    seed = "none: no twin behind it" if run.facts["seed"] is None else str(run.facts["seed"])
+    facts = {
+        "seed": seed,
+        "configuration": run.facts["configuration_hash"]
+        or "no test was needed; the models have the paper's parameters",
+        "test": run.facts["test"] or "-",
+        "data": run.facts["data_dir"] or "-",
+        "versions": ", ".join(f"{name} {number}" for name, number in run.facts["versions"].items()),
+        "machine": run.facts["machine"],
+        "values of the paper": _tally_text(counts),
+        "made": f"{datetime.now().astimezone():%Y-%m-%d %H:%M %Z}, in {elapsed_s:.0f} s",
+    }
+    remarks = [
+        (
+            "Left the paper, right ours: every value of ours is computed in this run; the paper's are those "
+            "of its text and tables. A cause is our explanation of a deviation, not the paper's."
+        )
+    ]
+    if missing:
+        remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
+    write_whole(
+        run.out / REPORT,
+        report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
+    )
+    write_json(run.out / RECORD, result)
+    return result
+
+
+def _tally_text(counts: Mapping[str, int]) -> str:
+    return (
+        f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
+        f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"
+    )
+
+
+def _row_dict(row: Row) -> dict[str, Any]:
+    return {**asdict(row), "deviation_shown": row.deviation_shown}
+
+
+def print_result(result: Mapping[str, Any]) -> None:
+    """Print what `finish` gave, for people."""
+    rows = result["comparison"]
+    if rows:
+        click.echo(f"{'':<8}{'quantity':<66}{'paper':>26}{'ours':>15}  {'unit':<5}{'deviation':>15}  cause")
+    for row in rows:
+        unit = "" if row["unit"] == "1" else row["unit"]
+        # A terminal of any code page shows it.
+        paper = row["paper_shown"].replace("±", "+-")
+        cause = row["cause"] if row["ours"] is not None else row["ours_words"]
+        click.echo(
+            f"{row['item']:<8}{row['text']:<66}{paper:>26}{row['ours_shown']:>15}  {unit:<5}"
+            f"{row['deviation_shown']:>15}  {cause}".rstrip()
+        )
+    for slip in result["slips"]:
+        click.echo(
+            f"slip, {slip['where']}: printed: {slip['printed']}. Right: {slip['right']}. {slip['finding']}."
+        )
+    versions = ", ".join(f"{name} {number}" for name, number in result["versions"].items())
+    if rows:
+        click.echo(f"values of the paper: {_tally_text(result['tally'])}")
+    click.echo(f"seed {result['seed']}, configuration {result['configuration_hash']}")
+    click.echo(f"{versions}; {result['machine']}")
+    if result["missing"]:
+        click.echo(f"not made: {', '.join(result['missing'])}")
+    click.echo(f"{result['report']} in {result['elapsed_s']:.1f} s")

@@ -1,0 +1,83 @@
+"""The output folder: made or recognised, files written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from daq_service.cli.reproduce.item import Table
+from daq_service.errors import StorageError
+
+RECORD = "reproduction.json"
+"""Tells that the folder is ours, and at the end what is in it."""
+REPORT = "report.html"
+DATA_FOLDER = "data"
+"""Of a test that was run for the figures."""
+
+
+def prepare_output(folder: Path) -> None:
+    """Make the folder, or recognise one of an earlier reproduction, whose files are replaced.
+
+    Raises
+    ------
+    StorageError
+        It holds something else, or cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        names = {path.name for path in folder.iterdir()}
+        if names and RECORD not in names:
+            raise StorageError(
+                f"{folder} is not empty and no reproduction made it (it holds {min(names)!r}); choose a new "
+                "or empty one with --out"
+            )
+        if RECORD not in names:
+            write_whole(folder / RECORD, b"{}\n")
+    except OSError as error:
+        raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Replace a file at once: an interruption leaves the old one or the new one."""
+    partial = path.with_name(f".{path.name}.tmp")
+    try:
+        partial.write_bytes(content)
+        partial.replace(path)
+    except OSError as error:
+        raise StorageError(
+            f"cannot write {path}: {error.strerror}; free the disk or choose another --out"
+        ) from error
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write an object for programs."""
+    write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
+
+
+def csv_bytes(table: Table) -> bytes:
+    """Comma-separated values: a header, then one row a line; not available is an empty cell.
+
+    Floats are written with all their digits, so that they read back as the same numbers.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(table.columns)
+    for row in zip(*table.columns.values(), strict=True):
+        writer.writerow([_cell(value) for value in row])
+    return text.getvalue().encode()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):  # numpy's float64 too
+        number = float(value)
+        if math.isnan(number):
+            return ""
+        return repr(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)
+    return str(value)

@@ -1,0 +1,273 @@
+"""The command ``solimon reproduce``: start the test and the models, draw what is ready, tell how it compares.
+
+The test on the twin runs in its own process, the models in another; figures are drawn here, those of the
+models first, since they are ready before the test is. Every file is written as soon as it is made, so an
+interruption leaves what is finished.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import ExitStack
+from datetime import datetime
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.cli.reproduce.comparison import compare, not_made
+from daq_service.cli.reproduce.evidence import Evidence, read_evidence
+from daq_service.cli.reproduce.experiment import check_test_folder, run_test, twin_settings
+from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
+from daq_service.cli.reproduce.items import chosen_items
+from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
+from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output, write_whole
+from daq_service.cli.reproduce.page import Section
+from daq_service.cli.reproduce.style import house_style, rendered
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
+from daq_service.processes.child import stop_on_signals
+from daq_service.settings.tree import Settings
+from simulator.errors import SimulatorError
+
+POLL_S = 0.1
+SLIPS = "slips"
+
+Say = Callable[[str], None]
+
+
+class _StoppedError(Exception):
+    """The operator interrupted."""
+
+
+def reproduce(
+    *, out: Path | None, data_dir: Path | None, only: str | None, seed: int | None, as_json: bool
+) -> int:
+    """Carry out the command; the exit code."""
+    if seed is not None and data_dir is not None:
+        raise UsageError(
+            "--seed is for a new test on the twin; the test of --from has been run: leave one out"
+        )
+    items = chosen_items(only)
+    folder = (out or _new_folder()).absolute()
+
+    def say(text: str) -> None:
+        click.echo(text, err=True)
+
+    with stop_on_signals() as stop, ExitStack() as stack:
+        executor = stack.enter_context(_pool())
+        try:
+            result, finished = reproduce_into(
+                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=say
+            )
+        finally:
+            executor.shutdown(wait=False, cancel_futures=True)
+    if as_json:
+        click.echo(json.dumps(result))
+    else:
+        print_result(result)
+    return EXIT_OK if finished else EXIT_INTERRUPTED
+
+
+def reproduce_into(
+    out: Path,
+    items: Sequence[Item],
+    *,
+    data_dir: Path | None,
+    seed: int | None,
+    executor: Executor,
+    stop: threading.Event,
+    say: Say,
+) -> tuple[dict[str, Any], bool]:
+    """Make `items` in the folder `out`.
+
+    Parameters
+    ----------
+    data_dir
+        Data folder of an earlier test; None runs the paper's test on the twin where an item needs one.
+    executor
+        Carries out the models' jobs.
+    stop
+        Set to interrupt: what is finished stays, and the report says what is missing.
+
+    Returns
+    -------
+    dict, bool
+        What ``--json`` prints, and whether nothing interrupted it.
+
+    Raises
+    ------
+    StorageError, UsageError
+        The output folder, or the test's, cannot be used: before anything is computed.
+    """
+    needed = _needs_test(items)
+    settings = twin_settings(seed) if needed and data_dir is None else None
+    if data_dir is not None:
+        read_evidence(data_dir.absolute(), with_traces=False)
+    elif settings is not None:
+        check_test_folder(settings, out / DATA_FOLDER)
+    prepare_output(out)
+    run = Outcome(out=out, started_s=time.monotonic(), facts=versions())
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
+        evidence = None
+        if data_dir is not None and (needed or any(item.name == SLIPS for item in items)):
+            evidence = tests.submit(read_evidence, data_dir.absolute())
+        elif settings is not None:
+            evidence = tests.submit(_run_and_read, settings, out / DATA_FOLDER, stop, say)
+        jobs = dict.fromkeys(job for item in items for job in item.jobs.values())
+        futures = {job: executor.submit(job.function, *job.arguments) for job in jobs}
+        try:
+            for item in sorted(items, key=lambda item: (item.needs_test, item.name == SLIPS)):
+                _make(run, item, futures, evidence, stop, say)
+        except _StoppedError:
+            say("interrupted: what is finished stays; the same command with the same --out goes on")
+        except BaseException:
+            stop.set()  # ends the recorder, which the thread waits for
+            raise
+    order = [item.name for item in items]
+    run.sections.sort(key=lambda section: order.index(section.name))
+    return finish(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
+
+
+def _needs_test(items: Sequence[Item]) -> bool:
+    """Whether an item draws measurements; the slips take a test that is there and do not ask for one."""
+    return any(item.needs_test for item in items)
+
+
+# The test and the models ---------------------------------------------------------------------------
+
+
+def _pool() -> ProcessPoolExecutor:
+    """One process: the recorder has the other core. Spawned, as on every system and beside threads."""
+    return ProcessPoolExecutor(
+        max_workers=1, mp_context=get_context("spawn"), initializer=_leave_signals_alone
+    )
+
+
+def _leave_signals_alone() -> None:
+    """Ctrl-C goes to the whole group; the parent decides."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, say: Say) -> Evidence:
+    say(f"test on the twin (seed {settings.twin.seed}) in {folder}")
+    if not run_test(settings, folder, stop=stop, progress=_Tenths(say).progress):
+        raise _StoppedError
+    return read_evidence(folder)
+
+
+class _Tenths:
+    """Tells every tenth of the test."""
+
+    def __init__(self, say: Say) -> None:
+        self._say = say
+        self._told = -1
+
+    def progress(self, done: int, planned: int, due_h: float) -> None:
+        tenth = 10 * done // max(planned, 1)
+        if tenth > self._told:
+            self._told = tenth
+            self._say(f"test: hour {due_h:g}, set {done} of {planned}")
+
+
+def _wait(future: Future[Any], stop: threading.Event) -> Any:
+    while not future.done():
+        if stop.wait(POLL_S):
+            raise _StoppedError
+    return future.result()
+
+
+# One item ------------------------------------------------------------------------------------------
+
+
+def _make(
+    run: Outcome,
+    item: Item,
+    futures: Mapping[Job, Future[Any]],
+    evidence: Future[Evidence] | None,
+    stop: threading.Event,
+    say: Say,
+) -> None:
+    """Wait for what an item needs, make it, write its files."""
+    results: dict[str, Any] = {}
+    for name, job in item.jobs.items():
+        try:
+            results[name] = _wait(futures[job], stop)
+        except (SimulatorError, ValueError) as error:
+            results[name] = error
+    wants_test = item.needs_test or item.name == SLIPS
+    test = _wait(evidence, stop) if evidence is not None and wants_test else None
+    if stop.is_set():
+        raise _StoppedError
+    if test is not None:
+        run.facts.update(facts_of_test(test))
+    with house_style():
+        try:
+            product = item.make(Material(evidence=test, results=results))
+        except NotAvailableError as error:
+            say(f"{item.name}: not available: {error}")
+            run.sections.append(
+                Section(
+                    name=item.name,
+                    title=item.title,
+                    shows=item.shows,
+                    trouble=str(error),
+                    rows=not_made(item.name, str(error)),
+                )
+            )
+            return
+        pictures = {} if product.drawing is None else rendered(product.drawing)
+    run.sections.append(_written(run, item, product, pictures, origin=_origin(test)))
+    if item.name == SLIPS:
+        columns = product.tables[""].columns
+        run.slips = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+    say(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
+
+
+def _written(
+    run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
+) -> Section:
+    stem = _stem(item.name)
+    contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
+    for ending, table in product.tables.items():
+        contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
+    for name, content in contents.items():
+        write_whole(run.out / name, content)
+    return Section(
+        name=item.name,
+        title=item.title,
+        shows=item.shows,
+        files=tuple(contents),
+        png=pictures.get("png", b""),
+        table=product.tables.get("") if product.drawing is None else None,
+        rows=compare(item.name, product.found, origin=origin),
+        notes=product.notes,
+    )
+
+
+def _origin(test: Evidence | None) -> str:
+    """Whose measurements these are, for their causes."""
+    if test is not None and not test.from_twin:
+        return "specimen"
+    shipped = test is None or test.configuration_hash == twin_settings(test.seed).configuration_hash()
+    return "shipped" if shipped else "twin"
+
+
+def _stem(name: str) -> str:
+    """File name of an item: figures sort by number."""
+    return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name
+
+
+def _new_folder() -> Path:
+    """Return a folder that does not exist yet, named by the time."""
+    base = Path.cwd() / f"solimon-reproduction-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    folder, number = base, 1
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder

@@ -1,0 +1,231 @@
+"""Figures 8, 9 and 11: time of flight, amplitude ratio and ISW amplitude over the test, and their fits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from analysis.errors import AnalysisError
+from analysis.statistics.trend import Trend, fit_trend
+from daq_service.cli.reproduce.evidence import Evidence, SolitaryWaves
+from daq_service.cli.reproduce.item import (
+    Found,
+    Item,
+    Material,
+    NotAvailableError,
+    Product,
+    Table,
+    found,
+    missing,
+)
+from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, colour_of, name_panels, sheet
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Look:
+    """How one feature is drawn: its column, the factor to the axis's unit, the axis's label."""
+
+    column: str
+    scale: float
+    label: str
+    paper_marks: Callable[[str], Sequence[tuple[str, float]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fit:
+    """Parabola of one position in the axis's unit, and the hours of its first and last point."""
+
+    trend: Trend
+    last_h: float
+
+    @property
+    def change_percent(self) -> float:
+        return 100.0 * (float(self.trend.at(self.last_h)) / self.trend.constant - 1.0)
+
+
+def _fits(test: Evidence, look: _Look) -> dict[str, _Fit | str]:
+    """Fit of every position, or why there is none."""
+    fits: dict[str, _Fit | str] = {}
+    for name, pulses in test.pulses.items():
+        values = look.scale * pulses.values[look.column]
+        present = np.isfinite(values)
+        try:
+            trend = fit_trend(pulses.hour_h, values)
+        except AnalysisError as error:
+            fits[name] = str(error)
+            continue
+        fits[name] = _Fit(trend=trend, last_h=float(pulses.hour_h[present][-1]))
+    return fits
+
+
+def _draw(
+    test: Evidence, look: _Look, found_by: Callable[[Mapping[str, _Fit | str]], dict[str, Found]]
+) -> Product:
+    names = list(test.pulses)
+    if not names:
+        raise NotAvailableError("the test has no solitary-wave transducer")
+    fits = _fits(test, look)
+    figure, axes = sheet(1, len(names), height_in=3.3, sharex=True, sharey=True)
+    for axis, name in zip(axes, names, strict=True):
+        _panel(axis, test.pulses[name], look, fits[name], colour_of(name, names))
+    axes[0].set_ylabel(look.label)
+    told = {
+        label: handle
+        for axis in axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(told.values()), list(told), loc="outside lower center", ncols=3)
+    name_panels(axes, [f"position {name}" for name in names])
+    notes = tuple(f"No fit at {name}: {fit}." for name, fit in fits.items() if isinstance(fit, str))
+    return Product(
+        drawing=figure,
+        tables={"": _table(test, look, fits), "fits": _fit_table(fits)},
+        found=found_by(fits),
+        notes=notes,
+    )
+
+
+def _panel(axis: Axes, pulses: SolitaryWaves, look: _Look, fit: _Fit | str, colour: str) -> None:
+    axis.plot(
+        pulses.hour_h,
+        look.scale * pulses.values[look.column],
+        ".",
+        color=colour,
+        alpha=0.45,
+        ms=2.5,
+        label="sets, mean of the valid strikes",
+    )
+    axis.set(xlabel="hour of the test (h)")
+    if isinstance(fit, _Fit):
+        hours = np.linspace(0.0, fit.last_h, 100)
+        axis.plot(hours, fit.trend.at(hours), color=BLACK, lw=1.2, label="our fit, second order")
+    for number, (told, value) in enumerate(look.paper_marks(pulses.position)):
+        hour = 0.0 if told == "start" else float(pulses.hour_h[-1] if isinstance(fit, str) else fit.last_h)
+        axis.plot([hour], [value], **PAPER_MARK, label="paper, beginning and end" if number == 0 else None)
+
+
+def _table(test: Evidence, look: _Look, fits: Mapping[str, _Fit | str]) -> Table:
+    columns: dict[str, list[Any]] = {"position": [], "set_index": [], "due_h": [], look.column: [], "fit": []}
+    for name, pulses in test.pulses.items():
+        fit = fits[name]
+        values = pulses.values[look.column]
+        columns["position"] += [name] * values.size
+        columns["set_index"] += pulses.set_index.tolist()
+        columns["due_h"] += pulses.hour_h.tolist()
+        columns[look.column] += values.tolist()
+        fitted = (
+            (fit.trend.at(pulses.hour_h) / look.scale).tolist()
+            if isinstance(fit, _Fit)
+            else [None] * values.size
+        )
+        columns["fit"] += fitted
+    columns[f"fit_of_{look.column}"] = columns.pop("fit")
+    return Table(columns=columns)
+
+
+def _fit_table(fits: Mapping[str, _Fit | str]) -> Table:
+    """Coefficients in the axis's unit: value = constant + linear t + quadratic t^2, t in h."""
+    rows = [(name, fit) for name, fit in fits.items() if isinstance(fit, _Fit)]
+    return Table(
+        columns={
+            "position": [name for name, _ in rows],
+            "constant": [fit.trend.constant for _, fit in rows],
+            "linear_per_h": [fit.trend.linear for _, fit in rows],
+            "quadratic_per_h2": [fit.trend.quadratic for _, fit in rows],
+            "r_squared": [fit.trend.r_squared for _, fit in rows],
+            "residual_sd": [fit.trend.residual_sd for _, fit in rows],
+            "points": [fit.trend.n_points for _, fit in rows],
+            "last_h": [fit.last_h for _, fit in rows],
+        }
+    )
+
+
+def _of(fits: Mapping[str, _Fit | str], position: str, value: Callable[[_Fit], float]) -> Found:
+    fit = fits.get(position)
+    if fit is None:
+        return missing(f"the test has no solitary-wave position {position}")
+    if isinstance(fit, str):
+        return missing(fit)
+    return found(value(fit), f"to hour {fit.last_h:g}")
+
+
+def draw_fig8(material: Material) -> Product:
+    """Time of flight by peaks."""
+
+    def marks(position: str) -> Sequence[tuple[str, float]]:
+        if position not in ("B", "C", "D"):
+            return ()
+        start = printed("fig8", f"tof_start_{position}")
+        rise = printed("fig8", f"tof_rise_{position}")
+        return (("start", start), ("end", start * (1.0 + 0.01 * rise)))
+
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+        start = {f"tof_start_{p}": _of(fits, p, lambda fit: fit.trend.constant) for p in "BCD"}
+        return {**start, **{f"tof_rise_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}}
+
+    look = _Look(column="tof_pp_s", scale=1e6, label="time of flight, peak to peak (µs)", paper_marks=marks)
+    return _draw(material.test, look, values)
+
+
+def draw_fig9(material: Material) -> Product:
+    """Amplitude ratio."""
+
+    def marks(position: str) -> Sequence[tuple[str, float]]:
+        if position not in ("B", "C", "D"):
+            return ()
+        start = printed("fig9", f"ar_start_{position}")
+        end = start if position == "D" else printed("fig9", f"ar_end_{position}")
+        return (("start", start), ("end", end))
+
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+        start = {f"ar_start_{p}": _of(fits, p, lambda fit: fit.trend.constant) for p in "BCD"}
+        end = {f"ar_end_{p}": _of(fits, p, lambda fit: float(fit.trend.at(fit.last_h))) for p in "BC"}
+        fall = {f"ar_fall_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
+        return {**start, **end, **fall}
+
+    look = _Look(
+        column="amplitude_ratio", scale=1.0, label="amplitude ratio PSW / ISW (1)", paper_marks=marks
+    )
+    return _draw(material.test, look, values)
+
+
+def draw_fig11(material: Material) -> Product:
+    """ISW amplitude; the paper prints no number, only that there is no trend."""
+
+    def values(fits: Mapping[str, _Fit | str]) -> dict[str, Found]:
+        return {f"isw_trend_{p}": _of(fits, p, lambda fit: fit.change_percent) for p in "BCD"}
+
+    look = _Look(
+        column="isw_amplitude_v", scale=1.0, label="amplitude of the ISW (V)", paper_marks=lambda _: ()
+    )
+    return _draw(material.test, look, values)
+
+
+_PARABOLA = "Each point is a set's feature, the line a second-order fit through all of them"
+
+FIG8 = Item(
+    name="fig8",
+    title="Figure 8. Time of flight over the test",
+    shows=f"{_PARABOLA}; diamonds: where the paper's fits begin (about 325 us) and about 10 % above that.",
+    make=draw_fig8,
+    needs_test=True,
+)
+FIG9 = Item(
+    name="fig9",
+    title="Figure 9. Amplitude ratio over the test",
+    shows=f"{_PARABOLA}; diamonds: the paper's values at the beginning and the end.",
+    make=draw_fig9,
+    needs_test=True,
+)
+FIG11 = Item(
+    name="fig11",
+    title="Figure 11. Amplitude of the incident wave over the test",
+    shows=f"{_PARABOLA}; the paper finds no trend.",
+    make=draw_fig11,
+    needs_test=True,
+)

@@ -1,0 +1,140 @@
+"""Figure 7: the recorded solitary waves of each transducer over the test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from daq_service.cli.reproduce.evidence import Evidence, SolitaryWaves, Trace
+from daq_service.cli.reproduce.item import (
+    Found,
+    Item,
+    Material,
+    NotAvailableError,
+    Product,
+    Table,
+    found,
+    missing,
+)
+from daq_service.cli.reproduce.style import BLACK, ORANGE, PURPLE, colour_of, name_panels, sheet
+
+WINDOW_US = (-60.0, 900.0)
+STEP_S = 1e-6
+"""Spacing of the samples drawn and written; the archive has all of them."""
+ROOM = 1.8
+"""Height of an incident wave in units of the distance between two traces."""
+
+
+def draw_fig7(material: Material) -> Product:
+    """Averaged records, later ones higher up, with the marks that the features come from."""
+    test = material.test
+    names = [name for name in test.pulses if test.traces.get(name)]
+    if not names:
+        raise NotAvailableError("the folder has no readable waveform of a solitary-wave transducer")
+    figure, axes = sheet(1, len(names), height_in=6.0, sharey=True)
+    last_h = max(trace.hour_h for name in names for trace in test.traces[name])
+    for axis, name in zip(axes, names, strict=True):
+        _waterfall(axis, test.traces[name], test.pulses[name], last_h, colour_of(name, names))
+        axis.set(xlabel="time after the trigger (µs)", xlim=WINDOW_US)
+    axes[0].set_ylabel("hour of the test (h)")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    name_panels(axes, [f"position {name}" for name in names])
+    return Product(
+        drawing=figure,
+        tables={name: _table(test.traces[name]) for name in names},
+        found={**_isw_time(test, names), **{f"change_hour_{p}": _change(test, p) for p in "BC"}},
+        notes=(
+            (
+                f"Each trace is the mean of a set's accepted records; {len(test.traces[names[0]])} of "
+                f"{test.counts['sets']} sets are drawn, lifted to their hour."
+            ),
+            *test.trouble,
+        ),
+    )
+
+
+def _waterfall(
+    axis: Axes, traces: Sequence[Trace], pulses: SolitaryWaves, last_h: float, colour: str
+) -> None:
+    spacing_h = last_h / max(len(traces), 2)
+    height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
+    hours = np.array([trace.hour_h for trace in traces])
+    for trace in traces:
+        every = _every(trace)
+        time_us = 1e6 * trace.time_s
+        shown = np.flatnonzero((time_us >= WINDOW_US[0]) & (time_us <= WINDOW_US[1]))[::every]
+        quiet_v = float(np.median(trace.volts[: max(1, int(np.searchsorted(time_us, -20.0)))]))
+        lifted_h = trace.hour_h + ROOM * spacing_h * (trace.volts - quiet_v) / height_v
+        axis.plot(time_us[shown], lifted_h[shown], color=colour, lw=0.7)
+    for column, mark, told in (
+        ("isw_time_s", BLACK, "ISW"),
+        ("psw_time_s", PURPLE, "PSW"),
+        ("ssw_time_s", ORANGE, "SSW"),
+    ):
+        drawn = np.isin(pulses.hour_h, hours)
+        axis.plot(
+            1e6 * pulses.values[column][drawn],
+            pulses.hour_h[drawn],
+            linestyle="none",
+            marker="|",
+            markersize=5,
+            markeredgewidth=1.2,
+            color=mark,
+            label=f"time of the {told}",
+        )
+
+
+def _every(trace: Trace) -> int:
+    return max(1, round(STEP_S / float(trace.time_s[1] - trace.time_s[0])))
+
+
+def _table(traces: Sequence[Trace]) -> Table:
+    """All traces of a position on the first one's times; another record length is padded with nothing."""
+    first = traces[0].time_s
+    every = _every(traces[0])
+    columns: dict[str, list[Any]] = {"time_s": [round(float(t), 9) for t in first[::every]]}
+    for trace in traces:
+        values: list[Any] = [round(float(v), 6) for v in trace.volts[::every]][: len(columns["time_s"])]
+        values += [None] * (len(columns["time_s"]) - len(values))
+        columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = values
+    return Table(columns=columns)
+
+
+def _isw_time(test: Evidence, names: Sequence[str]) -> dict[str, Found]:
+    """Time from the striker's touch: the record's own zero is the trigger, which the paper does not state."""
+    times = [
+        trace.truth["isw_time_s"]
+        for name in names
+        for trace in test.traces[name]
+        if "isw_time_s" in trace.truth
+    ]
+    if not times:
+        return {
+            "isw_time": missing(
+                "a record begins at its trigger; only the twin knows when the striker touched"
+            )
+        }
+    return {"isw_time": found(1e6 * float(np.median(times)), "after the striker's touch")}
+
+
+def _change(test: Evidence, position: str) -> Found:
+    if position not in test.pulses:
+        return missing(f"the test has no solitary-wave position {position}")
+    hour = test.pulses[position].first_alarm_h
+    if hour is None:
+        return missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
+    return found(hour, "first alarm (3 of 5 sets beyond the limit)")
+
+
+FIG7 = Item(
+    name="fig7",
+    title="Figure 7. Solitary waves over the test",
+    shows="Mean record of a set at each transducer, lifted to its hour; marks are the times of ISW, PSW and "
+    "SSW in the catalogue. Where no PSW is marked, none came back.",
+    make=draw_fig7,
+    needs_test=True,
+)

@@ -1,0 +1,177 @@
+"""``run``, ``record`` and ``serve``: the processes of a test, together or alone."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import logging.handlers
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
+from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
+from daq_service.processes.data_folder import check_owner, data_folder, own_data_folder, prepare_data_folder
+from daq_service.processes.supervisor import ChildPlan, Supervisor
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+
+if TYPE_CHECKING:
+    from hardware_drivers.instruments import Clock, Rig
+
+log = logging.getLogger(__name__)
+
+STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
+
+
+def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
+    """Record and serve under a supervisor."""
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+    check_owner(settings, folder)
+
+    def on_message(child: str, message: Any) -> None:
+        if message["event"] == "listening":
+            click.echo(f"dashboard: {message['url']}")
+        elif message["event"] == "stopped":
+            click.echo(STOPPED)
+        elif message["event"] == "finished":
+            click.echo(f"{child}: the schedule is done; Ctrl-C stops the dashboard")
+
+    log_to(folder / "logs" / "supervisor.log")
+    click.echo(f"data: {folder}")
+    with stop_on_signals() as stop:
+        supervisor = Supervisor(
+            child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
+            folder,
+            on_message=on_message,
+        )
+        code = supervisor.run(stop, stay=not no_web)
+        return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
+
+
+def child_plans(
+    config: Path | None,
+    folder: Path,
+    *,
+    port: int | None,
+    web: bool,
+    linger: bool,
+    environment: Mapping[str, str] = MappingProxyType({}),
+) -> list[ChildPlan]:
+    """Command lines of the children; a lingering recorder takes orders after its last set.
+
+    Parameters
+    ----------
+    environment
+        Added to the recorder's: where the vendor's libraries are found.
+    """
+    common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
+    plans = [
+        ChildPlan(
+            name="recorder",
+            arguments=[
+                "record",
+                *common,
+                "--restarted-because",
+                "{cause}",
+                *(["--linger"] if linger else []),
+            ],
+            watched=True,
+            environment=environment,
+        )
+    ]
+    if web:
+        at = [] if port is None else ["--port", str(port)]
+        plans.append(
+            ChildPlan(name="web", arguments=["serve", *common, "--restarted-because", "{cause}", *at])
+        )
+    return plans
+
+
+def record_alone(
+    *, config: Path | None, data_dir: Path | None, restarted_because: str, linger: bool, supervised: bool
+) -> int:
+    """Own the rig and the data folder until the schedule is done or somebody says stop."""
+    from daq_service.recording.session import record
+
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+    with stop_on_signals() as stop, own_data_folder(folder):
+        log_to(folder / "logs" / "recorder.log")
+        if supervised:
+            leave_when_pipe_closes(stop)
+        try:
+            finished = record(
+                settings,
+                folder,
+                _open_rig_to_stay,
+                stop=stop,
+                restarted_because=restarted_because,
+                tell=tell_supervisor if supervised else _tell_person,
+                linger=linger,
+            )
+        except SolimonError as error:
+            log.error("%s", error)
+            raise
+        except Exception:
+            log.exception("the recorder failed")
+            raise
+        return EXIT_OK if finished else EXIT_INTERRUPTED
+
+
+@contextmanager
+def _open_rig_to_stay(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+    """Open the rig; the garbage collector need not look again at what stays until the process ends."""
+    from daq_service.rig.open_rig import open_rig
+
+    with open_rig(settings, clock, epoch_utc_ns) as rig:
+        gc.freeze()
+        yield rig
+
+
+def _tell_person(event: str, **values: object) -> None:
+    if event == "progress" and sys.stderr.isatty():
+        click.echo(
+            f"\rhour {values['due_h']:.1f}, set {values['done']} of {values['planned']} ", nl=False, err=True
+        )
+
+
+def serve_alone(
+    *, config: Path | None, data_dir: Path | None, port: int | None, restarted_because: str, supervised: bool
+) -> int:
+    """Serve the data folder until somebody says stop."""
+    from daq_service.web.app import create_app
+    from daq_service.web.server import serve
+
+    settings = load_settings(config)
+    folder = data_folder(settings, config, data_dir)
+    prepare_data_folder(folder)
+    log_to(folder / "logs" / "web.log")
+    if restarted_because:
+        log.warning("started again: the web service %s", restarted_because)
+
+    def on_bound(url: str) -> None:
+        if supervised:
+            tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
+        else:
+            click.echo(f"dashboard: {url}")
+
+    with stop_on_signals() as stop:
+        if supervised:
+            leave_when_pipe_closes(stop)
+        serve(
+            create_app(settings, folder),
+            settings.web.host,
+            settings.web.port if port is None else port,
+            on_bound=on_bound,
+            stop=stop,
+        )
+        return EXIT_OK if supervised else EXIT_INTERRUPTED

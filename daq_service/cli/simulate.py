@@ -1,0 +1,191 @@
+"""``solimon simulate``: one noise-free shot of the twin or of Zener's model, or a sweep."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import click
+
+from daq_service.cli.sweep.shot import Specimen, coupled_numbers, coupled_shot, zener_numbers
+from daq_service.cli.sweep.specification import spaced
+from daq_service.errors import UsageError
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+from simulator.errors import SimulatorError
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+Columns = tuple[tuple[str, str, str, str], ...]
+
+COUPLED_COLUMNS: Columns = (
+    ("depth_fraction", "depth", "", ".3f"),
+    ("isw_peak_n", "ISW", "N", ".2f"),
+    ("isw_time_us", "ISW at", "us", ".2f"),
+    ("psw_peak_n", "PSW", "N", ".2f"),
+    ("psw_time_us", "PSW at", "us", ".2f"),
+    ("tof_us", "ToF", "us", ".2f"),
+    ("amplitude_ratio", "AR", "", ".4f"),
+)
+COUPLED_NOTE = "noise-free sensor force, static preload kept; times from the striker's contact"
+
+ZENER_COLUMNS: Columns = (
+    ("depth_fraction", "depth", "", ".3f"),
+    ("inelasticity", "lambda", "", ".4f"),
+    ("restitution", "e", "", "#.4g"),
+    ("contact_time", "tau_c", "", ".4f"),
+    ("tof_us", "ToF", "us", ".2f"),
+    ("amplitude_ratio", "AR", "", "#.4g"),
+)
+ZENER_NOTE = "the paper's eqs 8, 9, 11 and 13; the whole plate as thin as the depth leaves it"
+
+TABLES = {"coupled": (COUPLED_COLUMNS, COUPLED_NOTE), "zener": (ZENER_COLUMNS, ZENER_NOTE)}
+
+
+def print_simulation(
+    *,
+    config: Path | None,
+    model: Literal["coupled", "zener"],
+    position: str | None,
+    depth_fraction: float | None,
+    drop_height_m: float | None,
+    tilt_rad: float | None,
+    depths: str | None,
+    sweeps: tuple[str, ...],
+    sweep_file: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Carry out the command."""
+    settings = load_settings(config)
+    if model == "zener" and tilt_rad is not None:
+        raise UsageError("--tilt-rad tilts the sensor disk, which --model zener does not have: leave it out")
+    try:
+        specimen = _specimen(settings, position, depth_fraction, drop_height_m, tilt_rad)
+        grid = [specimen[2].depth_fraction] if depths is None else _grid(depths)
+        for depth in grid:
+            replace(specimen[2], depth_fraction=depth)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if sweeps or sweep_file is not None or (depths is not None and options["outputs"]):
+        from daq_service.cli.sweep.command import SweepRequest, sweep  # a single shot needs no tables
+
+        fixed = {
+            "corrosion.depth_fraction": depth_fraction,
+            "chain.drop_height_m": drop_height_m,
+            "chain.tilt_rad": tilt_rad,
+        }
+        request = SweepRequest(
+            model=model,
+            specimen=specimen,
+            depths=depths,
+            sweeps=sweeps,
+            sweep_file=sweep_file,
+            fixed_keys=frozenset(key for key, value in fixed.items() if value is not None),
+            configuration_hash=settings.configuration_hash(),
+            position=position,
+            **options,
+        )
+        sweep(request, TABLES[model][0], as_json=as_json)
+        return
+    if named := [name for name, value in options.items() if value]:
+        raise UsageError(f"{_option(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
+    _print_shots(model, specimen, grid, is_table=depths is not None, as_json=as_json)
+
+
+def _option(name: str) -> str:
+    """Name of a sweep's option as the command line has it."""
+    return {"outputs": "--out", "element_wise": "--zip"}.get(name, f"--{name.replace('_', '-')}")
+
+
+def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
+    shot = _impact_of(*specimen) if model == "zener" else _shot_of(*specimen)
+    rows = []
+    try:
+        for number, depth in enumerate(grid, 1):
+            rows.append(shot(depth))
+            if is_table and sys.stderr.isatty():
+                click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
+    except SimulatorError as error:
+        raise UsageError(str(error)) from error
+    if as_json:
+        click.echo(json.dumps({"shots": rows} if is_table else rows[0]))
+    else:
+        _print_table(rows, *TABLES[model])
+
+
+def _specimen(
+    settings: Settings,
+    position: str | None,
+    depth_fraction: float | None,
+    drop_height_m: float | None,
+    tilt_rad: float | None,
+) -> Specimen:
+    place: Any = settings
+    if position is not None:
+        if position not in settings.positions:
+            raise ValueError(
+                f"no position {position!r}; the configuration has {', '.join(settings.positions)}"
+            )
+        place = settings.positions[position]
+    given = {"drop_height_m": drop_height_m, "tilt_rad": tilt_rad}
+    chain = replace(place.chain, **{name: value for name, value in given.items() if value is not None})
+    patch = (
+        place.corrosion if depth_fraction is None else replace(place.corrosion, depth_fraction=depth_fraction)
+    )
+    return chain, place.plate, patch
+
+
+def _grid(text: str) -> list[float]:
+    parts = text.split(":")
+    try:
+        first, last, count = float(parts[0]), float(parts[1]), int(parts[2])
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"--depths is {text!r}; write first:last:count, for example 0:0.8:9") from error
+    if len(parts) != 3 or not 1 <= count <= 10_000:
+        raise ValueError(f"--depths is {text!r}; write first:last:count with 1 to 10000 depths")
+    return spaced(first, last, count)
+
+
+def _shot_of(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
+) -> Callable[[float], dict[str, Any]]:
+    """Chain and plate integrated together, as a row for each depth."""
+
+    def shot(depth: float) -> dict[str, Any]:
+        return {
+            **coupled_numbers(coupled_shot(chain, plate, replace(patch, depth_fraction=depth))),
+            "depth_fraction": depth,
+            "drop_height_m": chain.drop_height_m,
+            "tilt_rad": chain.tilt_rad,
+        }
+
+    return shot
+
+
+def _impact_of(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
+) -> Callable[[float], dict[str, Any]]:
+    """Zener's impact of the last sphere, as a row for each depth."""
+
+    def impact(depth: float) -> dict[str, Any]:
+        return {
+            **zener_numbers(chain, plate, replace(patch, depth_fraction=depth)),
+            "depth_fraction": depth,
+            "drop_height_m": chain.drop_height_m,
+        }
+
+    return impact
+
+
+def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:
+    click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
+    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))
+    for row in rows:
+        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in columns)
+        click.echo("  ".join(f"{cell:>9}" for cell in cells))
+    click.echo(note)

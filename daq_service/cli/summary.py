@@ -1,0 +1,165 @@
+"""What a finished test says, per position: read from the catalogue, never from memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.store import Catalogue
+from daq_service.settings.tree import Settings
+
+SPLIT_H = 100.0
+"""The paper counts outliers after 100 h."""
+
+
+def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
+    """Read sets, shots, and for each position alarm hour, outliers, last features and limit."""
+    with open_catalogue(folder, writer=False) as catalogue:
+        counts = catalogue.counts()
+        positions = {
+            name: _ultrasonic(catalogue, name)
+            if place.method == "pulse_echo"
+            else _solitary(catalogue, settings, name)
+            for name, place in settings.positions.items()
+        }
+        return {
+            "sets": counts["sets"],
+            "shots": counts["shots"],
+            "pulse_echo_records": counts["pulse_echo_records"],
+            "missed_sets": counts["missed_sets"],
+            "seed": settings.twin.seed,
+            "cost": _cost(catalogue),
+            "positions": positions,
+        }
+
+
+def _cost(catalogue: Catalogue) -> dict[str, float] | None:
+    """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
+    told = [row for row in catalogue.events_after(0, {"service"}, limit=None) if "cost" in row["payload"]]
+    return told[-1]["payload"]["cost"] if told else None
+
+
+def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
+    verdicts = catalogue.list_verdicts(position)
+    judged = [row for row in verdicts if not row["in_baseline"] and row["outlier"] is not None]
+    baseline = catalogue.baseline(position)
+    last = _last_good_feature(catalogue, settings, position)
+    limit = None
+    if baseline is not None:
+        limit = baseline["limit_f" if settings.novelty.limit == "f_predictive" else "limit_paper"]
+    return {
+        "first_alarm_h": _first_alarm_h(catalogue, position),
+        "outlier_fraction_before_100_h": _fraction(
+            [row for row in judged if row["due_h"] <= SPLIT_H], "outlier"
+        ),
+        "outlier_fraction_after_100_h": _fraction(
+            [row for row in judged if row["due_h"] > SPLIT_H], "outlier"
+        ),
+        "outlier_fraction_after_100_h_paper_limit": _fraction(
+            [row for row in judged if row["due_h"] > SPLIT_H], "outlier_paper"
+        ),
+        "tof_us": None if last is None else last["tof_pp_s"] * 1e6,
+        "amplitude_ratio": None if last is None else last["amplitude_ratio"],
+        "limit": limit,
+        "limit_name": settings.novelty.limit,
+        "limit_paper": None if baseline is None else baseline["limit_paper"],
+        "limit_reason": "the baseline is still being recorded"
+        if baseline is None
+        else baseline["limit_reason"],
+        "n_baseline": _baseline_size(catalogue, baseline, position),
+        "travel_time_us": None,
+        "thickness_mm": None,
+    }
+
+
+def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
+    rows = [row for row in catalogue.list_thickness(position) if row["thickness_m"] is not None]
+    last = rows[-1] if rows else None
+    return {
+        "first_alarm_h": _first_alarm_h(catalogue, position),
+        "outlier_fraction_before_100_h": None,
+        "outlier_fraction_after_100_h": None,
+        "outlier_fraction_after_100_h_paper_limit": None,
+        "tof_us": None,
+        "amplitude_ratio": None,
+        "limit": None,
+        "limit_name": None,
+        "limit_paper": None,
+        "limit_reason": None,
+        "n_baseline": None,
+        "travel_time_us": None if last is None else last["travel_time_s"] * 1e6,
+        "thickness_mm": None if last is None else last["thickness_m"] * 1e3,
+    }
+
+
+def _last_good_feature(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any] | None:
+    rows = catalogue.list_features(position, scope="set")
+    good = [
+        row
+        for row in rows
+        if row["n_valid"] >= settings.baseline.minimum_valid_shots and row["tof_pp_s"] is not None
+    ]
+    return good[-1] if good else None
+
+
+def _baseline_size(catalogue: Catalogue, baseline: dict[str, Any] | None, position: str) -> int:
+    if baseline is not None:
+        return int(baseline["n_sets"])
+    return sum(1 for row in catalogue.list_verdicts(position) if row["in_baseline"])
+
+
+def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
+    hours = [row["raised_h"] for row in catalogue.list_alarms(position=position) if row["family"] == "damage"]
+    return min(hours) if hours else None
+
+
+def _fraction(rows: Sequence[dict[str, Any]], column: str) -> float | None:
+    judged = [row[column] for row in rows if row[column] is not None]
+    return sum(judged) / len(judged) if judged else None
+
+
+def print_summary(summary: dict[str, Any], folder: Path) -> None:
+    """Print the summary as a table for people."""
+    click.echo(
+        f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
+        f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"
+    )
+    click.echo(
+        "position  first alarm  outliers to/after 100 h   last ToF    AR     thickness  limit (baseline sets)"
+    )
+    for name, row in summary["positions"].items():
+        before, after = row["outlier_fraction_before_100_h"], row["outlier_fraction_after_100_h"]
+        click.echo(
+            f"{name:<8}  {_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
+            f"{_percent(before):>9} /{_percent(after):>8}      "
+            f"{_cell(row['tof_us'], '.1f', ' us'):>9}  {_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
+            f"{_cell(row['thickness_mm'], '.2f', ' mm'):>9}  {_limit(row)}"
+        )
+    if summary["cost"] is not None:
+        stages = (
+            f"{name.removesuffix('_s')} {value:.1f}"
+            for name, value in summary["cost"].items()
+            if name != "sets"
+        )
+        click.echo(f"seconds of the recorder's last run: {', '.join(stages)}")
+    click.echo(f"files: {folder / 'sets'}")
+
+
+def _limit(row: dict[str, Any]) -> str:
+    if row["n_baseline"] is None:
+        return "-"
+    if row["limit"] is None:
+        return f"none: {row['limit_reason']}"
+    return f"{row['limit']:.1f} {row['limit_name']} ({row['n_baseline']})"
+
+
+def _cell(value: float | None, form: str, unit: str) -> str:
+    return "-" if value is None else f"{value:{form}}".strip() + unit
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{100 * value:.1f} %"

@@ -1,0 +1,144 @@
+"""``solimon simulate --sweep``: from the words of the command line to the printed table."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from daq_service.cli.sweep.execution import ExecutorKind, usable_cores
+from daq_service.cli.sweep.keys import SECTIONS
+from daq_service.cli.sweep.plan import Model, make_plan
+from daq_service.cli.sweep.run import SweepOptions, run_sweep
+from daq_service.cli.sweep.shot import Specimen
+from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_file
+from daq_service.cli.sweep.table import SweepTable
+from daq_service.errors import UsageError
+from daq_service.processes.child import stop_on_signals
+
+ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
+"""Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
+
+DEPTH_KEY = "corrosion.depth_fraction"
+
+Columns = Sequence[tuple[str, str, str, str]]
+"""Key, title, unit and format of each printed result."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepRequest:
+    """A sweep as the command line asks for it.
+
+    Attributes
+    ----------
+    specimen
+        Parameters that are not swept, options laid over them.
+    fixed_keys
+        Those of them that an option gives.
+    """
+
+    model: Model
+    specimen: Specimen
+    depths: str | None
+    sweeps: tuple[str, ...]
+    sweep_file: Path | None
+    fixed_keys: frozenset[str]
+    configuration_hash: str
+    position: str | None
+    element_wise: bool
+    skip_invalid: bool
+    outputs: tuple[Path, ...]
+    waveforms: bool
+    workers: int | None
+    executor: ExecutorKind | None
+    overwrite: bool
+
+
+def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
+    """Carry out a sweep and print its table, or where it was written.
+
+    Raises
+    ------
+    UsageError, StorageError, BusyError, KeyboardInterrupt
+        As `make_plan` and `run_sweep`.
+    """
+    if request.waveforms and request.model == "zener":
+        raise UsageError("--waveforms: Zener's model has none; leave it out")
+    plan = make_plan(
+        request.model,
+        request.specimen,
+        _axes(request),
+        element_wise=request.element_wise or request.sweep_file is not None,
+        skip_invalid=request.skip_invalid,
+        waveforms=request.waveforms,
+    )
+    workers = usable_cores() if request.workers is None else request.workers
+    long = len(plan.rows) >= ROWS_FOR_PROCESSES[request.model]
+    options = SweepOptions(
+        outputs=request.outputs,
+        workers=workers,
+        executor=request.executor or ("processes" if long and workers > 1 else "threads"),
+        skip_invalid=request.skip_invalid,
+        overwrite=request.overwrite,
+    )
+    chain, plate, corrosion = request.specimen
+    origin = {
+        "specification": _specification(request),
+        "configuration_hash": request.configuration_hash,
+        "position": request.position or "",
+        "parameters": dict(zip(SECTIONS, (asdict(chain), asdict(plate), asdict(corrosion)), strict=True)),
+    }
+    with stop_on_signals() as stop:
+        table = run_sweep(plan, options, origin, stop)
+    _print(table, request.outputs, columns, as_json=as_json)
+
+
+def _axes(request: SweepRequest) -> list[Axis]:
+    if request.sweep_file is not None:
+        if request.sweeps or request.depths is not None:
+            raise UsageError("--sweep-file holds every shot: give it without --sweep and --depths")
+        axes = list(read_sweep_file(request.sweep_file))
+    else:
+        axes = [parse_axis(text) for text in _specification(request) if text != "--zip"]
+    if both := [axis.key for axis in axes if axis.key in request.fixed_keys]:
+        raise UsageError(f"{both[0]} is swept and given as an option; leave one out")
+    return axes
+
+
+def _specification(request: SweepRequest) -> list[str]:
+    """Repeat what was asked for; not where a file lies."""
+    shorthand = [] if request.depths is None else [f"{DEPTH_KEY}={request.depths}"]
+    rows = [] if request.sweep_file is None else [f"--sweep-file {request.sweep_file.name}"]
+    return [*shorthand, *request.sweeps, *rows, *(["--zip"] if request.element_wise else [])]
+
+
+def _print(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
+    if as_json:
+        shots = {} if outputs else {"shots": table.rows()}
+        click.echo(json.dumps({**table.facts, "outputs": [str(path) for path in outputs], **shots}))
+        return
+    if not outputs:
+        _print_rows(table, columns)
+    if failed := table.facts["rows"] - table.facts["rows_ok"]:
+        click.echo(f"{failed} of {table.facts['rows']} rows are not ok: see their status")
+    for path in outputs:
+        click.echo(f"wrote {path}")
+    click.echo(f"content hash {table.facts['content_hash']}")
+
+
+def _print_rows(table: SweepTable, columns: Columns) -> None:
+    """Swept keys as they are, then the model's main numbers."""
+    printed = {key: [key, *(str(value) for value in values)] for key, values in table.swept.items()}
+    for key, title, unit, form in columns:
+        if key in table.results:
+            heading = f"{title} ({unit})" if unit else title
+            numbers = table.results[key].tolist()
+            printed[key] = [heading, *("-" if math.isnan(x) else format(x, form) for x in numbers)]
+    widths = [max(len(cell) for cell in cells) for cells in printed.values()]
+    for *cells, status in zip(*printed.values(), ["status", *table.status], strict=True):
+        padded = [f"{cell:>{width}}" for cell, width in zip(cells, widths, strict=True)]
+        click.echo("  ".join([*padded, status]))

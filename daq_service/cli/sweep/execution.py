@@ -1,0 +1,149 @@
+"""Compute the rows of a plan in an executor, a few at a time, and keep each as soon as it is there."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Literal
+
+from daq_service.cli.sweep.plan import Plan, Row
+from daq_service.cli.sweep.shot import Outcome, compute_rows, start_worker
+from daq_service.errors import SolimonError
+from simulator.numerics.one_thread import one_blas_thread
+
+ExecutorKind = Literal["processes", "threads"]
+
+ROWS_PER_TASK = 8
+"""At most: small enough to stop and to tell progress soon, large enough that sending costs nothing."""
+
+TASKS_IN_ALL = 16
+"""At least so many for each worker, where there are rows enough, so that all end together."""
+
+TASKS_PER_WORKER = 2
+"""Sent ahead, so that no worker waits."""
+
+STOP_SEEN_WITHIN_S = 0.2
+
+MOST_PROCESSES = 61
+"""Windows waits for no more at once."""
+
+Task = list[Row]
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def opened_executor(kind: ExecutorKind, workers: int) -> Iterator[Executor]:
+    """Give an executor; leaving it early drops what has not begun and waits for what has.
+
+    Processes are spawned, not forked: so it is on every platform, and no lock of this process's threads
+    is copied in a locked state.
+    """
+    executor: Executor
+    if kind == "processes":
+        executor = ProcessPoolExecutor(
+            min(workers, MOST_PROCESSES),
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=start_worker,
+        )
+    else:
+        executor = ThreadPoolExecutor(workers)
+    # Threads share the libraries' setting: without this one's end would give the others more BLAS threads.
+    with one_blas_thread():
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+def compute(
+    plan: Plan,
+    rows: Sequence[Row],
+    executor: Executor,
+    *,
+    workers: int,
+    keep: Callable[[Sequence[Outcome]], None],
+    stop: threading.Event,
+) -> None:
+    """Compute rows of a plan, until all are done or `stop` is set.
+
+    Parameters
+    ----------
+    rows
+        Those still to be done; refused ones are left out by the caller.
+    keep
+        Called in this thread with outcomes, in the order in which they are ready. Once `stop` is set it
+        still gets what is under way.
+
+    Raises
+    ------
+    SolimonError
+        A worker process died.
+    """
+    tasks = iter(tasks_of(rows, workers))
+    running: set[Future[list[Outcome]]] = set()
+    try:
+        while True:
+            if stop.is_set():
+                running = {future for future in running if not future.cancel()}
+            else:
+                for task in itertools.islice(tasks, TASKS_PER_WORKER * workers - len(running)):
+                    running.add(_submitted(plan, task, executor))
+            if not running:
+                return
+            # Not for ever: on Windows a signal is seen only between two waits.
+            done, running = wait(running, timeout=STOP_SEEN_WITHIN_S, return_when=FIRST_COMPLETED)
+            for future in done:
+                keep(future.result())
+    except BrokenExecutor as error:
+        raise SolimonError(
+            "a worker process ended by itself (killed, or out of memory); finished rows are kept: give the "
+            "same command again, with fewer --workers if memory is short"
+        ) from error
+
+
+def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcome]]:
+    rows = [(row.index, row.specimen) for row in task if row.specimen is not None]
+    return executor.submit(compute_rows, plan.model, rows, plan.waveforms)
+
+
+def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:
+    """Group rows by plate, then by chain; the first task of each plate comes first.
+
+    So every plate is reduced once, by whoever gets its first task, and read from the cache after that.
+    """
+    plates: dict[object, dict[object, list[Row]]] = {}
+    for row in rows:
+        assert row.specimen is not None, "the caller leaves refused rows out"
+        chain, plate, corrosion = row.specimen
+        outline = plate, replace(corrosion, depth_fraction=0.0)
+        plates.setdefault(outline, {}).setdefault(chain, []).append(row)
+    size = min(ROWS_PER_TASK, math.ceil(len(rows) / (TASKS_IN_ALL * workers)))
+    firsts: list[Task] = []
+    others: list[Task] = []
+    for chains in plates.values():
+        together = [row for members in chains.values() for row in members]
+        tasks = [together[k : k + size] for k in range(0, len(together), size)]
+        firsts.append(tasks[0])
+        others += tasks[1:]
+    return [*firsts, *others]

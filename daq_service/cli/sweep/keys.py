@@ -1,0 +1,139 @@
+"""Which keys of the configuration a sweep may change, and how a value is put there.
+
+The keys are found in the parameter dataclasses themselves, so that a new parameter can be swept at once.
+"""
+
+from __future__ import annotations
+
+import difflib
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields, is_dataclass
+from functools import cache
+from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from daq_service.errors import UsageError
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+SECTIONS: Mapping[str, type] = {
+    "chain": ChainParameters,
+    "plate": PlateParameters,
+    "corrosion": CorrosionParameters,
+}
+
+ZENER_KEYS = (
+    "chain.radius_m",
+    "chain.mass_kg",
+    "chain.youngs_modulus_pa",
+    "chain.poisson_ratio",
+    "chain.spheres_below",
+    "chain.drop_height_m",
+    "plate.thickness_m",
+    "plate.youngs_modulus_pa",
+    "plate.poisson_ratio",
+    "plate.density_kg_per_m3",
+    "corrosion.depth_fraction",
+)
+"""What counts in Zener's model; the other keys do not change its numbers."""
+
+
+@cache
+def known_keys() -> tuple[str, ...]:
+    """All keys of the physics, as the configuration writes them."""
+    return tuple(key for name, section in SECTIONS.items() for key in _keys_of(section, name))
+
+
+def _keys_of(section: type, above: str) -> Iterator[str]:
+    hints = get_type_hints(section)
+    for field in fields(section):
+        key = f"{above}.{field.name}"
+        below = _tables_of(hints[field.name])
+        yield key
+        for table in below:
+            yield from _keys_of(table, key)
+
+
+def _tables_of(hint: Any) -> list[type]:
+    """Dataclasses that a value of this type may be: a table in the configuration."""
+    if get_origin(hint) is Annotated:
+        return _tables_of(get_args(hint)[0])
+    if get_origin(hint) in (Union, types.UnionType):
+        return [table for option in get_args(hint) for table in _tables_of(option)]
+    return [hint] if isinstance(hint, type) and is_dataclass(hint) else []
+
+
+def check_key(key: str, model: str) -> None:
+    """Refuse a key that does not exist or does not count in `model`.
+
+    Raises
+    ------
+    UsageError
+        With the key that was probably meant and the list of all.
+    """
+    known = ZENER_KEYS if model == "zener" else known_keys()
+    if key in known:
+        return
+    if key in known_keys():
+        raise UsageError(f"{key} has no influence on --model zener; what counts there: {', '.join(known)}")
+    same_name = [name for name in known if name.rpartition(".")[2] == key.rpartition(".")[2]]
+    near = same_name or difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    hint = f"did you mean {' or '.join(dict.fromkeys(near))}? " if near else ""
+    raise UsageError(f"{key!r} is no key that can be swept; {hint}All keys: {', '.join(known)}")
+
+
+def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
+    """Make the section again with some values changed, checked as a configuration file is.
+
+    Parameters
+    ----------
+    section
+        A dataclass of `SECTIONS`.
+    changes
+        Path below the section, for example ``("drop_height_m",)``, and its value.
+
+    Raises
+    ------
+    ValueError
+        A value has the wrong type or breaks a bound, with its key.
+    """
+    content = asdict(section)
+    for path, value in changes.items():
+        table = content
+        for name in path[:-1]:
+            if not isinstance(table.get(name), dict):
+                table[name] = {}
+            table = table[name]
+        table[path[-1]] = value
+    try:
+        made = _ADAPTERS[type(section)].validate_python(content)
+    except ValidationError as error:
+        raise ValueError(_explained(error)) from error
+    for path, value in changes.items():
+        # pydantic takes true for 1.0, which nobody means.
+        if isinstance(value, bool) and not isinstance(value_at(made, path), bool):
+            raise ValueError(f"{'.'.join(path)} is {str(value).lower()}; it must be a number or a name")
+    return made
+
+
+def value_at(section: Any, path: tuple[str, ...]) -> Any:
+    """Value of a key below its section."""
+    for name in path:
+        section = getattr(section, name)
+    return section
+
+
+_ADAPTERS: Mapping[type, TypeAdapter[Any]] = {section: TypeAdapter(section) for section in SECTIONS.values()}
+
+
+def _explained(error: ValidationError) -> str:
+    problems = []
+    for problem in error.errors():
+        where = ".".join(str(part) for part in problem["loc"])
+        message = problem["msg"].removeprefix("Value error, ")
+        value = problem.get("input")
+        shown = f" (value: {value!r})" if where and isinstance(value, (str, int, float)) else ""
+        problems.append(f"{where + ': ' if where else ''}{message}{shown}")
+    return "; ".join(problems)

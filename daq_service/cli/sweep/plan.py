@@ -1,0 +1,192 @@
+"""The rows of a sweep: every combination, checked before anything is computed."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.metadata import version
+from typing import Any, Literal
+
+from daq_service.cli.sweep.keys import SECTIONS, changed, check_key, value_at
+from daq_service.cli.sweep.specification import Axis
+from daq_service.errors import UsageError
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+Model = Literal["coupled", "zener"]
+Specimen = tuple[ChainParameters, PlateParameters, CorrosionParameters]
+
+LARGEST_PLAN = 200_000
+LARGEST_PLAN_WITH_WAVEFORMS = 10_000
+"""Rows; all waveforms are held in memory when the file is written, some 22 kB each."""
+
+VERSIONS_THAT_COUNT = ("numpy", "scipy", "numba")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One shot of a sweep.
+
+    Attributes
+    ----------
+    index
+        Place in the table, from 0; people count from 1.
+    values
+        Of the swept keys, in their order.
+    specimen
+        All parameters; None where they are refused.
+    key
+        SHA-256 of all parameters and of the code that computes them; empty where they are refused.
+    reason
+        Why they are refused; empty otherwise.
+    """
+
+    index: int
+    values: tuple[Any, ...]
+    specimen: Specimen | None
+    key: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """All rows of a sweep in the order of its table."""
+
+    model: Model
+    keys: tuple[str, ...]
+    rows: tuple[Row, ...]
+    waveforms: bool = False
+
+    @property
+    def identity(self) -> str:
+        """SHA-256 that another sweep, or another version of the code, does not have."""
+        rows = [[row.key or row.reason, [_plain(value) for value in row.values]] for row in self.rows]
+        return _sha256([self.model, self.keys, self.waveforms, rows, code_version()])
+
+
+def make_plan(
+    model: Model,
+    base: Specimen,
+    axes: Sequence[Axis],
+    *,
+    element_wise: bool = False,
+    skip_invalid: bool = False,
+    waveforms: bool = False,
+) -> Plan:
+    """Combine the axes, the last one changing fastest, and check every combination.
+
+    Parameters
+    ----------
+    base
+        Parameters that no axis changes.
+    element_wise
+        First values together, then second ones, instead of the full product.
+    skip_invalid
+        Keep refused combinations as rows with their reason.
+
+    Raises
+    ------
+    UsageError
+        An unknown or repeated key, too many rows, axes of different lengths, or a refused combination.
+    """
+    keys = tuple(axis.key for axis in axes)
+    for key in keys:
+        check_key(key, model)
+        if keys.count(key) > 1:
+            raise UsageError(f"{key} is swept twice; name it once")
+        if other := [name for name in keys if name.startswith(f"{key}.")]:
+            raise UsageError(f"{key} is swept and {other[0]} in it; leave one out")
+    _check_size(axes, element_wise, waveforms)
+    values = [axis.values for axis in axes]
+    combined = zip(*values, strict=True) if element_wise else itertools.product(*values)
+    rows = tuple(_rows(model, base, keys, combined))
+    refused = [row for row in rows if row.specimen is None]
+    if refused and not skip_invalid:
+        raise UsageError(
+            f"{describe(keys, refused[0])} is refused: {refused[0].reason} ({len(refused)} of {len(rows)} "
+            "rows are); correct it, or keep such rows with their reason by --skip-invalid"
+        )
+    return Plan(model=model, keys=keys, rows=rows, waveforms=waveforms)
+
+
+def describe(keys: Sequence[str], row: Row) -> str:
+    """Name a row for people: its number and its values."""
+    values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
+    return f"row {row.index + 1} ({values})"
+
+
+def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> None:
+    lengths = [len(axis.values) for axis in axes]
+    if element_wise and len(set(lengths)) > 1:
+        told = ", ".join(f"{axis.key} {len(axis.values)}" for axis in axes)
+        raise UsageError(f"--zip needs as many values of each key, not {told}")
+    rows = lengths[0] if element_wise else math.prod(lengths)
+    largest = LARGEST_PLAN_WITH_WAVEFORMS if waveforms else LARGEST_PLAN
+    if rows > largest:
+        kind = "a sweep with --waveforms" if waveforms else "a sweep"
+        raise UsageError(
+            f"{rows} rows; {kind} has at most {largest}: make it coarser, or split it into several files"
+        )
+
+
+def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) -> Any:
+    """Yield the rows; a section that many combinations share is made and hashed once."""
+    paths = [tuple(key.split(".")) for key in keys]
+    places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
+    bases = dict(zip(SECTIONS, base, strict=True))
+
+    @cache
+    def section(name: str, given: str) -> tuple[Any, str, str]:
+        """Make a section from values as JSON: itself, its hash, or the reason of its refusal."""
+        values = json.loads(given)
+        changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
+        try:
+            made = changed(bases[name], changes)
+        except ValueError as error:
+            return None, "", f"{name}: {error}"
+        return made, _sha256(asdict(made)), ""
+
+    for index, values in enumerate(combined):
+        parts = {name: section(name, json.dumps([values[k] for k in places[name]])) for name in SECTIONS}
+        reason = "; ".join(reason for _, _, reason in parts.values() if reason)
+        if reason:
+            yield Row(index=index, values=tuple(values), specimen=None, reason=reason)
+            continue
+        yield Row(
+            index=index,
+            values=tuple(value_at(parts[path[0]][0], path[1:]) for path in paths),
+            specimen=tuple(made for made, _, _ in parts.values()),
+            key=_sha256([model, code_version(), *(text for _, text, _ in parts.values())]),
+        )
+
+
+@cache
+def code_version() -> str:
+    """SHA-256 of the twin's source and of the libraries it computes with."""
+    from simulator.numerics.source import source_digest
+
+    return _sha256(
+        {
+            "sources": source_digest(),
+            "versions": {name: version(name) for name in VERSIONS_THAT_COUNT},
+        }
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Turn a swept value into JSON: a table of parameters becomes its content."""
+    return value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(json_text(value))
+
+
+def json_text(value: Any) -> str:
+    """Write a value of the configuration as JSON, parameter tables included."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
+
+
+def _sha256(content: Any) -> str:
+    return hashlib.sha256(json_text(content).encode()).hexdigest()

@@ -1,0 +1,133 @@
+"""Carry out a sweep from its plan to its files."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from daq_service.cli.sweep.execution import ExecutorKind, compute, opened_executor
+from daq_service.cli.sweep.outputs import check_outputs, files_of, write_output
+from daq_service.cli.sweep.plan import Plan, Row, describe
+from daq_service.cli.sweep.progress import Progress
+from daq_service.cli.sweep.shot import INVALID, RESULTS, Outcome
+from daq_service.cli.sweep.table import SweepTable, make_table
+from daq_service.cli.sweep.work_file import WorkFile, belongs_to, open_work_file, work_path
+from daq_service.errors import StorageError, UsageError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepOptions:
+    """How a sweep is carried out; nothing here changes a number."""
+
+    outputs: tuple[Path, ...] = ()
+    workers: int = 1
+    executor: ExecutorKind = "processes"
+    skip_invalid: bool = False
+    overwrite: bool = False
+
+
+def run_sweep(
+    plan: Plan, options: SweepOptions, origin: Mapping[str, Any], stop: threading.Event
+) -> SweepTable:
+    """Compute what is not finished yet, write the outputs, drop the work file.
+
+    Raises
+    ------
+    UsageError
+        An output that cannot be, that exists, or parameters of a row that cannot go together.
+    StorageError
+        A disk that refuses, or a work file of another sweep.
+    KeyboardInterrupt
+        `stop` was set before the end; finished rows are kept in the work file.
+    """
+    check_outputs(options.outputs, waveforms=plan.waveforms)
+    path = work_path(options.outputs[0]) if options.outputs else None
+    _refuse_to_overwrite(plan, options, path)
+    with contextlib.ExitStack() as stack:
+        work = None if path is None else stack.enter_context(open_work_file(path, plan))
+        outcomes = _outcomes(plan, options, work, stop)
+        table = make_table(plan, outcomes, origin)
+        for output in options.outputs:
+            write_output(output, table)
+    if path is not None:
+        _drop(path)
+    return table
+
+
+def _refuse_to_overwrite(plan: Plan, options: SweepOptions, work: Path | None) -> None:
+    """Results stay, unless they come from this very sweep, ended while it wrote them."""
+    if options.overwrite or (work is not None and belongs_to(work, plan)):
+        return
+    for output in options.outputs:
+        for file in files_of(output):
+            if file.exists():
+                raise UsageError(f"{file} exists; remove it, choose another --out, or give --overwrite")
+
+
+def _outcomes(
+    plan: Plan, options: SweepOptions, work: WorkFile | None, stop: threading.Event
+) -> list[Outcome]:
+    """Outcome of every row in order: refused ones, finished ones, computed ones."""
+    outcomes = {row.index: _refused(plan, row) for row in plan.rows if row.specimen is None}
+    if work is not None:
+        outcomes |= work.finished
+    _refuse_invalid(plan, options, list(outcomes.values()))
+    progress = Progress(len(plan.rows), len(outcomes))
+
+    def keep(new: Sequence[Outcome]) -> None:
+        if work is not None:
+            work.keep(new)
+        outcomes.update((outcome.index, outcome) for outcome in new)
+        progress.advance(len(new))
+        _refuse_invalid(plan, options, new)
+
+    missing = [row for row in plan.rows if row.index not in outcomes]
+    if missing:
+        with opened_executor(options.executor, options.workers) as executor:
+            compute(plan, missing, executor, workers=options.workers, keep=keep, stop=stop)
+    if len(outcomes) < len(plan.rows):
+        kept = (
+            "nothing is kept without --out"
+            if work is None
+            else f"{len(outcomes)} of {len(plan.rows)} rows are kept in {work.path}; the same command goes on"
+        )
+        click.echo(kept, err=True)
+        raise KeyboardInterrupt
+    return [outcomes[row.index] for row in plan.rows]
+
+
+def _refused(plan: Plan, row: Row) -> Outcome:
+    return Outcome(
+        index=row.index,
+        numbers=(math.nan,) * len(RESULTS[plan.model]),
+        status=f"{INVALID}{row.reason}",
+    )
+
+
+def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcome]) -> None:
+    """Parameters whose contradiction only the model itself could see."""
+    if options.skip_invalid:
+        return
+    for outcome in outcomes:
+        if outcome.status.startswith(INVALID):
+            raise UsageError(
+                f"{describe(plan.keys, plan.rows[outcome.index])} is refused: "
+                f"{outcome.status.removeprefix(INVALID)}; correct it, or keep such rows with their reason by "
+                "--skip-invalid"
+            )
+
+
+def _drop(path: Path) -> None:
+    try:
+        path.unlink()
+    except OSError as error:
+        raise StorageError(
+            f"the results are written, but {path} cannot be removed: {error.strerror}; remove it by hand"
+        ) from error

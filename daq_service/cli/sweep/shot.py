@@ -1,0 +1,183 @@
+"""One row of a sweep, computed: the only module that a worker process needs.
+
+`solimon simulate` computes its single shots here, too, so that a row of a sweep has the same digits.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorError, SpecimenError
+from simulator.numerics.one_thread import one_blas_thread
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
+from simulator.plate.models import ModalPlate, modal_plate
+from simulator.plate.reduced import PlateModes
+from simulator.shot.model import ShotForce, ShotModel
+from simulator.shot.pulse_summary import summarise
+from simulator.zener.model import reflect
+
+Specimen = tuple[ChainParameters, PlateParameters, CorrosionParameters]
+
+RESULTS: Mapping[str, tuple[str, ...]] = {
+    "coupled": (
+        "isw_peak_n",
+        "isw_time_us",
+        "psw_peak_n",
+        "psw_time_us",
+        "tof_us",
+        "amplitude_ratio",
+        "preload_n",
+        "energy_residual",
+        "step_s",
+    ),
+    "zener": ("tof_us", "inelasticity", "restitution", "contact_time", "amplitude_ratio"),
+}
+"""Numbers of a row, by model."""
+
+OK = "ok"
+NO_REFLECTION = "no reflected wave"
+INVALID = "invalid: "
+"""Begins the status of parameters that cannot go together."""
+
+PREPARED_KEPT = 8
+"""Plates, and chains on them, that a process remembers; rows come sorted by them."""
+
+DEPTHS_KEPT = 4096
+"""Depths of a plate whose modes it remembers: a few kB each."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outcome:
+    """What a row has given.
+
+    Attributes
+    ----------
+    index
+        Of the row in the plan.
+    numbers
+        In the order of `RESULTS`; NaN where there is none.
+    status
+        `OK`, `NO_REFLECTION`, or why there are no numbers.
+    force_n
+        float64, shape (n,): the sensor's force from first touch, where asked for.
+    sample_interval_s
+        Its spacing; NaN without.
+    """
+
+    index: int
+    numbers: tuple[float, ...]
+    status: str
+    force_n: NDArray[np.float64] | None = None
+    sample_interval_s: float = math.nan
+
+
+def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bool = False) -> list[Outcome]:
+    """Compute rows of a plan, in a process or thread of an executor.
+
+    Parameters
+    ----------
+    model
+        A key of `RESULTS`.
+    rows
+        Index and parameters of each.
+    waveforms
+        Keep the force of each shot, for ``coupled`` only.
+    """
+    return [_outcome(model, index, specimen, waveforms) for index, specimen in rows]
+
+
+def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
+    nothing = (math.nan,) * len(RESULTS[model])
+    try:
+        if model == "zener":
+            found, force = zener_numbers(*specimen), None
+        else:
+            force = coupled_shot(*specimen)
+            found = coupled_numbers(force)
+    except SpecimenError as error:
+        return Outcome(index=index, numbers=nothing, status=f"{INVALID}{error}")
+    except (SimulatorError, np.linalg.LinAlgError) as error:
+        return Outcome(index=index, numbers=nothing, status=str(error))
+    kept = force if waveforms else None
+    return Outcome(
+        index=index,
+        numbers=tuple(math.nan if found[name] is None else found[name] for name in RESULTS[model]),
+        status=NO_REFLECTION if found["tof_us"] is None else OK,
+        force_n=None if kept is None else kept.force_n,
+        sample_interval_s=math.nan if kept is None else float(kept.time_s[1]),
+    )
+
+
+def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters) -> ShotForce:
+    """Integrate chain and plate; what is already prepared for this chain or this plate is used again."""
+    return _model(chain, plate, replace(corrosion, depth_fraction=0.0)).shot(
+        depth_fraction=corrosion.depth_fraction
+    )
+
+
+@lru_cache(maxsize=PREPARED_KEPT)
+def _model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
+    # One for each chain: step and length of a shot follow from its drop height and tilt, too.
+    return ShotModel(chain, plate, outline, prepared_plate=_plate(plate, outline))
+
+
+class _RememberedPlate:
+    """A modal plate that finds the modes of a depth once, for all chains on it."""
+
+    def __init__(self, modal: ModalPlate) -> None:
+        self.modes: Callable[[float], PlateModes] = lru_cache(maxsize=DEPTHS_KEPT)(modal.modes)
+
+
+@lru_cache(maxsize=PREPARED_KEPT)
+def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _RememberedPlate | None:
+    modal = modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
+    return None if modal is None else _RememberedPlate(modal)
+
+
+def coupled_numbers(force: ShotForce) -> dict[str, Any]:
+    """Peaks and times of a shot, and how well it was integrated; None where nothing was reflected."""
+    return {
+        **asdict(summarise(force)),
+        "preload_n": force.preload_n,
+        "energy_residual": force.energy_residual,
+        "step_s": force.step_s,
+    }
+
+
+def zener_numbers(
+    chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
+) -> dict[str, Any]:
+    """Zener's impact of the last sphere."""
+    row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
+    return {"tof_us": 1e6 * row.pop("tof_s"), **row}
+
+
+def start_worker() -> None:
+    """Prepare a worker process: one BLAS thread, deaf to Ctrl-C, and gone when its parent is.
+
+    Ctrl-C reaches every process of the terminal; the parent alone decides what is still finished.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    one_blas_thread().__enter__()
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+
+
+def _leave_with_parent() -> None:
+    """End this process when its parent has ended, however it did: the pool's pipes would not tell."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,0 +1,98 @@
+"""Charge that has flowed through the corrosion cell, from measured current, and how a restart goes on.
+
+Current is integrated by the trapezoid rule over pairs of readings. Time between two readings that lie
+further apart than three intervals is booked as unknown: nobody measured what flowed then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.parameters import SupplyParameters
+
+NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Charge:
+    """What has flowed since hour 0, and for how long nobody knows."""
+
+    coulomb: float = 0.0
+    unknown_s: float = 0.0
+
+    @property
+    def ampere_hours(self) -> float:
+        """The same charge in A h."""
+        return self.coulomb / 3600.0
+
+
+def add_interval(
+    charge: Charge, *, elapsed_s: float, first_a: float, last_a: float, longest_s: float
+) -> Charge:
+    """Integrate the current between two readings by the trapezoid rule, Q += (I_1 + I_2) t / 2.
+
+    Parameters
+    ----------
+    elapsed_s
+        Time between them; a negative one (the clock was set back) counts as none.
+    first_a, last_a
+        Measured currents, signs kept: an ammeter's scatter about zero adds up to none.
+    longest_s
+        A longer interval is booked as unknown instead.
+    """
+    elapsed_s = max(elapsed_s, 0.0)
+    if elapsed_s > longest_s:
+        return replace(charge, unknown_s=charge.unknown_s + elapsed_s)
+    return replace(charge, coulomb=charge.coulomb + 0.5 * (first_a + last_a) * elapsed_s)
+
+
+def elapsed_s(before: Stamp, after: Stamp) -> float:
+    """Time between two stamps: monotonic within a boot, UTC across boots."""
+    if before.boot_id == after.boot_id:
+        return (after.mono_ns - before.mono_ns) / NS_PER_S
+    return (after.utc_ns - before.utc_ns) / NS_PER_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveState:
+    """What a restart carries on.
+
+    Attributes
+    ----------
+    tripped
+        Why the interlock is open; None: it is closed.
+    output_on
+        How the output was left; None: unknown, what is found counts as intended.
+    booked_utc_ns
+        Up to when charge and unknown time are booked; None: nothing was measured yet.
+    """
+
+    charge: Charge = Charge()
+    tripped: str | None = None
+    output_on: bool | None = None
+    booked_utc_ns: int | None = None
+
+
+def restored_state(
+    row: Mapping[str, Any] | None, *, written_utc_ns: int, parameters: SupplyParameters
+) -> DriveState:
+    """State from the newest row of `summary`, which was written at ``written_utc_ns``."""
+    if row is None or row["supply_state"] == "absent":
+        return DriveState()
+    charge = Charge(coulomb=row["charge_coulomb"] or 0.0, unknown_s=row["unknown_s"] or 0.0)
+    age_s = row["supply_age_s"]
+    booked_utc_ns = None
+    if age_s is not None:
+        # A silence that was long already is in the row's unknown time up to its writing.
+        open_s = age_s if age_s <= LONGEST_GAP_INTERVALS * parameters.log_interval_s else 0.0
+        booked_utc_ns = written_utc_ns - round(open_s * NS_PER_S)
+    return DriveState(
+        charge=charge,
+        tripped=row["supply_tripped"],
+        output_on={"on": True, "off": False}.get(row["supply_state"]),
+        booked_utc_ns=booked_utc_ns,
+    )

@@ -1,0 +1,392 @@
+"""The corrosion drive while a test runs: what was measured, what charge has flowed, and the interlock.
+
+The recorder calls `tick` whenever it is idle. One call reads one instrument at most, so it lasts no
+longer than that instrument's timeout; nothing here waits or runs by itself.
+
+Only a person's order switches the output on. The interlock switches it off and stays tripped until the
+next such order, also over a restart. It needs the line: while that is lost it can only say so, and it
+switches off as soon as the supply answers again.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal, Protocol, runtime_checkable
+
+from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
+from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, NS_PER_S, ReadingLog
+from hardware_drivers.errors import ConfigurationError, InstrumentError
+from hardware_drivers.instruments import ClimateProbe, Clock, PowerSupply
+from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveCondition:
+    """What the drive says of one possible alarm."""
+
+    name: Literal["supply_lost", "supply_off_unexpectedly", "supply_limit", "interlock_tripped"]
+    active: bool
+    message: str
+
+
+@runtime_checkable
+class ReadsBack(Protocol):
+    """A supply that tells what is set on it."""
+
+    def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
+        """Set voltage, current limit, output and tripped protections."""
+        ...
+
+
+@runtime_checkable
+class TellsProtections(Protocol):
+    """A supply that tells why its output went off."""
+
+    @property
+    def tripped_protections(self) -> tuple[str, ...]:
+        """Protections found tripped when the output was last found off."""
+        ...
+
+
+class ElectrochemicalDrive:
+    """Logs supply and climate, integrates the charge, and keeps the interlock.
+
+    Parameters
+    ----------
+    supply, parameters
+        None where the test has no supply: then only the climate is logged.
+    climate, climate_parameters
+        None where there is no probe.
+    clock
+        The experiment's clock; its monotonic time says when a reading is due.
+    state
+        What the last run left; see `charge.restored_state`.
+    """
+
+    def __init__(
+        self,
+        supply: PowerSupply | None,
+        climate: ClimateProbe | None,
+        clock: Clock,
+        parameters: SupplyParameters | None,
+        state: DriveState,
+        *,
+        climate_parameters: ClimateParameters | None = None,
+    ) -> None:
+        if (supply is None) != (parameters is None) or (climate is None) != (climate_parameters is None):
+            raise ValueError("an instrument and its parameters are given together or not at all")
+        self._supply, self._parameters = supply, parameters
+        self._climate, self._climate_parameters = climate, climate_parameters
+        self._clock = clock
+        now_ns = clock.mono_ns()
+        self._supply_log = ReadingLog(parameters.log_interval_s if parameters else 1.0, now_ns)
+        climate_interval_s = climate_parameters.log_interval_s if climate_parameters else 1.0
+        self._climate_log = ReadingLog(climate_interval_s, now_ns)
+        self._charge = state.charge
+        self._tripped = state.tripped
+        self._intended_on = state.output_on
+        self._ordered_ns = now_ns
+        self._booked_utc_ns = state.booked_utc_ns
+        self._newest: SupplyReading | None = None
+        self._window: list[SupplyReading] = []
+        self._air: ClimateReading | None = None
+        self._limit_a = parameters.current_limit_a if parameters else 0.0
+        self._high_readings = 0
+        self._must_switch_off = False
+        self._must_read_back, self._read_back_next = True, False
+        self._found: Mapping[str, float | str] = {}
+
+    @property
+    def tripped(self) -> str | None:
+        """Why the interlock is open; None: it is closed."""
+        return self._tripped
+
+    @property
+    def found(self) -> Mapping[str, float | str]:
+        """What was set on the supply at the start, or after it was lost: reported, never changed."""
+        return self._found
+
+    # Called by the recorder while it is idle -----------------------------------------------------
+
+    def tick(self) -> None:
+        """Do what is due, one instrument at most; an instrument's error is noted and never raised."""
+        now_ns = self._clock.mono_ns()
+        if self._supply is not None and self._supply_log.due(now_ns):
+            self._supply_log.attempted(now_ns)
+            try:
+                self._attend(self._supply, now_ns)
+            except InstrumentError as error:
+                self._note_failure(error, now_ns)
+        elif self._climate is not None and self._climate_log.due(now_ns):
+            self._climate_log.attempted(now_ns)
+            assert self._climate_parameters is not None, "given with its probe"
+            try:
+                self._air = self._climate.read(self._climate_parameters.read_timeout_s)
+            except InstrumentError as error:
+                log.warning("climate: %s", error)
+                self._climate_log.trouble = str(error)
+            else:
+                self._climate_log.succeeded(self._clock.mono_ns())
+
+    def _attend(self, supply: PowerSupply, now_ns: int) -> None:
+        """Switch off if that is still owed; else read back once after every loss; else read."""
+        assert self._parameters is not None, "given with its supply"
+        if self._must_switch_off:
+            supply.make_safe()
+            self._must_switch_off = False
+            self._supply_log.look_again_at_once(now_ns)
+        elif self._read_back_next and isinstance(supply, ReadsBack):
+            self._read_back_next = False  # whatever comes of it, the next call measures
+            self._found = supply.read_back(self._parameters.read_timeout_s)
+            self._must_read_back = False
+            self._limit_a = float(self._found.get("set_current_limit_a", self._limit_a))
+            log.info("the supply was found like this: %s", dict(self._found))
+        else:
+            reading = supply.read(self._parameters.read_timeout_s)
+            self._supply_log.succeeded(self._clock.mono_ns())
+            self._take(reading)
+            if self._must_read_back and isinstance(supply, ReadsBack):
+                self._read_back_next = True
+                self._supply_log.look_again_at_once(now_ns)
+
+    def _take(self, reading: SupplyReading) -> None:
+        assert self._parameters is not None, "given with its supply"
+        self._book(reading)
+        self._window.append(reading)
+        self._newest = reading
+        if self._tripped is not None and reading.output_on:
+            log.warning("the output is on although the interlock tripped: %s", self._tripped)
+            self._switch_off_now()
+            return
+        if self._intended_on is None or (reading.output_on and not self._intended_on):
+            # Found like this at the start, or switched on at the front panel: a person wants it.
+            self._intended_on = reading.output_on
+        high = reading.current_a >= self._parameters.interlock_current_a
+        self._high_readings = self._high_readings + 1 if high else 0
+        if self._high_readings >= self._parameters.interlock_readings:
+            self.trip(
+                f"{reading.current_a:.3g} A in {self._high_readings} readings in a row, at or above "
+                f"interlock_current_a = {self._parameters.interlock_current_a:g} A"
+            )
+
+    def _book(self, reading: SupplyReading) -> None:
+        assert self._parameters is not None, "given with its supply"
+        if self._newest is not None:
+            self._charge = add_interval(
+                self._charge,
+                elapsed_s=elapsed_s(self._newest.stamp, reading.stamp),
+                first_a=self._newest.current_a,
+                last_a=reading.current_a,
+                longest_s=LONGEST_GAP_INTERVALS * self._parameters.log_interval_s,
+            )
+        elif self._booked_utc_ns is not None:
+            # Nobody measured while no recorder ran.
+            gap_s = max(0.0, (reading.stamp.utc_ns - self._booked_utc_ns) / NS_PER_S)
+            self._charge = replace(self._charge, unknown_s=self._charge.unknown_s + gap_s)
+        self._booked_utc_ns = reading.stamp.utc_ns
+
+    def _note_failure(self, error: InstrumentError, now_ns: int) -> None:
+        if not self._supply_log.trouble:
+            log.warning("supply: %s", error)
+        self._supply_log.trouble = str(error)
+        self._must_read_back = True
+        assert self._parameters is not None, "given with its supply"
+        silent_s = self._supply_log.silent_s(now_ns)
+        if self._intended_on is not False and silent_s >= self._parameters.interlock_lost_after_s:
+            # Not reachable now: it is switched off as soon as it answers.
+            self._latch(f"no answer from the supply for {silent_s:.0f} s: {error}")
+
+    # Orders --------------------------------------------------------------------------------------
+
+    def energise(
+        self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
+    ) -> None:
+        """Switch the output on at a person's order, and close the interlock.
+
+        Parameters
+        ----------
+        author
+            Who ordered it.
+        voltage_v, current_limit_a
+            As configured where not given.
+
+        Raises
+        ------
+        ValueError
+            No author: nothing else may switch it on.
+        InstrumentError
+            The supply did not do it; the interlock stays as it was.
+        """
+        if not author.strip():
+            raise ValueError("an order to energise needs its author")
+        supply, parameters = self._given_supply()
+        voltage_v = parameters.voltage_v if voltage_v is None else voltage_v
+        limit_a = parameters.current_limit_a if current_limit_a is None else current_limit_a
+        now_ns = self._clock.mono_ns()
+        self._supply_log.look_again_at_once(now_ns)
+        try:
+            supply.energise(voltage_v, limit_a)
+        except InstrumentError:
+            self._intended_on, self._must_read_back = None, True  # what it left is read, and taken as it is
+            raise
+        log.warning("output switched on by %s: %g V, at most %g A", author, voltage_v, limit_a)
+        self._tripped, self._must_switch_off = None, False
+        self._intended_on, self._limit_a, self._high_readings = True, limit_a, 0
+        self._ordered_ns = self._clock.mono_ns()
+
+    def switch_off(self, author: str) -> None:
+        """Switch the output off at a person's order; the interlock stays as it is.
+
+        Raises
+        ------
+        ValueError
+            No author.
+        InstrumentError
+            What the output does is unknown.
+        """
+        if not author.strip():
+            raise ValueError("an order to switch off needs its author")
+        supply, _ = self._given_supply()
+        self._supply_log.look_again_at_once(self._clock.mono_ns())
+        supply.make_safe()
+        log.warning("output switched off by %s", author)
+        self._intended_on, self._must_switch_off = False, False
+
+    def trip(self, reason: str) -> bool:
+        """Open the interlock: switch off now, or as soon as the supply answers, and stay off.
+
+        Returns
+        -------
+        bool
+            True if the output was read back as off; False if that is still owed (also without a supply).
+        """
+        if self._supply is None:
+            return False
+        self._latch(reason)
+        return self._switch_off_now()
+
+    def _latch(self, reason: str) -> None:
+        if self._tripped is None:
+            self._tripped = reason
+            log.error("interlock tripped: %s", reason)
+        self._intended_on, self._must_switch_off, self._high_readings = False, True, 0
+
+    def _switch_off_now(self) -> bool:
+        assert self._supply is not None, "only called with a supply"
+        now_ns = self._clock.mono_ns()
+        self._must_switch_off = True
+        try:
+            self._supply.make_safe()
+        except InstrumentError as error:
+            self._note_failure(error, now_ns)
+            return False
+        self._must_switch_off = False
+        self._supply_log.look_again_at_once(now_ns)
+        return True
+
+    def _given_supply(self) -> tuple[PowerSupply, SupplyParameters]:
+        if self._supply is None or self._parameters is None:
+            raise ConfigurationError("this test has no supply; configure [rig.supply]")
+        return self._supply, self._parameters
+
+    # What it says --------------------------------------------------------------------------------
+
+    def output(self) -> Literal["on", "off", "unknown", "absent"]:
+        """Output as last read; unknown as soon as the newest reading is not good."""
+        if self._supply is None:
+            return "absent"
+        if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
+            return "unknown"
+        return "on" if self._newest.output_on else "off"
+
+    def conditions(self) -> tuple[DriveCondition, ...]:
+        """Possible alarms of the supply, each with whether it stands; none without a supply."""
+        if self._supply is None or self._parameters is None:
+            return ()
+        now_ns = self._clock.mono_ns()
+        quality, reading = self._supply_log.quality(now_ns), self._newest
+        # A reading from before the order says nothing of how it was carried out.
+        told = reading is not None and reading.stamp.mono_ns >= self._ordered_ns
+        off = bool(self._intended_on) and reading is not None and told and not reading.output_on
+        tolerance_a = self._parameters.readback_tolerance_a
+        limited = (
+            reading is not None and reading.output_on and reading.current_a >= self._limit_a - tolerance_a
+        )
+        causes = self._supply.tripped_protections if isinstance(self._supply, TellsProtections) else ()
+        owed = "; the output could not be switched off yet" if self._must_switch_off else ""
+        silent_s = self._supply_log.silent_s(now_ns)
+        return (
+            DriveCondition(
+                name="supply_lost",
+                active=quality == "lost",
+                message=f"no reading for {silent_s:.0f} s, what the output does is unknown: "
+                f"{self._supply_log.trouble}"
+                if quality == "lost"
+                else "the supply answers",
+            ),
+            DriveCondition(
+                name="supply_off_unexpectedly",
+                active=off,
+                message="the output is off and nobody ordered that"
+                + (f" (tripped: {', '.join(causes)})" if causes else "")
+                + "; find the cause, then order it on"
+                if off
+                else "the output is as ordered",
+            ),
+            DriveCondition(
+                name="supply_limit",
+                active=limited,
+                message=f"the current is at its limit of {self._limit_a:g} A: the voltage is no longer held"
+                if limited
+                else "the current is below its limit",
+            ),
+            DriveCondition(
+                name="interlock_tripped",
+                active=self._tripped is not None,
+                message=f"{self._tripped}{owed}" if self._tripped is not None else "the interlock is closed",
+            ),
+        )
+
+    def begin_window(self) -> None:
+        """Start the means anew, once the last summary is stored."""
+        self._window.clear()
+
+    def summary(self) -> dict[str, float | str | None]:
+        """Columns of the catalogue's ``environment``: means since `begin_window`, totals since hour 0."""
+        now_ns = self._clock.mono_ns()
+        return {**self._supply_summary(now_ns), **self._climate_summary(now_ns)}
+
+    def _supply_summary(self, now_ns: int) -> dict[str, float | str | None]:
+        log_, absent = self._supply_log, self._supply is None
+        row: dict[str, float | str | None] = {
+            "supply_state": self.output(),
+            "supply_quality": "absent" if absent else log_.quality(now_ns),
+            "supply_age_s": None if absent else log_.age_s(now_ns),
+            "supply_tripped": self._tripped,
+        }
+        for name, unit, values in (
+            ("voltage", "v", [reading.voltage_v for reading in self._window]),
+            ("current", "a", [reading.current_a for reading in self._window]),
+        ):
+            row[f"{name}_{unit}"] = sum(values) / len(values) if values else None
+            row[f"{name}_min_{unit}"] = min(values, default=None)
+            row[f"{name}_max_{unit}"] = max(values, default=None)
+        # A silence that lasts is unknown time already, before a reading ends it.
+        open_s = log_.silent_s(now_ns) if self._newest is not None and log_.too_old(now_ns) else 0.0
+        row["charge_coulomb"] = None if absent else self._charge.coulomb
+        row["unknown_s"] = None if absent else self._charge.unknown_s + open_s
+        return row
+
+    def _climate_summary(self, now_ns: int) -> dict[str, float | str | None]:
+        absent, air = self._climate is None, self._air
+        return {
+            "climate_quality": "absent" if absent else self._climate_log.quality(now_ns),
+            "climate_age_s": None if absent else self._climate_log.age_s(now_ns),
+            "temperature_c": None if air is None else air.temperature_c,
+            "relative_humidity": None if air is None else air.relative_humidity,
+        }

@@ -1,0 +1,181 @@
+"""The corrosion drive beside the line: read while the recorder is idle, a row a set, alarms at once.
+
+`ElectrochemicalDrive` measures and switches; here its conditions become alarms in the catalogue the
+moment they change, so that an interlock that tripped between two sets is known, also after a crash.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.alarms.states import Condition, Moment, update
+from daq_service.catalogue import Catalogue
+from daq_service.corrosion_drive.charge import DriveState, restored_state
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.judgement.transaction import Transaction
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import Rig
+
+log = logging.getLogger(__name__)
+
+SEVERITIES: Mapping[str, Literal["medium", "high", "critical"]] = {
+    "supply_lost": "high",
+    "supply_off_unexpectedly": "medium",
+    "supply_limit": "medium",
+    "interlock_tripped": "critical",
+}
+
+Alarms = Mapping[tuple[str | None, str], Mapping[str, Any]]
+
+
+class DriveWatch:
+    """Supply and climate of a running test.
+
+    Parameters
+    ----------
+    alarms
+        The recorder's current alarms by position and kind.
+    store
+        Stores a transaction and takes its alarms over.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        rig: Rig,
+        catalogue: Catalogue,
+        alarms: Alarms,
+        store: Callable[[Transaction], None],
+    ) -> None:
+        self._alarms = alarms
+        self._store = store
+        self._clock = rig.clock
+        self._off_at_end = settings.rig.supply is not None and settings.rig.supply.off_at_end
+        self._drive = ElectrochemicalDrive(
+            rig.supply,
+            rig.climate,
+            rig.clock,
+            settings.rig.supply,
+            _state_before(settings, catalogue, alarms),
+            climate_parameters=settings.rig.climate,
+        )
+
+    def tick(self, hour: float) -> None:
+        """Read what is due, at most one instrument, and store what became of an alarm."""
+        self._drive.tick()
+        self._carry_alarms(hour)
+
+    def _carry_alarms(self, hour: float) -> None:
+        moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
+        transaction = Transaction()
+        for found in self._drive.conditions():
+            condition = Condition(
+                position=None,
+                kind=found.name,
+                family="device",
+                severity=SEVERITIES[found.name],
+                present=found.active,
+                message=found.message,
+                proof=self._drive.summary() if found.active else {},
+            )
+            change = update(self._alarms.get((None, found.name)), condition, moment)
+            if change is not None:
+                transaction.add_alarm(change, moment)
+                log.warning("%s at hour %g: %s", change.event_kind, hour, found.message)
+        if transaction.alarms:
+            self._store(transaction)
+
+    # For the rows of a set -----------------------------------------------------------------------
+
+    def summary(self) -> Mapping[str, float | str | None]:
+        """Return what supply and probe said since the last stored set."""
+        return self._drive.summary()
+
+    def add_row(self, transaction: Transaction, due: DueSet, moment: Moment) -> None:
+        """Add a set's row; the means begin anew after it."""
+        row = {"set_index": due.set_index, "due_h": due.due_h, **self._drive.summary()}
+        transaction.add_environment(row, moment)
+        self._drive.begin_window()
+
+    # Orders --------------------------------------------------------------------------------------
+
+    def supply_on(
+        self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
+    ) -> str:
+        """Switch the drive on at a person's order.
+
+        Raises
+        ------
+        ValueError
+            It was not done, and why.
+        """
+        try:
+            self._drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
+        except InstrumentError as error:
+            raise ValueError(f"the supply was not switched on: {error}") from error
+        self._carry_alarms(hour)
+        return "the supply is on, read back as ordered"
+
+    def supply_off(self, author: str, hour: float) -> str:
+        """Switch the drive off at a person's order.
+
+        Raises
+        ------
+        ValueError
+            What the output does is unknown.
+        """
+        try:
+            self._drive.switch_off(author)
+        except InstrumentError as error:
+            raise ValueError(f"the supply may be on: {error}; switch it off by hand") from error
+        self._carry_alarms(hour)
+        return "the supply is off, read back"
+
+    def trip(self, reason: str, hour: float) -> None:
+        """Open the interlock: a hole lets the solution through and the current with it."""
+        self._drive.trip(reason)
+        self._carry_alarms(hour)
+
+    def end(self) -> str:
+        """Switch off at the end of a test if configured; what was done, empty if nothing."""
+        if not self._off_at_end:
+            return ""
+        try:
+            self._drive.switch_off("the end of the test")
+        except InstrumentError as error:
+            log.error("the supply may still be on, switch it off by hand: %s", error)
+            return f"the supply may still be on, switch it off by hand: {error}"
+        return "the supply is off"
+
+
+def drive_watch(
+    settings: Settings,
+    rig: Rig,
+    catalogue: Catalogue,
+    alarms: Alarms,
+    store: Callable[[Transaction], None],
+) -> DriveWatch | None:
+    """Watch of the test's supply and climate probe; None where it has neither."""
+    if rig.supply is None and rig.climate is None:
+        return None
+    return DriveWatch(settings, rig, catalogue, alarms, store)
+
+
+def _state_before(settings: Settings, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+    """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
+    state = DriveState()
+    told = catalogue.events_after(0, {"environment"}, limit=None)
+    if settings.rig.supply is not None and told:
+        state = restored_state(
+            catalogue.last_environment(),
+            written_utc_ns=told[-1]["utc_ns"],
+            parameters=settings.rig.supply,
+        )
+    tripped = alarms.get((None, "interlock_tripped"))
+    standing = tripped is not None and tripped["state"] in ("unacknowledged", "acknowledged")
+    return replace(state, tripped=str(tripped["message"]) if tripped is not None and standing else None)

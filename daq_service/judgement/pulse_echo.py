@@ -1,0 +1,172 @@
+"""From a pulse-echo record to the wall's thickness and the condition of its alarm (equation 17)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from analysis.errors import AnalysisError
+from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
+from analysis.ultrasound.thickness import (
+    EchoReference,
+    ThicknessInterval,
+    reference_echo,
+    thickness,
+    thickness_interval,
+    travel_time,
+)
+from daq_service.acquisition.schedule import DueSet
+from daq_service.alarms.states import Condition
+from daq_service.judgement.solitary_wave import Assessment
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import PulseEchoRecord, Waveform
+
+EXTRACTOR_VERSION = "1.1"
+"""Of the travel time; changes whenever any result of any record would."""
+
+FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
+
+
+class PulseEchoAssessor:
+    """Follows the wall under one ultrasonic probe; the first record with an echo is its reference."""
+
+    def __init__(self, position: str, settings: Settings) -> None:
+        self.position = position
+        self._settings = settings
+        self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
+        self._alarm = AlarmState()
+        self._reference: EchoReference | None = None
+
+    def restore(self, *, reference: Waveform | None, thickness_rows: Sequence[Mapping[str, Any]]) -> None:
+        """Rebuild the memory: the first good record, and all results in order."""
+        self._reference = None if reference is None else self._take_reference(reference)
+        self._alarm = AlarmState()
+        for row in thickness_rows:
+            self._alarm = next_alarm_state(self._alarm, self._too_thin(row["thickness_loss_m"]), self._rule)
+
+    def assess(self, due: DueSet, echo: PulseEchoRecord) -> Assessment:
+        """Thickness of one record."""
+        settings = self._settings.ultrasound
+        row: dict[str, Any] = {
+            "set_index": due.set_index,
+            "position": self.position,
+            "sequence": echo.sequence,
+            "due_h": due.due_h,
+            "extractor_version": EXTRACTOR_VERSION,
+            "quality": "bad",
+            "travel_time_s": None,
+            "thickness_m": None,
+            "thickness_loss_m": None,
+            "correlation_coefficient": None,
+        }
+        reason = ""
+        interval: ThicknessInterval | None = None
+        try:
+            if self._reference is None:
+                self._reference = self._take_reference(echo.waveform)
+            found = travel_time(echo.waveform, self._reference)
+            wall = thickness(
+                found.travel_time_s,
+                self._reference.travel_time_s,
+                settings.delay_s,
+                settings.initial_thickness_m,
+                settings.element_separation_m,
+            )
+            interval = thickness_interval(
+                found, self._reference, settings.initial_thickness_m, settings.element_separation_m
+            )
+        except AnalysisError as error:
+            reason = str(error)
+        else:
+            reason = found.reason
+            row.update(
+                quality=found.quality,
+                travel_time_s=_known(found.travel_time_s),
+                thickness_m=_known(wall.thickness_m),
+                thickness_loss_m=_known(wall.thickness_loss_m),
+                correlation_coefficient=_known(found.correlation_coefficient),
+            )
+        flags = _flags(row, echo)
+        if "clipped" in flags and row["quality"] == "good":
+            # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
+            row["quality"] = "suspect"
+            reason = "the record is clipped: lower the gain or take a larger range"
+        usable = row["quality"] != "bad"
+        self._alarm = next_alarm_state(
+            self._alarm, self._too_thin(row["thickness_loss_m"]) if usable else None, self._rule
+        )
+        return Assessment(
+            thickness=[row],
+            conditions=[self._condition(due, row, interval)],
+            n_valid=int(usable),
+            shot_flags={echo.sequence: flags},
+            invalid=frozenset(() if usable else (echo.sequence,)),
+            note=reason,
+        )
+
+    def _take_reference(self, waveform: Waveform) -> EchoReference:
+        settings = self._settings.ultrasound
+        return reference_echo(
+            waveform,
+            delay_s=settings.delay_s,
+            initial_thickness_m=settings.initial_thickness_m,
+            velocity_m_per_s=settings.velocity_m_per_s,
+        )
+
+    def _too_thin(self, loss_m: float | None) -> bool | None:
+        if loss_m is None or not math.isfinite(loss_m):
+            return None
+        return (
+            loss_m
+            > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
+        )
+
+    def _condition(
+        self, due: DueSet, row: Mapping[str, Any], interval: ThicknessInterval | None
+    ) -> Condition:
+        fraction = self._settings.alarms.thickness_loss_fraction
+        initial_m = self._settings.ultrasound.initial_thickness_m
+        remaining = row["thickness_m"]
+        read = "" if remaining is None else f" (now {remaining * 1e3:.2f} mm)"
+        return Condition(
+            position=self.position,
+            kind="thickness",
+            family="damage",
+            severity="high",
+            present=self._alarm.active,
+            message=(
+                f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
+                f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
+                f"{read}: inspect the wall"
+            ),
+            proof={
+                "formula": FORMULA,
+                "rule": {"k": self._rule.k, "n": self._rule.n},
+                "set_index": due.set_index,
+                "thickness_m": remaining,
+                "interval_m": None if remaining is None or interval is None else _ends(interval),
+                "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
+                "limit_m": (1.0 - fraction) * initial_m,
+                "travel_time_s": row["travel_time_s"],
+                "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
+                "delay_s": self._settings.ultrasound.delay_s,
+                "extractor_version": EXTRACTOR_VERSION,
+            },
+        )
+
+
+def _known(value: float) -> float | None:
+    """Return the value, None where there is none."""
+    return value if math.isfinite(value) else None
+
+
+def _ends(interval: ThicknessInterval) -> list[float]:
+    """95 % interval of the mean thickness under the beam."""
+    return [interval.low_m, interval.high_m]
+
+
+def _flags(row: Mapping[str, Any], echo: PulseEchoRecord) -> tuple[str, ...]:
+    """Return the flags of an echo; in a mean of records, clipping shows only in what the instrument says."""
+    clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
+    return (("no_echo",) if row["quality"] == "bad" else ()) + (("clipped",) if clipped else ())

@@ -1,0 +1,1 @@
+"""What a person may ask of a running test: the kinds, giving one, obeying one."""

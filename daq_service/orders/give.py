@@ -1,0 +1,109 @@
+"""``hold``, ``release``, ``retire``, ``reinstate``, ``supply``: orders without a browser.
+
+A row of ``commands`` is written and the recorder's answer awaited; the recorder alone decides. An order
+that is not answered in time stays: a recorder that was busy or is started again carries it out.
+"""
+
+from __future__ import annotations
+
+import getpass
+import json
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import click
+
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.errors import EXIT_OK, BusyError, UsageError
+from daq_service.processes.data_folder import data_folder
+from daq_service.processes.heartbeat import overdue_s, read_heartbeat
+from daq_service.settings.file import load_settings
+
+ANSWER_WITHIN_S = 30.0
+"""A recorder looks several times a second, but not while it waits for a record or stores a set."""
+LOOK_EVERY_S = 0.1
+LONGEST_AUTHOR = 80
+
+
+def give_order(
+    kind: str,
+    *,
+    config: Path | None,
+    data_dir: Path | None,
+    note: str,
+    author: str | None,
+    as_json: bool,
+    arguments: Mapping[str, str | float | None] = MappingProxyType({}),
+    within_s: float = ANSWER_WITHIN_S,
+) -> int:
+    """Write an order, wait for its answer and print it.
+
+    The folder's configuration is not compared with CONFIG: a hold must not fail for a wrong file.
+
+    Parameters
+    ----------
+    author
+        None: the name of this user.
+    arguments
+        What the kind needs beside the note; None is left out.
+
+    Raises
+    ------
+    BusyError
+        No recorder runs there (nothing is written), or it gave no answer in time (the order stays).
+    UsageError
+        The recorder refused, with its reason.
+    StorageError
+        No data there yet, or the catalogue cannot be written.
+    """
+    folder = data_folder(load_settings(config), config, data_dir)
+    with open_catalogue(folder) as catalogue:
+        _check_somebody_listens(folder, catalogue)
+        given = {name: value for name, value in arguments.items() if value is not None}
+        order_id = catalogue.add_command((author or _user())[:LONGEST_AUTHOR], kind, {"note": note} | given)
+        row = _answered(catalogue, order_id, within_s)
+    if as_json:
+        names = ("id", "kind", "author", "arguments", "state", "result")
+        click.echo(json.dumps({name: row[name] for name in names}))
+    if row["state"] == "refused":
+        raise UsageError(f"the recorder refused to {kind}: {row['result']}")
+    if row["state"] == "pending":
+        raise BusyError(
+            f"the recorder has not answered within {within_s:g} s; order {order_id} ({kind}) stays and is "
+            "carried out when it looks again: `solimon status` tells what it does"
+        )
+    if not as_json:
+        click.echo(row["result"])
+    return EXIT_OK
+
+
+def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
+    beat = read_heartbeat(folder)
+    told = catalogue.last_told("recorder_started", "recorder_stopped")
+    stopped = told is not None and told["kind"] == "recorder_stopped"
+    if beat is None or stopped or overdue_s(beat, mono_ns=time.monotonic_ns()) > 0.0:
+        raise BusyError(
+            f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
+            "`solimon run` or `solimon record`, then give the order again"
+        )
+
+
+def _answered(catalogue: Catalogue, order_id: int, within_s: float) -> dict[str, Any]:
+    """Row of the order once it is answered, or as it stands when the time is over."""
+    deadline = time.monotonic() + within_s
+    while True:
+        row = catalogue.command(order_id)
+        assert row is not None, "it was just written"
+        if row["state"] != "pending" or time.monotonic() >= deadline:
+            return row
+        time.sleep(LOOK_EVERY_S)
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError, ImportError):
+        return "operator"  # a container's user may have no name

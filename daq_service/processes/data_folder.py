@@ -1,0 +1,157 @@
+"""The data folder: made, tested for writing, and owned by one recorder at a time.
+
+The owner holds an OS lock on ``recorder.lock`` for as long as its process lives: a crash frees it,
+nobody has to clean up. The file's text only tells a person who owns it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.errors import BusyError, StorageError
+from daq_service.settings.tree import Settings
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def try_lock(file: IO[bytes]) -> None:
+        """Lock an open file for this process, at its present offset; OSError if somebody holds it."""
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+
+else:
+    import fcntl
+
+    def try_lock(file: IO[bytes]) -> None:
+        """Lock an open file for this process; OSError if somebody holds it."""
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+_OWNER_OFFSET = 1
+"""The first byte is the locked one: on Windows a locked byte cannot be read by others."""
+
+
+CONFIGURATION_FILE = "configuration.json"
+"""What a test that nobody wrote a configuration for was run with."""
+
+OWN_NAMES = frozenset(
+    {"catalogue.sqlite", CONFIGURATION_FILE, "heartbeat.json", "recorder.lock", "sets", "live", "logs"}
+)
+
+
+def prepare_data_folder(folder: Path) -> None:
+    """Make the folder and prove that files can be made in it.
+
+    Raises
+    ------
+    StorageError
+        A file is in the way, the folder holds something else, is on a network, or cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir"
+        ) from error
+    kind = network_filesystem(folder)
+    if kind is not None:
+        raise StorageError(
+            f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; "
+            "choose a local disk with --data-dir"
+        )
+    _refuse_foreign_files(folder)
+    probe = folder / f".write-test-{uuid.uuid4().hex}"
+    try:
+        probe.write_bytes(b"solimon")
+        probe.unlink()
+        for name in ("sets", "live", "logs"):
+            (folder / name).mkdir(exist_ok=True)
+    except OSError as error:
+        raise StorageError(
+            f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
+            "choose another with --data-dir"
+        ) from error
+
+
+def _refuse_foreign_files(folder: Path) -> None:
+    """Refuse a folder that is somebody's documents: only an empty one, or one of ours, is used."""
+    names = {path.name for path in folder.iterdir()}
+    if names and not names & OWN_NAMES:
+        raise StorageError(
+            f"{folder} is not empty and is no data folder of solimon (it holds {min(names)!r}); "
+            "choose a new or empty one with --data-dir"
+        )
+
+
+@contextlib.contextmanager
+def own_data_folder(folder: Path) -> Iterator[None]:
+    """Hold the recorder's lock.
+
+    Raises
+    ------
+    BusyError
+        Another recorder holds it.
+    """
+    path = folder / "recorder.lock"
+    with path.open("a+b") as file:
+        file.seek(0)
+        try:
+            try_lock(file)
+        except OSError as error:
+            raise BusyError(
+                f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "
+                "folder with --data-dir"
+            ) from error
+        file.truncate(0)
+        file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())
+        file.flush()
+        yield
+
+
+def _owner(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            file.seek(_OWNER_OFFSET)
+            return file.read(200).decode("ascii", "replace") or "process unknown"
+    except OSError as error:
+        return f"owner unreadable: {error.strerror}"
+
+
+def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) -> Path:
+    """``--data-dir``, or the configuration's folder relative to its file."""
+    if data_dir is not None:
+        return data_dir.absolute()
+    base = Path.cwd() if config is None else config.absolute().parent
+    return base / settings.storage.folder
+
+
+def check_owner(settings: Settings, folder: Path) -> None:
+    """Compare a folder's configuration with ours before anything is written to it.
+
+    Raises
+    ------
+    StorageError
+        The folder belongs to another configuration: both hashes and the remedy.
+    """
+    try:
+        with open_catalogue(folder) as catalogue:
+            catalogue.check_owner(settings.configuration_hash())
+    except NoDataYetError:
+        return  # nobody's yet
+
+
+def write_configuration(settings: Settings, folder: Path) -> Path:
+    """Write the file that the children read, and `solimon run` later; pace and end may change."""
+    config = folder / CONFIGURATION_FILE
+    partial = config.with_suffix(".tmp")
+    partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
+    partial.replace(config)
+    return config

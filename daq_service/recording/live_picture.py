@@ -1,0 +1,93 @@
+"""The live picture: one small file a position with its latest record.
+
+It is a picture, never a source of truth: written without fsync, at most ten times a second, and
+replaced by rename, so a reader always sees a whole one. Layout: u32 little-endian length of the
+JSON header, the header padded with spaces until the samples start at a multiple of 8, samples.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import struct
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from analysis.waves.features import ShotFeatures
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+log = logging.getLogger(__name__)
+
+SHORTEST_INTERVAL_NS, LONGEST_INTERVAL_NS = 100_000_000, 1_000_000_000
+COSTS_BETWEEN = 100
+"""All positions' pictures together take a hundredth of the time: a slow disk makes them rarer, down to one a
+second."""
+MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_time_s", "ssw_amplitude_v")
+
+
+def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
+    """Header and samples as the bytes of a live file and of a live message."""
+    text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    samples = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
+    return struct.pack("<I", len(text)) + text + samples.tobytes()
+
+
+class LivePicture:
+    """Writes the live files of one data folder."""
+
+    def __init__(self, folder: Path, rig_kind: str) -> None:
+        self._folder = folder / "live"
+        self._folder.mkdir(exist_ok=True)
+        self._rig_kind = rig_kind
+        self._written_ns: dict[str, int] = {}
+        self._cost_ns = 0
+
+    def due(self, position: str) -> bool:
+        """Say whether the last picture of the position is old enough for another."""
+        last = self._written_ns.get(position)
+        pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
+        pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
+        return last is None or time.monotonic_ns() - last >= pause_ns
+
+    def show(
+        self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
+    ) -> None:
+        """Replace the picture of a position. A failing disk costs the picture, not the shot."""
+        waveform, key = measurement.waveform, measurement.key
+        begun_ns = time.monotonic_ns()
+        values = {} if features is None else features.values()
+        header = {
+            "position": key.position,
+            "method": "solitary_wave" if isinstance(measurement, Shot) else "pulse_echo",
+            "sequence": measurement.sequence,
+            "set_index": key.set_index,
+            "shot_index": key.shot_index,
+            "utc_ns": measurement.stamp.utc_ns,
+            "due_h": due_h,
+            "sample_rate_hz": waveform.sample_rate_hz,
+            "pretrigger_samples": waveform.pretrigger_samples,
+            "coefficients_v": waveform.calibration.coefficients_v.tolist(),
+            "dtype": waveform.counts.dtype.name,
+            "flags": [] if features is None else list(features.flags),
+            "marks": {name: _finite(values.get(name)) for name in MARKS},
+            "written_wall_utc_ns": time.time_ns(),
+            "rig": self._rig_kind,
+        }
+        target = self._folder / f"{key.position}.bin"
+        partial = target.with_suffix(".tmp")
+        try:
+            partial.write_bytes(encode(header, waveform))
+            partial.replace(target)
+        except OSError as error:
+            # Also Windows, while a reader has the old picture open. The next one comes soon.
+            log.warning("no live picture of %s: %s", key.position, error)
+        self._written_ns[key.position] = now_ns = time.monotonic_ns()
+        self._cost_ns = now_ns - begun_ns
+
+
+def _finite(value: float | None) -> float | None:
+    return None if value is None or not math.isfinite(value) else value

@@ -1,0 +1,343 @@
+"""The recorder: the whole line from strike to alarm, in reading order.
+
+`schedule` says which set is due; `take_set` strikes and reads; the archive makes the set durable
+(only now is it acknowledged); the ledger lets the assessors judge it and `alarms.update` carry the alarms,
+and stores all of it in one transaction, whose events are the news. No stage calls an earlier one.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from analysis.waves.quality_gate import RestrikeRule
+from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, take_set
+from daq_service.acquisition.taken_set import (
+    TakenSet,
+    features_of,
+    features_of_a_rehearsal,
+)
+from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.clock import NS_PER_H, boot_id
+from daq_service.errors import RigError
+from daq_service.orders.obey import Operator
+from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.cost import Cost
+from daq_service.recording.ledger import Ledger
+from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.provenance import provenance
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
+from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import Shot
+
+log = logging.getLogger(__name__)
+
+LINGER_S = 0.1
+"""How often a recorder that is done looks for orders."""
+
+SELF_CALIBRATION_TAKES_NS = 180 * 1_000_000_000
+"""A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
+one comes at once, since nobody knows how long the boards have been warm."""
+
+Teller = Callable[..., None]
+
+
+class Recorder:
+    """Owns the line while a test runs."""
+
+    def __init__(
+        self,
+        settings: Settings,
+        folder: Path,
+        catalogue: RecorderCatalogue,
+        rig: Rig,
+        epoch_ns: int,
+        *,
+        heartbeat: Heartbeat,
+        stop: threading.Event,
+        tell: Teller,
+    ) -> None:
+        self._settings = settings
+        self._catalogue = catalogue
+        self._rig = rig
+        self._epoch_ns = epoch_ns
+        self._heartbeat = heartbeat
+        self._stop = stop
+        self._tell = tell
+        self._doing = "starting"
+        self._calibrated_ns: int | None = None
+        self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
+        self._archive = Archive(folder)
+        self._live = LivePicture(folder, rig.kind)
+        # Simulated time has one frame whatever machine it runs on.
+        self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
+        self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
+        self._provenance = provenance(settings, rig)
+        self._next_sequence = catalogue.next_sequence()
+        self._cost = Cost()
+        done = catalogue.committed_sets()
+        self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
+        self._ledger = Ledger(settings, folder, catalogue, rig, self._cost)
+        self._operator = Operator(
+            catalogue,
+            rig.clock,
+            self._ledger.alarms,
+            stop=stop,
+            store=self._ledger.commit,
+            reinstated=self._ledger.reinstated,
+            positions=settings.names_of("solitary_wave"),
+            supply=self._ledger.drive if rig.supply is not None else None,
+        )
+
+    def run(self, *, not_running_because: str) -> bool:
+        """Take every set that is still due; False when told to stop."""
+        done = self._catalogue.committed_sets()
+        started = {
+            "rig": self._rig.kind,
+            "dry_run": self._rig.dry_run,
+            "sets_done": len(done),
+            "before": not_running_because,
+        }
+        self._say("recorder_started", started)
+        for number, due in enumerate(self._plan):
+            if due.set_index in done:
+                continue
+            following = self._plan[number + 1] if number + 1 < len(self._plan) else None
+            if not (self._adopt(due) or self._miss(due, following, not_running_because)):
+                self._take_when_due(due)
+            if self._stop.is_set():
+                break
+            self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        finished = not self._stop.is_set()
+        supply = "" if self._ledger.drive is None else self._ledger.drive.end()
+        farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
+        self._say("schedule_done" if finished else "recorder_stopped", farewell)
+        return finished
+
+    def linger(self) -> None:
+        """Listen to the operator, strike nothing, until told to stop."""
+        self._doing = "waiting for orders; every set is taken"
+        while self._idle():
+            self._stop.wait(LINGER_S)
+
+    # One set -----------------------------------------------------------------------------------
+
+    def _take_when_due(self, due: DueSet) -> None:
+        self._calibrate_before(due)
+        self._doing = f"waiting for set {due.set_index}"
+        if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
+            return
+        if self._operator.held:
+            self._gap(due, self._operator.held)
+            return
+        self._begin(f"taking set {due.set_index}")
+        taken = self._take(due)
+        if not taken.is_empty:
+            self._store_and_judge(due, taken)
+        elif not self._stop.is_set():
+            causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
+            self._ledger.judge_empty(due, taken, causes)
+        # else: the set is still due after a restart
+        if taken.trouble is not None and not _may_pass(taken.trouble):
+            raise RigError(
+                f"set {due.set_index} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
+                "are stored"
+            ) from taken.trouble
+
+    def _take(self, due: DueSet) -> TakenSet:
+        """Strike and read; whatever happens, what came before it is kept."""
+        quality = self._settings.quality
+        restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
+        taken = TakenSet(
+            rule=RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes),
+            # As it stands now: an order during the set changes what is struck, not what was planned.
+            retired=self._ledger.retired(),
+            started_ns=self._rig.clock.utc_ns(),
+        )
+        set_plan = SetPlan(
+            due=due,
+            positions={
+                name: place.method
+                for name, place in self._settings.positions.items()
+                if name not in taken.retired
+            },
+            shots_per_set=self._settings.schedule.shots_per_set,
+            shot_interval_s=self._settings.schedule.shot_interval_s,
+            read_timeout_s=self._settings.rig.read_timeout_s,
+        )
+        measurements = take_set(
+            self._rig,
+            set_plan,
+            first_sequence=self._next_sequence,
+            boot_id=self._boot_id,
+            idle=self._idle_in_a_set,
+            wants_restrike=lambda measurement: self._wants_restrike(taken, measurement),
+            may_strike=lambda position: position not in self._ledger.retired(),
+        )
+        try:
+            while True:
+                with self._cost.of("strike_and_read_s"):
+                    measurement = next(measurements, None)
+                if measurement is None:
+                    break
+                self._keep(measurement, taken, due)
+        except InstrumentError as error:
+            log.exception("set %d: the rig failed", due.set_index)
+            taken.trouble = error
+        taken.ended_ns = self._rig.clock.utc_ns()
+        return taken
+
+    def _wants_restrike(self, taken: TakenSet, measurement: Shot | MissedShot) -> bool:
+        """Ask the quality gate, unless this is a recording that has no further attempt."""
+        has_shot = self._rig.has_shot
+        if has_shot is not None and not has_shot(
+            replace(measurement.key, attempt=measurement.key.attempt + 1)
+        ):
+            return False
+        return taken.wants_restrike(measurement)
+
+    def _keep(self, measurement: Measurement, taken: TakenSet, due: DueSet) -> None:
+        taken.keep(measurement)
+        if isinstance(measurement, MissedShot):
+            return
+        if isinstance(measurement, Shot):
+            with self._cost.of("extract_s"):
+                taken.features[measurement.sequence] = self._features_of(measurement)
+        if self._live.due(measurement.key.position):
+            self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
+
+    def _store_and_judge(self, due: DueSet, taken: TakenSet) -> None:
+        """First durable, then judged: nobody hears of a shot that a power cut could take away."""
+        self._begin(f"storing set {due.set_index}")
+        record = SetRecord(
+            set_index=due.set_index,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            started_utc_ns=taken.started_ns,
+            ended_utc_ns=taken.ended_ns,
+            rig_kind=self._rig.kind,
+            positions=self._position_records(taken),
+            shots=taken.shots,
+            echoes=taken.echoes,
+            missed=taken.missed_records(),
+            outcomes=taken.superseded(),
+            trouble=taken.told_trouble(),
+            environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
+            provenance=self._provenance,
+        )
+        stored = self._archive.store_set(record)
+        self._cost.sets += 1
+        for stage, seconds in asdict(stored.timings).items():
+            self._cost.seconds[stage] += seconds
+        self._next_sequence += len(taken.shots) + len(taken.echoes)
+        self._doing = f"judging set {due.set_index}"
+        self._ledger.judge(due, record, stored.file, taken.features)
+
+    def _calibrate_before(self, due: DueSet) -> None:
+        """Let the boards calibrate themselves between sets, as often as configured."""
+        boards, self_calibrating = self._settings.rig.daqmx, self._rig.self_calibrating
+        if boards is None or self_calibrating is None or not boards.self_calibration_interval_h:
+            return
+        now_ns = self._rig.clock.utc_ns()
+        age_h = math.inf if self._calibrated_ns is None else (now_ns - self._calibrated_ns) / NS_PER_H
+        has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
+        if age_h < boards.self_calibration_interval_h or not has_time:
+            return
+        self._begin(f"self-calibration before set {due.set_index}")
+        try:
+            told = self_calibrating.self_calibrate()
+        except InstrumentError as error:
+            if not _may_pass(error):
+                raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
+            log.warning("self-calibration before set %d failed: %s", due.set_index, error)
+            told = {"failed": str(error)}
+        self._calibrated_ns = now_ns
+        self._say("self_calibrated", dict(told))
+
+    def _position_records(self, taken: TakenSet) -> list[PositionRecord]:
+        return [
+            PositionRecord(
+                position=name,
+                method=place.method,
+                n_planned=self._ledger.n_planned(name),
+                cause=self._shortfall(name, taken),
+                label=place.label,
+                serial_number=place.serial_number,
+            )
+            for name, place in self._settings.positions.items()
+            if name not in taken.retired
+        ]
+
+    def _shortfall(self, position: str, taken: TakenSet) -> str:
+        told_to = (
+            self._ledger.retired().get(position) or self._operator.held or "the recorder was told to stop"
+        )
+        return taken.shortfall(position, self._ledger.n_planned(position), told_to)
+
+    # Sets that were taken already, or cannot be taken any more -----------------------------------
+
+    def _adopt(self, due: DueSet) -> bool:
+        """Take over a file without rows: the last recorder died between rename and commit."""
+        path = self._orphans.get(due.set_index)
+        if path is None:
+            return False
+        record = read_set(path)
+        features = {shot.sequence: self._features_of(shot) for shot in record.shots}
+        self._ledger.judge(due, record, f"{path.parent.name}/{path.name}", features)
+        self._next_sequence = self._catalogue.next_sequence()
+        log.warning("set %d: rows made again from %s", due.set_index, path)
+        # Simulated time goes on where that set ended; the wall clock is past it anyway.
+        self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
+        return True
+
+    def _miss(self, due: DueSet, following: DueSet | None, cause: str) -> bool:
+        """Write gap rows for a set whose time is over: the next one is due already."""
+        interval_ns = NS_PER_H if following is None else following.due_utc_ns - due.due_utc_ns
+        if self._rig.clock.utc_ns() < due.due_utc_ns + interval_ns:
+            return False
+        self._gap(due, cause)
+        return True
+
+    def _gap(self, due: DueSet, cause: str) -> None:
+        causes = dict.fromkeys(self._settings.positions, cause)
+        self._ledger.gap(due, causes, utc_ns=self._rig.clock.utc_ns())
+
+    # Operator and supervisor ---------------------------------------------------------------------
+
+    def _begin(self, doing: str) -> None:
+        """Say at once what is begun: should it never end, the supervisor tells what hung."""
+        self._doing = doing
+        self._heartbeat.beat(doing)
+
+    def _idle(self) -> bool:
+        """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
+        self._heartbeat.beat(self._doing)
+        self._operator.listen(self._hour())
+        if self._ledger.drive is not None:
+            self._ledger.drive.tick(self._hour())
+        return not self._stop.is_set()
+
+    def _idle_in_a_set(self) -> bool:
+        """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
+        return self._idle() and not self._operator.held
+
+    def _hour(self) -> float:
+        return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
+
+    def _say(self, kind: str, payload: Mapping[str, Any]) -> None:
+        self._catalogue.add_event(
+            utc_ns=self._rig.clock.utc_ns(), topic="service", kind=kind, payload=payload
+        )
+
+
+def _may_pass(trouble: InstrumentError) -> bool:
+    """Whether the next set may go better: a board that is busy or gone may be free or back by then."""
+    return isinstance(trouble, BusyError | ConnectionLostError)

@@ -1,0 +1,166 @@
+"""Open a recording session: catalogue, clock, rig; resume where the last one ended."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import threading
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack
+from importlib.metadata import version
+from pathlib import Path
+
+from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.clock import SimulatedClock, WallClock, parse_utc
+from daq_service.errors import BusyError, RigError
+from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
+from daq_service.recording.recorder import Recorder, Teller
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import BusyError as InstrumentBusyError
+from hardware_drivers.errors import ConnectionLostError, InstrumentError
+from hardware_drivers.instruments import Clock, Rig
+
+log = logging.getLogger(__name__)
+
+WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
+BEAT_EVERY_S = 0.2
+
+RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
+
+
+def record(
+    settings: Settings,
+    folder: Path,
+    open_rig: RigOpener,
+    *,
+    stop: threading.Event,
+    tell: Teller,
+    restarted_because: str = "",
+    linger: bool = False,
+) -> bool:
+    """Follow the schedule to its end; the caller owns the folder.
+
+    Parameters
+    ----------
+    tell
+        Called with the name of an event and its values: ``progress``, ``finished``.
+    linger
+        Stay after the last set and carry out orders (acknowledgements) until ``stop``.
+
+    Returns
+    -------
+    bool
+        True when every planned set has its row, False when ``stop`` came first.
+
+    Raises
+    ------
+    StorageError, RigError
+        What cannot be mended here; every taken shot is stored.
+    """
+    cause = _why_not_running(folder, restarted_because)
+    with ExitStack() as stack:
+        catalogue = stack.enter_context(
+            open_catalogue(folder, writer=True, configuration_hash=settings.configuration_hash())
+        )
+        epoch_ns = _experiment_epoch(catalogue, settings)
+        clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
+        heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings) + settings.rig.stall_timeout_s)
+        rig = _open_patiently(
+            lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
+            resuming=bool(catalogue.committed_sets()),
+            heartbeat=heartbeat,
+            stop=stop,
+        )
+        if rig is None:
+            return False
+        recorder = Recorder(
+            settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
+        )
+        finished = recorder.run(not_running_because=cause)
+        if finished:
+            tell("finished")
+            if linger:
+                recorder.linger()
+        return finished
+
+
+def longest_call_s(settings: Settings) -> float:
+    """Longest a bounded call of an instrument may take; a call of NI's library has no bound of its own."""
+    boards = settings.rig.daqmx
+    over_grpc = settings.rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
+    longest_s = boards.longest_call_s if over_grpc and boards is not None else 0.0
+    return max(settings.rig.read_timeout_s, longest_s)
+
+
+def _open_patiently(
+    open_once: Callable[[], Rig], *, resuming: bool, heartbeat: Heartbeat, stop: threading.Event
+) -> Rig | None:
+    """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
+
+    A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
+    weeks: the sets that fall due meanwhile get rows with that cause.
+
+    Returns
+    -------
+    Rig or None
+        None if ``stop`` came first.
+
+    Raises
+    ------
+    RigError, BusyError
+        What waiting cannot mend, or the rig of a test that has not begun.
+    """
+    for wait_s in itertools.chain(WAITS_FOR_RIG_S, itertools.repeat(WAITS_FOR_RIG_S[-1])):
+        heartbeat.beat("opening the rig")
+        try:
+            return open_once()
+        except InstrumentError as error:
+            may_pass = isinstance(error, InstrumentBusyError | ConnectionLostError)
+            if not (resuming and may_pass):
+                kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
+                raise kind(f"the rig cannot be opened: {error}") from error
+            log.warning("the rig cannot be opened, next try in %g s: %s", wait_s, error)
+            again_s = time.monotonic() + wait_s
+            while time.monotonic() < again_s:
+                heartbeat.beat(f"waiting for the rig: {error}")
+                if stop.wait(BEAT_EVERY_S):
+                    return None
+    raise AssertionError("the waits never end")
+
+
+def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
+    """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
+    simulated = settings.clock.kind == "simulated"
+    row = catalogue.create_experiment(
+        name=settings.name,
+        configuration_hash=settings.configuration_hash(),
+        configuration=settings.model_dump(mode="json"),
+        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else time.time_ns(),
+        clock=settings.clock.kind,
+        solimon_version=version("solimon"),
+    )
+    return int(row["epoch_utc_ns"])
+
+
+def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
+    """Where a simulated clock goes on: at the end of the last committed set."""
+    ended = [
+        row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None
+    ]
+    return max(ended, default=epoch_ns)
+
+
+def _clock(settings: Settings, start_ns: int) -> SimulatedClock | WallClock:
+    if settings.clock.kind == "wall":
+        return WallClock()
+    return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+
+
+def _why_not_running(folder: Path, restarted_because: str) -> str:
+    if restarted_because:
+        return f"the recorder {restarted_because}"
+    beat = read_heartbeat(folder)
+    if beat is None:
+        return "the recorder had not been started"
+    return f"the recorder was down; it was last seen {beat.doing}"

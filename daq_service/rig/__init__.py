@@ -1,0 +1,1 @@
+"""Opens a rig: the only place that chooses between boards, twin, doubles and recorded shots."""

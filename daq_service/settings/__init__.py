@@ -1,0 +1,1 @@
+"""The configuration: the tree of keys, and reading it from a file."""

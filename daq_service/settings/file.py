@@ -1,0 +1,142 @@
+"""Read the configuration: a TOML or JSON file, the environment on top, every refusal explained."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from daq_service.errors import UsageError
+from daq_service.settings.tree import Settings
+
+NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
+"""Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
+
+
+def config_file(name: str) -> Path:
+    """Return a file of ``config/``: inside the installed package, or beside it in an editable install."""
+    package = Path(__file__).parents[1]
+    for folder in (package / "config", package.parent / "config"):
+        if (folder / name).is_file():
+            return folder / name
+    raise UsageError(f"{name} is missing from this installation of solimon; install it again")
+
+
+def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = None) -> Settings:
+    """Read a TOML (or JSON) configuration; None means the shipped ``simulated.toml``.
+
+    Parameters
+    ----------
+    overrides
+        Nested tables laid over the file, as command-line options do.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read or a value is refused: file, key, value, bound and remedy.
+    """
+    path = config_file("simulated.toml") if path is None else path
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise UsageError(f"cannot read the configuration {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is not UTF-8 text: {error}; save it as UTF-8") from error
+    except ValueError as error:
+        raise UsageError(f"{path} is not valid {path.suffix.lstrip('.') or 'TOML'}: {error}") from error
+    if not isinstance(values, dict):
+        raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
+    values.pop("$schema", None)
+    _refuse_unknown_variables()
+    _resolve_recording(values, path)
+    try:
+        return Settings(**_laid_over(values, overrides or {}))
+    except ValidationError as error:
+        raise UsageError(_explain(error, path)) from error
+
+
+def _resolve_recording(values: dict[str, Any], path: Path) -> None:
+    """Make the source of a playback absolute: relative ones count from the configuration file."""
+    rig = values.get("rig")
+    playback = rig.get("playback") if isinstance(rig, dict) else None
+    if isinstance(playback, dict) and isinstance(playback.get("source"), str):
+        source = str(path.absolute().parent / playback["source"])
+        values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
+
+
+def _refuse_unknown_variables() -> None:
+    """Refuse a misspelt table in a variable's name; its keys are checked with those of the file."""
+    tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
+    for name in sorted(os.environ):
+        if name.startswith("SOLIMON_") and not name.startswith(NOT_SETTINGS):
+            table = name.upper().partition("__")[0]
+            if table not in tables:
+                near = difflib.get_close_matches(table, tables, n=1, cutoff=0.6)
+                hint = f"did you mean {near[0]}?" if near else "unset it"
+                raise UsageError(
+                    f"the environment variable {name} names no table of the configuration; {hint}"
+                )
+
+
+def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(values)
+    for key, value in overrides.items():
+        below = merged.get(key)
+        merged[key] = (
+            _laid_over(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+        )
+    return merged
+
+
+def _explain(error: ValidationError, path: Path) -> str:
+    """Every refused value: file, key, value, bound, remedy."""
+    problems = error.errors()
+    refused = {problem["loc"] for problem in problems}
+    lines = []
+    for problem in problems:
+        if problem["loc"][:1] == ("positions",) and problem["loc"][2:] in refused:
+            continue  # inherited from a top-level table that is refused itself
+        where = [str(part) for part in problem["loc"]]
+        key = ".".join(where) or "(whole file)"
+        if problem["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
+            near = difflib.get_close_matches(where[-1], _known_keys(), n=1, cutoff=0.6)
+            hint = f"; did you mean {near[0]}?" if near else "; remove it"
+            lines.append(f"{key}: unknown key{hint}")
+        else:
+            value = problem.get("input")
+            shown = f" (value: {value!r})" if isinstance(value, (str, int, float, bool)) else ""
+            lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
+    shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
+    return (
+        f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"
+        f"Correct it and run `solimon check-config {path}`."
+    )
+
+
+def _known_keys() -> list[str]:
+    keys: set[str] = set()
+
+    def walk(node: Any) -> None:
+        if isinstance(node, dict):
+            keys.update(node.get("properties", {}))
+            for below in node.values():
+                walk(below)
+        elif isinstance(node, list):
+            for below in node:
+                walk(below)
+
+    walk(Settings.model_json_schema())
+    return sorted(keys)
+
+
+def settings_schema() -> dict[str, Any]:
+    """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
+    schema = Settings.model_json_schema()
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

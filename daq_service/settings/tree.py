@@ -1,0 +1,419 @@
+"""One tree of settings: read once from TOML, environment on top, then passed on in small parts.
+
+Every value has a bound, a description and its unit in its name. The defaults are the paper's
+experiment, so a file needs only what differs. ``SOLIMON_SECTION__KEY`` overrides a key from the
+environment, for example ``SOLIMON_WEB__PORT=8080``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
+
+from daq_service.clock import parse_utc
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.niscope.parameters import NiscopeParameters
+from hardware_drivers.playback.parameters import PlaybackParameters
+from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import TwinParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+HASHED_OUT: Mapping[str, Any] = {
+    "web": True,
+    "clock": {"pace_h_per_s"},
+    "schedule": {"end_h"},
+    "storage": True,
+    # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
+    "rig": {
+        "read_timeout_s": True,
+        "stall_timeout_s": True,
+        "daqmx": {"grpc_address", "grpc_client_name", "call_timeout_s"},
+        "niscope": {"call_timeout_s"},
+        "supply": {
+            "line",
+            "log_interval_s",
+            "read_timeout_s",
+            "setup_commands",
+            "protection_queries",
+            "readback_tolerance_v",
+            "readback_tolerance_a",
+            "interlock_current_a",
+            "interlock_readings",
+            "interlock_lost_after_s",
+            "off_at_end",
+        },
+        "climate": {"line", "log_interval_s", "read_timeout_s"},
+    },
+}
+"""Not part of a data folder's identity: they change how a test is watched, not what is measured."""
+
+
+class Section(BaseModel):
+    """A table of the file: unknown keys are refused, values never change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class ClockSettings(Section):
+    """Which clock the experiment runs on."""
+
+    kind: Literal["simulated", "wall"] = "simulated"
+    """`simulated` jumps to the next due time (twin only); `wall` waits for it."""
+    epoch: str = "2024-01-01T00:00:00Z"
+    """Hour 0 of the simulated clock. On the wall clock hour 0 is the first start in an empty data folder."""
+    pace_h_per_s: float | None = Field(default=None, gt=0.0, le=1e4)
+    """Hours of experiment a second on the simulated clock; absent: as fast as it goes."""
+
+    @field_validator("epoch")
+    @classmethod
+    def _is_a_time(cls, text: str) -> str:
+        parse_utc(text)
+        return text
+
+
+class PhaseSettings(Section):
+    """Sets at a fixed interval up to an hour."""
+
+    until_h: float = Field(gt=0.0, le=1e6)
+    """Hour at which the phase ends; a set is due then."""
+    interval_h: float = Field(gt=0.0, le=1e4)
+    """Hours between two sets."""
+
+
+class ScheduleSettings(Section):
+    """When sets are due and what a set is."""
+
+    phases: tuple[PhaseSettings, ...] = Field(
+        default=(PhaseSettings(until_h=75.0, interval_h=0.5), PhaseSettings(until_h=350.0, interval_h=1.0)),
+        min_length=1,
+    )
+    """Paper: every 30 min until about 75 h (measurement 150), then every hour to 350 h: 425 sets."""
+    end_h: float | None = Field(default=None, gt=0.0)
+    """Stop after this hour; absent: at the end of the last phase."""
+    shots_per_set: int = Field(default=10, ge=1, le=1000)
+    """Strikes of each transducer in a set (paper: 10)."""
+    shot_interval_s: float = Field(default=4.0, gt=0.0, le=3600.0)
+    """Seconds between two strikes of a transducer (paper: 0.25 Hz)."""
+
+    @model_validator(mode="after")
+    def _phases_follow_each_other(self) -> Self:
+        before = 0.0
+        for phase in self.phases:
+            if phase.until_h <= before:
+                raise ValueError(
+                    f"until_h is {phase.until_h} h; phases must end one after the other (> {before} h)"
+                )
+            before = phase.until_h
+        return self
+
+
+class PositionSettings(Section):
+    """One monitored place: who looks at it and what is expected there."""
+
+    method: Literal["solitary_wave", "pulse_echo"]
+    """`solitary_wave`: a chain with striker and sensor; `pulse_echo`: an ultrasonic probe."""
+    label: str = ""
+    """What people call the place."""
+    serial_number: str = ""
+    """Serial number of the transducer or probe."""
+    chain: ChainParameters = ChainParameters()
+    """This transducer's chain; keys not given are those of `[chain]`."""
+    plate: PlateParameters = PlateParameters()
+    """The plate under this transducer; keys not given are those of `[plate]`."""
+    corrosion: CorrosionParameters = CorrosionParameters()
+    """Footprint assumed here; keys not given are those of `[corrosion]`."""
+
+
+def _paper_positions() -> dict[str, PositionSettings]:
+    """Table 1 of the paper."""
+    small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
+    return {
+        "A": PositionSettings(method="pulse_echo", label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
+        "B": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, 25.4 mm patch", corrosion=small
+        ),
+        "C": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, 50.8 mm patch", corrosion=large
+        ),
+        "D": PositionSettings(
+            method="solitary_wave", label="HNSW transducer, pristine control", corrosion=small
+        ),
+    }
+
+
+class UltrasoundSettings(Section):
+    """Pulse-echo thickness by equation 17."""
+
+    initial_thickness_m: float = Field(default=6.35e-3, gt=0.0, le=1.0)
+    """Wall at hour 0 (paper: 6.35 mm)."""
+    delay_s: float = Field(default=8.0e-6, ge=0.0, le=1e-3)
+    """Delay D of the dual transducer (assumption: the paper prints no value; calibrate the probe's own)."""
+    velocity_m_per_s: float = Field(default=5900.0, gt=0.0, le=2e4)
+    """Longitudinal velocity that finds the first echo (assumption: steel); eq. 17 itself needs none."""
+    element_separation_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Distance of a dual probe's elements: takes off their V-shaped way; 0 is the paper's equation 17."""
+
+
+class FeatureSettings(Section):
+    """How the shots of a set become one feature vector."""
+
+    of_set: Literal["mean_of_shots", "averaged_waveform"] = "mean_of_shots"
+    """`mean_of_shots`: features of each valid shot, averaged; `averaged_waveform`: features of the averaged
+    record, the paper's way. The two are different quantities: a folder holds one kind."""
+
+
+class QualitySettings(Section):
+    """What happens to a poor shot, and to a transducer that gives nothing else."""
+
+    restrike_flags: tuple[Literal["missed", "double", "clipped", "inverted", "no_psw", "noisy"], ...] = (
+        "missed",
+        "double",
+        "clipped",
+        "inverted",
+        "no_psw",
+        "noisy",
+    )
+    """Flags of a shot that is struck once more; both records are stored, the better one counts."""
+    restrikes_per_set: int = Field(default=3, ge=0, le=1000)
+    """Repetitions of each transducer in a set; 0: none."""
+    no_data_sets: int = Field(default=2, ge=1, le=1000)
+    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
+    retire_after_sets: int = Field(default=10, ge=0, le=100_000)
+    """Such sets running after which the transducer strikes no more, until `reinstate`; 0: never."""
+
+
+class BaselineSettings(Section):
+    """What counts as healthy."""
+
+    hours: float = Field(default=24.0, gt=0.0, le=1e6)
+    """Sets due up to this hour are the baseline (paper: the first 24 h)."""
+    minimum_sets: int = Field(default=15, ge=7, le=100_000)
+    """Fewer valid sets give no limit, with the reason."""
+    minimum_valid_shots: int = Field(default=7, ge=1, le=1000)
+    """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
+    approval: Literal["automatic"] = "automatic"
+    """`automatic`: nobody signed the baseline; every chart says so."""
+
+
+class NoveltySettings(Section):
+    """Limits of the Mahalanobis squared distance (equation 16)."""
+
+    limit: Literal["f_predictive", "paper_mean_3sd"] = "f_predictive"
+    """The limit that decides; the other one is computed and shown too."""
+    false_alarm_rate: float = Field(default=0.0027, gt=0.0, lt=0.5)
+    """Chance of a healthy set beyond the F limit (paper: 99.73 % confidence)."""
+
+
+class AlarmSettings(Section):
+    """When an outlier becomes an alarm."""
+
+    k: int = Field(default=3, ge=1, le=100)
+    """Outliers among the last `n` judged sets that raise the alarm."""
+    n: int = Field(default=5, ge=1, le=100)
+    """Judged sets looked at."""
+    hole_shots: int = Field(default=7, ge=1, le=1000)
+    """Shots of a set without a reflected wave that point at a hole."""
+    hole_sets: int = Field(default=2, ge=1, le=100)
+    """Such sets in a row that retire the transducer with a hole alarm."""
+    thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
+    """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+
+    @model_validator(mode="after")
+    def _k_of_n(self) -> Self:
+        if self.k > self.n:
+            raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
+        return self
+
+
+class StorageSettings(Section):
+    """Where data go."""
+
+    folder: str = "solimon-data"
+    """Data folder, relative to the configuration file."""
+
+
+class WebSettings(Section):
+    """The web service."""
+
+    host: Literal["127.0.0.1", "localhost", "::1"] = "127.0.0.1"
+    """Only this machine: other addresses need access tokens, which this version does not have."""
+    port: int = Field(default=8750, ge=0, le=65535)
+    """TCP port; 0 takes a free one."""
+
+
+class RigSettings(Section):
+    """Which instruments."""
+
+    kind: Literal["simulated", "daqmx", "playback"] = "simulated"
+    """`simulated`: the physics twin; `daqmx`: NI boards as in `[rig.daqmx]` (ultrasound: `[rig.niscope]`);
+    `playback`: a recording as in `[rig.playback]`."""
+    read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
+    """Longest wait for a record."""
+    stall_timeout_s: float = Field(default=120.0, ge=2.0, le=3600.0)
+    """Beyond `read_timeout_s` nothing may stand still for longer: a driver's call that hangs, a board's
+    self-calibration, storing a set on a slow disk. Then the supervisor restarts the recorder."""
+    on_doubles: bool = False
+    """The boards are doubles with the twin behind them (`solimon demo --rig`), not a real rig; only then may
+    a `daqmx` rig run on the simulated clock."""
+    daqmx: DaqmxParameters | None = None
+    """Digitizer boards and coils."""
+    niscope: NiscopeParameters | None = None
+    """Ultrasonic probes on NI-SCOPE boards (needs the extra `solimon[niscope]`)."""
+    supply: SupplyParameters | None = None
+    """Electrochemical drive; absent: none is logged or switched."""
+    climate: ClimateParameters | None = None
+    """Thermometer and hygrometer; absent: none."""
+    playback: PlaybackParameters | None = None
+    """Recording to play back."""
+
+    @model_validator(mode="after")
+    def _has_what_its_kind_needs(self) -> Self:
+        if self.kind == "daqmx" and self.daqmx is None:
+            raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; see config/laboratory.toml")
+        if self.kind == "playback" and self.playback is None:
+            raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
+        if self.on_doubles and self.kind != "daqmx":
+            raise ValueError(f"on_doubles is true; it belongs to kind = 'daqmx', not to {self.kind!r}")
+        return self
+
+    @property
+    def simulates_time(self) -> bool:
+        """True where a simulated clock makes sense: no real rig is waited for."""
+        return self.kind in ("simulated", "playback") or self.on_doubles
+
+
+class Settings(BaseSettings):
+    """The whole configuration."""
+
+    model_config = SettingsConfigDict(
+        extra="forbid",
+        frozen=True,
+        env_prefix="SOLIMON_",
+        env_nested_delimiter="__",
+        use_attribute_docstrings=True,
+    )
+
+    name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
+    """Name of the experiment."""
+    clock: ClockSettings = ClockSettings()
+    schedule: ScheduleSettings = ScheduleSettings()
+    rig: RigSettings = RigSettings()
+    chain: ChainParameters = ChainParameters()
+    plate: PlateParameters = PlateParameters()
+    corrosion: CorrosionParameters = CorrosionParameters()
+    positions: dict[str, PositionSettings] = Field(default_factory=_paper_positions, min_length=1)
+    """Monitored places by their short name (letters and digits)."""
+    ultrasound: UltrasoundSettings = UltrasoundSettings()
+    features: FeatureSettings = FeatureSettings()
+    quality: QualitySettings = QualitySettings()
+    baseline: BaselineSettings = BaselineSettings()
+    novelty: NoveltySettings = NoveltySettings()
+    alarms: AlarmSettings = AlarmSettings()
+    storage: StorageSettings = StorageSettings()
+    web: WebSettings = WebSettings()
+    twin: TwinParameters = TwinParameters()
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Environment over file; no hidden `.env` file."""
+        return env_settings, init_settings
+
+    @model_validator(mode="before")
+    @classmethod
+    def _positions_inherit(cls, values: Any) -> Any:
+        """Fill a position's chain, plate and corrosion from the top-level tables of the same name."""
+        if not isinstance(values, dict):
+            return values
+        positions = values.get("positions")
+        if positions is None:
+            positions = {name: _given(place) for name, place in _paper_positions().items()}
+        if not isinstance(positions, dict):
+            return values
+        filled = {}
+        for name, place in positions.items():
+            filled[name] = _inheriting(place, values) if isinstance(place, dict) else place
+        return {**values, "positions": filled}
+
+    @field_validator("positions")
+    @classmethod
+    def _plain_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
+        for name in positions:
+            if not (name.isascii() and name.isalnum() and len(name) <= 16):
+                raise ValueError(f"position name {name!r}: use up to 16 ASCII letters and digits")
+        return positions
+
+    @model_validator(mode="after")
+    def _parts_fit(self) -> Self:
+        if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
+            raise ValueError(
+                f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
+                f"schedule.shots_per_set = {self.schedule.shots_per_set}"
+            )
+        if self.clock.kind == "simulated" and not self.rig.simulates_time:
+            raise ValueError(
+                "clock.kind is 'simulated'; a real rig needs the wall clock: clock.kind = 'wall'"
+            )
+        if unknown := sorted(set(self.twin.faults) - set(self.names_of("solitary_wave"))):
+            raise ValueError(
+                f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
+                "or correct the name"
+            )
+        if self.rig.kind == "daqmx":
+            self._is_wired()
+        return self
+
+    def _is_wired(self) -> None:
+        """Every position has its board, and no board a position that nobody monitors."""
+        assert self.rig.daqmx is not None, "RigSettings asks for it"
+        probes = {} if self.rig.niscope is None else self.rig.niscope.probes
+        for table, method, wired in (
+            ("rig.daqmx.transducers", "solitary_wave", set(self.rig.daqmx.transducers)),
+            ("rig.niscope.probes", "pulse_echo", set(probes)),
+        ):
+            wanted = {name for name, place in self.positions.items() if place.method == method}
+            if missing := sorted(wanted - wired):
+                raise ValueError(
+                    f"position {missing[0]} ({method}) is not wired; add [{table}.{missing[0]}], or take the "
+                    "position out of [positions]"
+                )
+            if unknown := sorted(wired - wanted):
+                raise ValueError(
+                    f"[{table}.{unknown[0]}] is wired, but [positions] has no {method} position "
+                    f"{unknown[0]!r}"
+                )
+
+    def configuration_hash(self) -> str:
+        """SHA-256 of what the data depend on: the identity of a data folder."""
+        content = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
+        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+    def names_of(self, method: Literal["solitary_wave", "pulse_echo"]) -> list[str]:
+        """Positions monitored by a method, in the order of the file."""
+        return [name for name, place in self.positions.items() if place.method == method]
+
+
+def _inheriting(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    filled = dict(place)
+    for table in ("chain", "plate", "corrosion"):
+        above, own = common.get(table, {}), filled.get(table, {})
+        if isinstance(above, dict) and isinstance(own, dict):
+            filled[table] = {**above, **own}
+    return filled
+
+
+def _given(place: PositionSettings) -> dict[str, Any]:
+    """Position as a file would give it: only what differs from the defaults."""
+    return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

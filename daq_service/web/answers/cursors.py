@@ -1,0 +1,49 @@
+"""Opaque cursors: where a page ends, tied to the listing and filters that it belongs to."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import hashlib
+
+from daq_service.web.answers.problem import Problem
+
+
+def encode(listing: str, after: int) -> str:
+    """Cursor behind row ``after`` of a listing; ``listing`` names the resource and its filters."""
+    return base64.urlsafe_b64encode(f"{_mark(listing)}.{after}".encode()).decode().rstrip("=")
+
+
+def decode(listing: str, cursor: str | None) -> int | None:
+    """Row behind which a page starts; None for the first page.
+
+    Raises
+    ------
+    Problem
+        422: not a cursor of this listing with these filters.
+    """
+    if cursor is None:
+        return None
+    try:
+        text = base64.urlsafe_b64decode(cursor.encode() + b"=" * (-len(cursor) % 4)).decode()
+        _, after = text.split(".")
+        number = int(after)
+    except (ValueError, binascii.Error):
+        raise _refused(cursor) from None
+    if number < 0 or encode(listing, number) != cursor:
+        raise _refused(cursor)
+    return number
+
+
+def _mark(listing: str) -> str:
+    return hashlib.sha256(listing.encode()).hexdigest()[:8]
+
+
+def _refused(cursor: str) -> Problem:
+    return Problem(
+        422,
+        "invalid-cursor",
+        "The cursor does not belong here",
+        f"cursor is {cursor!r}; it is none that this listing gave out with these filters.",
+        "Leave `cursor` out to start again, and pass `next_cursor` on unchanged with the same filters.",
+    )

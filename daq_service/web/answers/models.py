@@ -1,0 +1,483 @@
+"""Shapes of the answers, for OpenAPI and for its contract test.
+
+Routes answer with rows that they already trust, encoded by orjson; nothing is validated again on
+the way out (10,000 rows: 2.4 ms instead of 37 ms). The tests hold every answer against these models.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
+
+Quality = Literal["good", "suspect", "bad"]
+Method = Literal["solitary_wave", "pulse_echo"]
+
+PROBLEMS: dict[int | str, dict[str, Any]] = {
+    status: {
+        "description": text,
+        "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
+    }
+    for status, text in {
+        400: "The body is not what its media type says",
+        403: "The request comes from another origin",
+        404: "There is no such thing",
+        409: "The request does not fit the present state",
+        413: "The request body is too large",
+        422: "The request is not valid",
+        503: "No data yet, or the data folder cannot be read",
+    }.items()
+}
+
+
+def problem_schemas() -> dict[str, Any]:
+    """JSON Schemas that the error answers refer to, for the components of OpenAPI."""
+    schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
+    return {**schema.pop("$defs"), "ProblemDetails": schema}
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Documentation of the error answers that a route can give."""
+    return {status: PROBLEMS[status] for status in statuses}
+
+
+class Answer(BaseModel):
+    """Base of all answers: nothing undocumented leaves the service."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class AsOf(Answer):
+    """How fresh an answer is, on the experiment's clock and on the wall clock."""
+
+    clock: Literal["simulated", "wall"] = Field(description="Which clock the experiment runs on")
+    now_utc: str = Field(description="Now on the experiment's clock; simulated: time of the last event")
+    now_h: float = Field(description="Hours since the experiment began")
+    last_write_wall_utc: str | None = Field(description="Wall time of the recorder's last committed event")
+    wall_age_s: float | None = Field(description="Wall seconds since then")
+    recorder: Literal["running", "finished", "stopped", "silent", "absent"]
+
+
+class SetRow(Answer):
+    """One planned set of one position."""
+
+    id: int
+    set_index: int
+    position: str
+    method: Method
+    due_h: float
+    due_utc: str
+    started_utc: str | None
+    ended_utc: str | None
+    state: Literal["done", "partial", "missed", "retired"]
+    cause: str | None
+    n_planned: int
+    n_taken: int
+    n_valid: int
+    n_missed: int = Field(description="Strikes that left no record")
+    n_restrikes: int = Field(description="Strikes repeated by the quality gate")
+    file: str | None
+    age_h: float
+
+
+class ShotRow(Answer):
+    """One stored shot."""
+
+    sequence: int
+    set_index: int
+    position: str
+    shot_index: int
+    attempt: int
+    utc: str
+    mono_ns: int = Field(description="Monotonic ns within boot_id")
+    boot_id: str
+    crc32: int
+    valid: bool
+    flags: list[str]
+    outcome: Literal["accepted", "superseded"] = Field(
+        description="`superseded`: a repetition of the same shot counts instead"
+    )
+
+
+class FeatureRow(Answer):
+    """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
+
+    id: int
+    set_index: int
+    position: str
+    shot_index: int | None
+    sequence: int | None
+    due_h: float
+    due_utc: str
+    extractor_version: str
+    quality: Quality
+    n_valid: int
+    tof_pp_s: float | None
+    tof_ac_s: float | None
+    amplitude_ratio: float | None
+    autocorrelation_coefficient: float | None
+    psw_area_v_s: float | None
+    tof_mf_s: float | None
+    isw_amplitude_v: float | None
+    psw_amplitude_v: float | None
+    ssw_amplitude_v: float | None
+    isw_time_s: float | None
+    psw_time_s: float | None
+    ssw_time_s: float | None
+    isw_fwhm_s: float | None
+    psw_isw_area_ratio: float | None
+    noise_rms_v: float | None
+    age_h: float
+
+
+class ThicknessRow(Answer):
+    """Pulse-echo result of a set."""
+
+    id: int
+    set_index: int
+    position: str
+    sequence: int | None
+    due_h: float
+    due_utc: str
+    extractor_version: str
+    quality: Quality
+    travel_time_s: float | None
+    thickness_m: float | None
+    thickness_loss_m: float | None
+    correlation_coefficient: float | None
+    age_h: float
+
+
+class VerdictRow(Answer):
+    """What novelty detection says of a set."""
+
+    id: int
+    set_index: int
+    position: str
+    due_h: float
+    due_utc: str
+    baseline_id: int | None
+    in_baseline: bool
+    distance_squared: float | None
+    limit_name: Literal["f_predictive", "paper_mean_3sd"] = Field(description="The limit that decides")
+    limit_f: float | None
+    limit_paper: float | None
+    outlier: bool | None
+    outlier_paper: bool | None
+    reason: str | None
+    contributions: dict[str, float | None] | None
+    quality: Quality | None = Field(description="Quality of the set's feature that was judged")
+    age_h: float
+
+
+class BaselineRow(Answer):
+    """A frozen baseline."""
+
+    id: int
+    name: str
+    position: str
+    created_utc: str
+    first_set_index: int
+    last_set_index: int
+    n_sets: int
+    feature_names: list[str]
+    mean: list[float | None]
+    covariance: list[list[float | None]]
+    limit_f: float | None
+    limit_paper: float | None
+    limit_reason: str | None
+    approval: str
+    provenance: dict[str, Any]
+
+
+class AlarmRow(Answer):
+    """One alarm with its proof."""
+
+    id: int
+    position: str | None
+    kind: str
+    family: Literal["damage", "device"]
+    severity: Literal["low", "medium", "high", "critical"]
+    state: Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+    raised_utc: str
+    raised_h: float
+    raised_set_index: int | None
+    changed_utc: str
+    cleared_utc: str | None
+    acknowledged_utc: str | None
+    acknowledged_by: str | None
+    note: str | None
+    message: str
+    proof: dict[str, Any]
+    age_h: float
+
+
+class CommandRow(Answer):
+    """An operator's order and the recorder's answer."""
+
+    id: int
+    wall_utc: str
+    author: str
+    kind: str
+    arguments: dict[str, Any]
+    state: Literal["pending", "done", "refused"]
+    result: str | None
+    finished_wall_utc: str | None
+
+
+class Page(Answer):
+    """Frame of every listing."""
+
+    as_of: AsOf
+    next_cursor: str | None = Field(description="Pass it as `cursor` for the next page; null: the last page")
+
+
+class SetPage(Page):
+    """Sets in order."""
+
+    items: list[SetRow]
+
+
+class ShotPage(Page):
+    """Shots in order."""
+
+    items: list[ShotRow]
+
+
+class FeaturePage(Page):
+    """Features in order."""
+
+    items: list[FeatureRow]
+
+
+class ThicknessPage(Page):
+    """Pulse-echo results in order."""
+
+    items: list[ThicknessRow]
+
+
+class VerdictPage(Page):
+    """Verdicts in order."""
+
+    items: list[VerdictRow]
+
+
+class AlarmPage(Page):
+    """Alarms in order."""
+
+    items: list[AlarmRow]
+
+
+class EnvironmentRow(Answer):
+    """What supply and climate probe said around a set; null where nothing was heard."""
+
+    id: int
+    set_index: int
+    due_h: float
+    due_utc: str
+    supply_state: Literal["on", "off", "unknown", "absent"]
+    supply_quality: Literal["good", "stale", "lost", "absent"]
+    supply_age_s: float | None = Field(description="Of the newest reading, when the row was written")
+    supply_tripped: str | None = Field(description="Why the interlock is open; null: it is closed")
+    voltage_v: float | None = Field(description="Mean over the readings since the set before")
+    voltage_min_v: float | None
+    voltage_max_v: float | None
+    current_a: float | None
+    current_min_a: float | None
+    current_max_a: float | None
+    charge_coulomb: float | None = Field(description="Since hour 0, by measured current only")
+    unknown_s: float | None = Field(description="Since hour 0: time whose current nobody measured")
+    climate_quality: Literal["good", "stale", "lost", "absent"]
+    climate_age_s: float | None
+    temperature_c: float | None
+    relative_humidity: float | None = Field(description="0 to 1")
+    age_h: float
+
+
+class EnvironmentPage(Page):
+    """Supply and climate in order."""
+
+    items: list[EnvironmentRow]
+
+
+class EnvironmentNow(Answer):
+    """Supply and climate around the newest set."""
+
+    as_of: AsOf
+    latest: EnvironmentRow | None
+
+
+class BaselineList(Answer):
+    """Every baseline ever frozen, oldest first."""
+
+    as_of: AsOf
+    items: list[BaselineRow]
+
+
+class PositionState(Answer):
+    """A monitored place as it stands now."""
+
+    position: str
+    label: str
+    method: Method
+    serial_number: str
+    state: Literal["no_data", "learning", "normal", "outlier", "alarm", "retired"]
+    stale: bool = Field(description="The newest data are older than this test's cadence explains")
+    data_h: float | None = Field(description="Hour of the newest set that was measured")
+    data_utc: str | None
+    age_h: float | None = Field(description="Age of that set on the experiment's clock")
+    last_set: SetRow | None
+    last_feature: FeatureRow | None
+    last_thickness: ThicknessRow | None
+    last_verdict: VerdictRow | None
+    retired_because: str | None = Field(
+        description="Why the transducer strikes no more until it is reinstated; null: it strikes"
+    )
+    active_alarms: int
+    highest_severity: Literal["low", "medium", "high", "critical"] | None
+
+
+class PositionList(Answer):
+    """All monitored places."""
+
+    as_of: AsOf
+    items: list[PositionState]
+
+
+class ClockInfo(Answer):
+    """The experiment's clock."""
+
+    kind: Literal["simulated", "wall"]
+    epoch_utc: str
+    pace_h_per_s: float | None
+    can_finish_now: bool = Field(description="True while a paced simulated test runs")
+
+
+class ScheduleInfo(Answer):
+    """What is planned."""
+
+    n_sets: int
+    end_h: float
+    baseline_h: float
+    shots_per_set: int
+
+
+class PositionInfo(Answer):
+    """What the configuration says of a place."""
+
+    position: str
+    label: str
+    method: Method
+    serial_number: str
+
+
+class LimitInfo(Answer):
+    """The limits and the alarm rule."""
+
+    deciding: Literal["f_predictive", "paper_mean_3sd"]
+    false_alarm_rate: float
+    k: int
+    n: int
+    thickness_loss_fraction: float = Field(
+        description="Loss that raises the probe's alarm, of the initial wall"
+    )
+
+
+class Info(Answer):
+    """Which experiment this is."""
+
+    name: str
+    version: str
+    configuration_hash: str
+    rig: str
+    rig_label: str
+    clock: ClockInfo
+    schedule: ScheduleInfo
+    limits: LimitInfo
+    initial_thickness_m: float
+    positions: list[PositionInfo]
+    held: str | None = Field(description="Who holds the test and why: nothing strikes; null: nobody does")
+    dry_run: bool | None = Field(
+        description="True: a rehearsal, no coil is ever energised; null: recorded by an older version"
+    )
+    last_event_id: int
+    as_of: AsOf
+
+
+class Liveness(Answer):
+    """The web process answers."""
+
+    status: Literal["ok"]
+    data: bool = Field(description="Something is stored: the other answers are no longer 503")
+
+
+class RecorderHealth(Answer):
+    """The recorder's sign of life."""
+
+    state: Literal["running", "finished", "stopped", "silent", "absent"]
+    doing: str | None
+    beat_age_s: float | None
+    deadline_s: float | None
+
+
+class ServiceHealth(Answer):
+    """How the parts are."""
+
+    as_of: AsOf
+    recorder: RecorderHealth
+    counts: dict[str, int]
+    stream_clients: int
+    waveform_clients: int
+    disk_free_bytes: int
+
+
+class Trend(Answer):
+    """Columns of equal length, one entry a set."""
+
+    position: str
+    method: Method
+    as_of: AsOf
+    units: dict[str, str]
+    columns: dict[str, list[Any]]
+
+
+class Fit(Answer):
+    """Second-order polynomial through a trend: value = c0 + c1 t + c2 t^2, t in hours."""
+
+    position: str
+    field: str
+    unit: str
+    n: int
+    coefficients: list[float | None] | None
+    r_squared: float | None
+    residual_sd: float | None
+    from_h: float | None
+    to_h: float | None
+    reason: str | None = Field(description="Why there is no fit")
+    as_of: AsOf
+
+
+class WaveformAnswer(Answer):
+    """One stored record in volts."""
+
+    position: str
+    method: Method
+    set_index: int
+    shot_index: int
+    sequence: int
+    utc: str
+    due_h: float
+    due_utc: str
+    valid: bool
+    flags: list[str]
+    quality: Quality | None
+    sample_rate_hz: float
+    pretrigger_samples: int
+    n_samples: int
+    downsampled: bool = Field(description="True: least and greatest sample of each bin, in order of time")
+    time_s: list[float]
+    voltage_v: list[float]
+    as_of: AsOf
+    age_h: float

@@ -1,0 +1,65 @@
+"""`/api/v1/fits/{position}`: second-order polynomial through a trend (figures 8, 9 and 11 of the paper)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query
+
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import Fit, problems
+from daq_service.web.context import ContextOf
+from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.routes.trends import MEASURED, checked_fields, read_columns, unit_of
+
+router = APIRouter(tags=["trends"])
+
+
+@router.get(
+    "/fits/{position}",
+    operation_id="get_fit",
+    response_model=Fit,
+    responses=problems(404, 422, 503),
+)
+def get_fit(
+    context: ContextOf,
+    position: str,
+    field: Annotated[str, Query(max_length=40, description="A measured column of the position's method")],
+    from_h: FromHour = None,
+    to_h: ToHour = None,
+) -> JsonAnswer:
+    """Fit the sets in the range; sets without a value (null) are left out."""
+    # Brings SciPy along, half a second that a starting service does not need.
+    from analysis.errors import NotEnoughPointsError
+    from analysis.statistics.trend import fit_trend
+
+    method = context.settings.positions[context.known(position)].method
+    (name,) = checked_fields(method, field.replace(",", " "), known=MEASURED[method])
+    fresh = context.freshness()
+    columns = read_columns(context, position, [name], from_h, last_hour(from_h, to_h))
+    hours = np.asarray(columns["due_h"], dtype=np.float64)
+    values = np.asarray(columns[name], dtype=np.float64)
+    used = hours[np.isfinite(values)]
+    answer: dict[str, Any] = {
+        "position": position,
+        "field": name,
+        "unit": unit_of(name),
+        "n": int(used.size),
+        "coefficients": None,
+        "r_squared": None,
+        "residual_sd": None,
+        "from_h": float(used[0]) if used.size else None,
+        "to_h": float(used[-1]) if used.size else None,
+        "reason": None,
+        "as_of": fresh.as_of(),
+    }
+    try:
+        trend = fit_trend(hours, values)
+    except NotEnoughPointsError as error:
+        answer["reason"] = str(error)
+    else:
+        answer["coefficients"] = [trend.constant, trend.linear, trend.quadratic]
+        answer["r_squared"] = trend.r_squared
+        answer["residual_sd"] = trend.residual_sd
+    return JsonAnswer(answer)

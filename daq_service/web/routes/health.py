@@ -1,0 +1,51 @@
+"""`/healthz`, `/readyz` for machines; `/api/v1/health` for people."""
+
+from __future__ import annotations
+
+import shutil
+import time
+
+from fastapi import APIRouter
+
+from daq_service.processes.heartbeat import read_heartbeat
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import Liveness, ServiceHealth, problems
+from daq_service.web.context import ContextOf
+
+probes = APIRouter(tags=["health"])
+router = APIRouter(tags=["health"])
+
+
+@probes.get("/healthz", operation_id="get_liveness", response_model=Liveness)
+def get_liveness(context: ContextOf) -> JsonAnswer:
+    """Say that the web process answers; says nothing of the recorder."""
+    return JsonAnswer({"status": "ok", "data": context.has_data()})
+
+
+@probes.get("/readyz", operation_id="get_readiness", response_model=Liveness, responses=problems(503))
+def get_readiness(context: ContextOf) -> JsonAnswer:
+    """Say whether there is something to show."""
+    context.catalogue().last_event_id()
+    return JsonAnswer({"status": "ok", "data": True})
+
+
+@router.get("/health", operation_id="get_health", response_model=ServiceHealth, responses=problems(503))
+def get_health(context: ContextOf) -> JsonAnswer:
+    """Tell the recorder's sign of life, how much is stored, who is connected, free disk."""
+    fresh = context.freshness()
+    beat = read_heartbeat(context.data_folder)
+    return JsonAnswer(
+        {
+            "as_of": fresh.as_of(),
+            "recorder": {
+                "state": fresh.recorder,
+                "doing": None if beat is None else beat.doing,
+                "beat_age_s": None if beat is None else (time.monotonic_ns() - beat.mono_ns) / 1e9,
+                "deadline_s": None if beat is None else beat.deadline_s,
+            },
+            "counts": context.catalogue().counts(),
+            "stream_clients": context.hub.clients,
+            "waveform_clients": context.live.clients,
+            "disk_free_bytes": shutil.disk_usage(context.data_folder).free,
+        }
+    )

@@ -1,0 +1,77 @@
+"""`/api/v1/info`: which experiment this is, on which rig and clock, and what is planned."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+
+from daq_service.acquisition import schedule
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
+from daq_service.web.answers.models import Info, problems
+from daq_service.web.answers.version import distribution_version
+from daq_service.web.context import ContextOf
+
+router = APIRouter(tags=["info"])
+RIG_LABELS = {
+    "simulated": "physics twin",
+    "playback": "playback of recorded shots",
+    "laboratory": "laboratory rig",
+}
+
+
+@router.get("/info", operation_id="get_info", response_model=Info, responses=problems(503))
+def get_info(context: ContextOf) -> JsonAnswer:
+    """Tell name, rig, clock, plan, limits and positions."""
+    settings = context.settings
+    fresh = context.freshness()
+    catalogue = context.catalogue()
+    row = catalogue.experiment_row()
+    started = catalogue.last_told("recorder_started")
+    hours = list(schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
+    return JsonAnswer(
+        {
+            "name": row["name"],
+            "version": distribution_version(),
+            "configuration_hash": row["configuration_hash"],
+            "rig": settings.rig.kind,
+            "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
+            "clock": {
+                "kind": settings.clock.kind,
+                "epoch_utc": rfc3339(fresh.epoch_utc_ns),
+                "pace_h_per_s": settings.clock.pace_h_per_s,
+                "can_finish_now": is_paced(settings) and fresh.recorder == "running",
+            },
+            "schedule": {
+                "n_sets": len(hours),
+                "end_h": hours[-1] if hours else 0.0,
+                "baseline_h": settings.baseline.hours,
+                "shots_per_set": settings.schedule.shots_per_set,
+            },
+            "limits": {
+                "deciding": settings.novelty.limit,
+                "false_alarm_rate": settings.novelty.false_alarm_rate,
+                "k": settings.alarms.k,
+                "n": settings.alarms.n,
+                "thickness_loss_fraction": settings.alarms.thickness_loss_fraction,
+            },
+            "initial_thickness_m": settings.ultrasound.initial_thickness_m,
+            "positions": [
+                {
+                    "position": name,
+                    "label": place.label,
+                    "method": place.method,
+                    "serial_number": place.serial_number,
+                }
+                for name, place in settings.positions.items()
+            ],
+            "held": catalogue.held(),
+            "dry_run": None if started is None else started["payload"].get("dry_run"),
+            "last_event_id": fresh.last_event_id,
+            "as_of": fresh.as_of(),
+        }
+    )
+
+
+def is_paced(settings: Settings) -> bool:
+    """Tell a simulated test that is slowed down for people to watch."""
+    return settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is not None

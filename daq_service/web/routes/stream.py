@@ -1,0 +1,157 @@
+"""One multiplexed stream of server-sent events: `/api/v1/stream?topics=`.
+
+An event's id is the catalogue's event id, so `Last-Event-ID` resumes across restarts of the
+recorder and of this service. Besides the topics there are `gap` (events between two ids were
+skipped: read the state again over REST) and `bye` (the service ends: connect again).
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+import orjson
+from fastapi import APIRouter, Header, Query
+from starlette.responses import StreamingResponse
+
+from daq_service.web.answers.models import problems
+from daq_service.web.answers.problem import Problem
+from daq_service.web.context import Context, ContextOf
+from daq_service.web.streams.hub import EventHub, encode_event
+
+router = APIRouter(tags=["stream"])
+TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
+LONGEST_REPLAY_EVENTS = 5000
+REPLAY_PAGE_EVENTS = 500
+LARGEST_CHUNK_EVENTS = 256
+RETRY_MS = 1000
+
+
+@router.get(
+    "/stream",
+    operation_id="stream_events",
+    summary="Events as they are committed (server-sent events)",
+    response_class=StreamingResponse,
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(422)},
+)
+async def stream_events(
+    context: ContextOf,
+    topics: Annotated[
+        str | None, Query(description="Comma-separated topics; absent: all", max_length=200)
+    ] = None,
+    after: Annotated[
+        int | None, Query(ge=0, le=2**63 - 1, description="Begin behind this event id; Last-Event-ID wins")
+    ] = None,
+    last_event_id: Annotated[str | None, Header(description="Set by EventSource when it reconnects")] = None,
+) -> StreamingResponse:
+    """Resume behind `Last-Event-ID` (or `after`), or begin with the next event."""
+    chosen = _topics(topics)
+    begin = after if last_event_id in (None, "") else _event_id(last_event_id or "")
+    if begin is None and context.hub.complete_after is not None:
+        # Now, before the client hears that it is connected: what follows is new to it.
+        begin = context.hub.last_id
+    return StreamingResponse(
+        frames(context, context.hub, chosen, begin),
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+    )
+
+
+def _topics(text: str | None) -> frozenset[str] | None:
+    if text is None:
+        return None
+    chosen = frozenset(part.strip() for part in text.split(",") if part.strip())
+    unknown = sorted(chosen - set(TOPICS))
+    if unknown or not chosen:
+        raise Problem(
+            422,
+            "invalid-request",
+            "Unknown topic",
+            f"topics is {text!r}; unknown: {', '.join(unknown) or '(none given)'}.",
+            f"Choose from {', '.join(TOPICS)}.",
+        )
+    return chosen
+
+
+def _event_id(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or len(text) > 18:
+        raise Problem(
+            422,
+            "invalid-request",
+            "Not an event id",
+            f"Last-Event-ID is {text[:40]!r}; event ids are non-negative integers.",
+            "Leave the header out to begin with the next event.",
+        )
+    return int(text)
+
+
+def gap_frame(after: int, until: int, reason: str) -> bytes:
+    """Tell a client which ids it did not get; its cursor moves to the end of the gap."""
+    data = orjson.dumps({"after": after, "until": until, "reason": reason})
+    return b"id: %d\nevent: gap\ndata: %s\n\n" % (until, data)
+
+
+async def frames(
+    context: Context, hub: EventHub, topics: frozenset[str] | None, begin: int | None
+) -> AsyncIterator[bytes]:
+    """Bytes for one client until the hub closes or the client leaves."""
+    hub.clients += 1
+    try:
+        yield b"retry: %d\n\n" % RETRY_MS
+        while hub.complete_after is None and not hub.closed:
+            await hub.changed()
+        begin_at = hub.last_id if begin is None else begin
+        cursor = begin_at
+        async for reached, chunk in _replay(context, hub, topics, begin_at):
+            cursor = reached
+            if chunk:
+                yield chunk
+        loop = asyncio.get_running_loop()
+        sent_at = loop.time()
+        while not hub.closed:
+            chunk = b""
+            start = hub.complete_after or 0
+            if cursor < start:
+                chunk = gap_frame(cursor, start, "the client was too slow")
+                cursor = start
+            events = hub.after(cursor)[:LARGEST_CHUNK_EVENTS]
+            if events:
+                cursor = events[-1].id
+                chunk += b"".join(event.frame for event in events if topics is None or event.topic in topics)
+            if not chunk and loop.time() - sent_at >= 0.9 * hub.heartbeat_interval_s:
+                # Keeps proxies from closing, and finds clients that left.
+                chunk = b": heartbeat\n\n"
+            if chunk:
+                sent_at = loop.time()
+                yield chunk
+            elif not events:
+                await hub.changed()
+        yield b"event: bye\ndata: {}\n\n"
+    finally:
+        hub.clients -= 1
+
+
+async def _replay(
+    context: Context, hub: EventHub, topics: frozenset[str] | None, cursor: int
+) -> AsyncIterator[tuple[int, bytes]]:
+    """From the catalogue, what is older than the ring."""
+    last = hub.last_id
+    if cursor > last:
+        # REST told an id that the hub will see in a moment; or it is of another data folder.
+        stored = await asyncio.to_thread(context.events.last_id) or 0
+        if cursor > stored:
+            yield last, gap_frame(cursor, last, "this event id is not known here")
+        return
+    if last - cursor > LONGEST_REPLAY_EVENTS:
+        until = last - LONGEST_REPLAY_EVENTS
+        yield until, gap_frame(cursor, until, f"more than {LONGEST_REPLAY_EVENTS} events ago")
+        cursor = until
+    while cursor < (hub.complete_after or 0) and not hub.closed:
+        rows = await asyncio.to_thread(context.events.after, cursor, topics, REPLAY_PAGE_EVENTS)
+        if not rows:
+            # Only other topics are left before the ring.
+            yield hub.complete_after or 0, b""
+            return
+        cursor = rows[-1]["id"]
+        yield cursor, b"".join(encode_event(row).frame for row in rows)

@@ -1,0 +1,236 @@
+"""`/api/v1/waveforms`: stored records in volts, and the live picture by GET and WebSocket."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import itertools
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
+from numpy.typing import NDArray
+from starlette.responses import Response
+
+from daq_service.archive import SetNotFoundError, read_waveform
+from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
+from daq_service.web.answers.models import WaveformAnswer, problems
+from daq_service.web.answers.problem import not_found
+from daq_service.web.context import Context, ContextOf, SocketContextOf
+from daq_service.web.routes.listing import LARGEST_INDEX
+from daq_service.web.streams.live_pictures import Picture, decode_header
+
+router = APIRouter(tags=["waveforms"])
+OCTET_STREAM = "application/octet-stream"
+NPY = "application/x-npy"
+MOST_POINTS = 100_000
+ERRORS = problems(404, 422, 503)
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+@router.get(
+    "/waveforms/live/{position}",
+    operation_id="get_live_waveform",
+    response_class=Response,
+    responses={200: {"content": {OCTET_STREAM: _BINARY}}, **ERRORS},
+)
+def get_live_waveform(position: str, context: ContextOf) -> Response:
+    """Return the live picture: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
+    path = context.data_folder / "live" / f"{context.known(position)}.bin"
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise not_found(
+            f"Position {position} has no live picture yet.", "The recorder writes one with its next record."
+        ) from None
+    header = decode_header(content)
+    return Response(
+        content,
+        media_type=OCTET_STREAM,
+        headers={
+            "X-Sequence": str(header["sequence"]),
+            "X-Written": rfc3339(header["written_wall_utc_ns"]) or "",
+        },
+    )
+
+
+@router.get(
+    "/waveforms/{position}/{set_index}/{shot_index}",
+    operation_id="get_waveform",
+    response_model=WaveformAnswer,
+    responses={200: {"content": {NPY: _BINARY, OCTET_STREAM: _BINARY}}, **ERRORS},
+)
+def get_waveform(
+    context: ContextOf,
+    position: str,
+    set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
+    shot_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
+    form: Annotated[
+        Literal["json", "npy", "octets"],
+        Query(
+            alias="format",
+            description="json; npy: float64 (2, n), time in s and volts; octets: counts as stored",
+        ),
+    ] = "json",
+    points: Annotated[
+        int | None,
+        Query(
+            ge=4,
+            le=MOST_POINTS,
+            description="Most points: extremes of each bin; not for octets",
+        ),
+    ] = None,
+) -> Response:
+    """Read one stored record, of a repeated shot the accepted one; pulse-echo records have shot index 0."""
+    context.known(position)
+    catalogue = context.catalogue()
+    row = _accepted(catalogue.list_shots(position, set_index), shot_index)
+    its_set = _set_with_file(context, position, set_index)
+    if row is None or its_set is None:
+        raise not_found(
+            f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
+            f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
+        )
+    try:
+        waveform = read_waveform(context.data_folder / its_set["file"], position, shot_index)
+    except SetNotFoundError as error:
+        raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
+    disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'
+    if form == "octets":
+        counts = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
+        return Response(
+            counts.tobytes(),
+            media_type=OCTET_STREAM,
+            headers={
+                "Content-Disposition": disposition + '.bin"',
+                "X-Dtype": waveform.counts.dtype.name,
+                "X-Sample-Rate-Hz": repr(waveform.sample_rate_hz),
+                "X-Pretrigger-Samples": str(waveform.pretrigger_samples),
+                "X-Coefficients-V": ",".join(repr(c) for c in waveform.calibration.coefficients_v.tolist()),
+            },
+        )
+    time_s, voltage_v = waveform.time_s(), waveform.volts()
+    if points is not None and points < time_s.size:
+        kept = extremes_per_bin(voltage_v, points)
+        time_s, voltage_v = time_s[kept], voltage_v[kept]
+    if form == "npy":
+        buffer = io.BytesIO()
+        np.save(buffer, np.stack([time_s, voltage_v]))
+        return Response(
+            buffer.getvalue(), media_type=NPY, headers={"Content-Disposition": disposition + '.npy"'}
+        )
+    fresh = context.freshness()
+    quality = _quality(context, position, set_index, row["sequence"])
+    shot = with_utc(row, fresh.epoch_utc_ns)
+    place = with_utc({"due_h": its_set["due_h"]}, fresh.epoch_utc_ns)
+    return JsonAnswer(
+        {
+            "position": position,
+            "method": its_set["method"],
+            "set_index": set_index,
+            "shot_index": shot_index,
+            "sequence": row["sequence"],
+            "utc": shot["utc"],
+            **place,
+            "valid": row["valid"],
+            "flags": row["flags"],
+            "quality": quality,
+            "sample_rate_hz": waveform.sample_rate_hz,
+            "pretrigger_samples": waveform.pretrigger_samples,
+            "n_samples": int(waveform.counts.size),
+            "downsampled": time_s.size < waveform.counts.size,
+            "time_s": np.ascontiguousarray(time_s),
+            "voltage_v": np.ascontiguousarray(voltage_v),
+            "as_of": fresh.as_of(),
+            "age_h": fresh.age_h(its_set["due_h"]),
+        }
+    )
+
+
+def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:
+    """Find the least and the greatest value of each of ``points // 2`` equal bins, in order.
+
+    A chart as wide as the bins looks the same as with all samples: no peak is lost.
+
+    Returns
+    -------
+    ndarray of intp, shape (m,), m <= points
+        Strictly increasing; a bin whose extremes coincide gives one index.
+    """
+    edges = np.linspace(0, values.size, points // 2 + 1).astype(np.intp)
+    kept = [
+        start + extreme
+        for start, stop in itertools.pairwise(edges.tolist())
+        if stop > start
+        for extreme in (int(values[start:stop].argmin()), int(values[start:stop].argmax()))
+    ]
+    return np.unique(np.asarray(kept, dtype=np.intp))
+
+
+def _set_with_file(context: Context, position: str, set_index: int) -> dict[str, Any] | None:
+    """Row of one set, if its file is known."""
+    rows = context.catalogue().list_sets(position=position, limit=None)
+    return next((row for row in rows if row["set_index"] == set_index and row["file"]), None)
+
+
+def _accepted(shots: Sequence[dict[str, Any]], shot_index: int) -> dict[str, Any] | None:
+    """Row of the attempt that counts."""
+    found = (row for row in shots if row["shot_index"] == shot_index and row["outcome"] == "accepted")
+    return next(found, None)
+
+
+def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
+    catalogue = context.catalogue()
+    if context.settings.positions[position].method == "pulse_echo":
+        rows = catalogue.list_thickness(position=position, set_index=set_index)
+    else:
+        found = catalogue.list_features(position=position, scope="shot", set_index=set_index)
+        rows = [row for row in found if row["sequence"] == sequence]
+    return rows[0]["quality"] if rows else None
+
+
+@router.websocket("/waveforms/live")
+async def live_waveforms(
+    websocket: WebSocket,
+    context: SocketContextOf,
+    positions: Annotated[str | None, Query(max_length=400)] = None,
+) -> None:
+    """Send the newest picture of each chosen position (`positions=B,C`; absent: all) when it changes.
+
+    Each message is one live file's bytes. Only the newest is ever sent: a slow client misses
+    pictures. The guard has checked the Origin before.
+    """
+    known = context.settings.positions
+    chosen = list(known) if positions is None else [part.strip() for part in positions.split(",")]
+    if not chosen or any(name not in known for name in chosen):
+        await websocket.close(code=1008, reason=f"positions must be among {', '.join(known)}"[:120])
+        return
+    await websocket.accept()
+    live = context.live
+    live.clients += 1
+    left = asyncio.create_task(_until_left(websocket))
+    seen = dict.fromkeys(chosen, 0)
+    try:
+        while not left.done() and not live.closed:
+            newer: dict[str, Picture] = live.newer(seen)
+            for position, picture in newer.items():
+                seen[position] = picture.version
+                await websocket.send_bytes(picture.content)
+            if not newer:
+                changed = asyncio.ensure_future(live.changed())
+                await asyncio.wait({changed, left}, return_when=asyncio.FIRST_COMPLETED)
+                changed.cancel()
+        if not left.done():
+            await websocket.close(code=1001, reason="the service ends")
+    except WebSocketDisconnect:
+        return
+    finally:
+        live.clients -= 1
+        left.cancel()
+
+
+async def _until_left(websocket: WebSocket) -> None:
+    """Read until the client leaves; what it says does not matter."""
+    while (await websocket.receive())["type"] != "websocket.disconnect":
+        pass

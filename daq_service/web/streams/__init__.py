@@ -1,0 +1,1 @@
+"""What is pushed: events to many clients, live pictures of shots."""

@@ -1,0 +1,1 @@
+"""The chain of spheres and the contacts between them."""

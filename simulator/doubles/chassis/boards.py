@@ -1,0 +1,174 @@
+"""The kinds of board the doubles know, with the figures of their data sheets.
+
+What differs from one board to the next of a kind (serial number, slot, errors of the ADC) is in
+`description`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from hardware_drivers.measurement import Calibration
+from simulator.electronics.transduction import adc_calibration
+from simulator.parameters.electronics import AdcParameters
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BoardType:
+    """One product.
+
+    Attributes
+    ----------
+    ranges_v
+        Input ranges -r .. +r, rising.
+    timebase_hz
+        The sample clock is this divided by a whole number.
+    max_rate_hz
+        Of one channel; of all together where they share one ADC.
+    counter_terminals
+        Where each counter's pulse leaves the board.
+    digital_lines
+        Lines whose power-up state can be set.
+    """
+
+    product: str
+    number: int
+    category: int
+    bus: int
+    analog_inputs: int
+    resolution_bits: int
+    ranges_v: tuple[float, ...]
+    timebase_hz: float
+    max_rate_hz: float
+    simultaneous: bool
+    terminal_configuration: int
+    counter_terminals: tuple[str, ...]
+    digital_lines: tuple[str, ...]
+    watchdog: bool
+
+    @property
+    def raw_sample_bits(self) -> int:
+        """Width of a sample as the board delivers it."""
+        return 16 if self.resolution_bits <= 16 else 32
+
+    def rate_limit_hz(self, channels: int) -> float:
+        """Highest rate for a task with so many channels."""
+        return self.max_rate_hz if self.simultaneous else self.max_rate_hz / max(channels, 1)
+
+    def coerced_rate_hz(self, rate_hz: float) -> float:
+        """Next rate at or above the one asked for that divides the timebase."""
+        divisor = max(int(self.timebase_hz / rate_hz * (1.0 + 1e-12)), 1)
+        return self.timebase_hz / divisor
+
+    def coerced_range_v(self, reach_v: float) -> float | None:
+        """Smallest range that holds the reach, None if none does."""
+        return next((limit for limit in self.ranges_v if limit >= reach_v * (1.0 - 1e-12)), None)
+
+
+DIFFERENTIAL = 10106
+PSEUDODIFFERENTIAL = 12529
+_PFI = tuple(f"PFI{number}" for number in range(16))
+_PORTS = tuple(f"port{1 + line // 8}/line{line % 8}" for line in range(16))
+_PFI_OF_LINE = MappingProxyType(dict(zip(_PORTS, _PFI, strict=True)))
+
+_TYPES = (
+    BoardType(
+        product="PXIe-6396",
+        number=0x7AC3,
+        category=15858,
+        bus=14706,
+        analog_inputs=8,
+        resolution_bits=18,
+        ranges_v=(1.0, 2.0, 5.0, 10.0),
+        timebase_hz=100e6,
+        max_rate_hz=100e6 / 7,
+        simultaneous=True,
+        terminal_configuration=DIFFERENTIAL,
+        counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
+        digital_lines=_PORTS,
+        watchdog=True,
+    ),
+    BoardType(
+        product="PXIe-6386",
+        number=0x7AC2,
+        category=15858,
+        bus=14706,
+        analog_inputs=8,
+        resolution_bits=16,
+        ranges_v=(1.0, 2.0, 5.0, 10.0),
+        timebase_hz=100e6,
+        max_rate_hz=100e6 / 7,
+        simultaneous=True,
+        terminal_configuration=DIFFERENTIAL,
+        counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
+        digital_lines=_PORTS,
+        watchdog=True,
+    ),
+    BoardType(
+        product="PXI-6115",
+        number=0x2EC0,
+        category=14644,
+        bus=12583,
+        analog_inputs=4,
+        resolution_bits=12,
+        ranges_v=(0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 42.0),
+        timebase_hz=20e6,
+        max_rate_hz=10e6,
+        simultaneous=True,
+        terminal_configuration=PSEUDODIFFERENTIAL,
+        counter_terminals=("Ctr0Out", "Ctr1Out"),
+        digital_lines=tuple(f"port0/line{line}" for line in range(8)),
+        watchdog=False,
+    ),
+    BoardType(
+        product="PCI-6221",
+        number=0x70A9,
+        category=14643,
+        bus=12582,
+        analog_inputs=16,
+        resolution_bits=16,
+        ranges_v=(0.2, 1.0, 5.0, 10.0),
+        timebase_hz=20e6,
+        max_rate_hz=250e3,
+        simultaneous=False,
+        terminal_configuration=DIFFERENTIAL,
+        counter_terminals=("PFI12", "PFI13"),
+        digital_lines=_PORTS,
+        watchdog=False,
+    ),
+)
+
+BOARD_TYPES: Mapping[str, BoardType] = MappingProxyType({kind.product: kind for kind in _TYPES})
+"""By product name."""
+
+
+def terminal_of_line(line: str) -> str:
+    """Terminal that a digital line is: ports 1 and 2 are PFI0 to PFI15, another line is only itself."""
+    return _PFI_OF_LINE.get(line, line)
+
+
+def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
+    """Terminals of a board of this name, as `Dev.Terminals` lists them."""
+    counters = [
+        f"Ctr{index}{part}"
+        for index in range(len(kind.counter_terminals))
+        for part in ("InternalOutput", "Source", "Gate")
+    ]
+    others = ["ai/StartTrigger", "ai/ReferenceTrigger", "ai/SampleClock", "PXI_Clk10", "PXI_Star"]
+    others += [f"PXI_Trig{line}" for line in range(8)] + ["APFI0"]
+    outputs = [terminal for terminal in kind.counter_terminals if terminal not in _PFI]
+    return tuple(f"/{name}/{terminal}" for terminal in (*_PFI, *outputs, *others, *counters))
+
+
+def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
+    """Scaling polynomial of a board in one range; `offset_shift_v` is what self-calibration changed."""
+    calibration = adc_calibration(adc)
+    coefficients_v = calibration.coefficients_v.copy()
+    coefficients_v[0] += offset_shift_v
+    return Calibration(
+        coefficients_v=coefficients_v,
+        resolution_bits=calibration.resolution_bits,
+        range_v=calibration.range_v,
+    )

@@ -1,0 +1,336 @@
+"""Finite analog input: rates and ranges as boards coerce them, triggers in wall time, raw codes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.measurement import Calibration, Counts, ShotKey
+from simulator.doubles.daqmx import tasks
+from simulator.doubles.daqmx.devices import Device
+from simulator.doubles.daqmx.reservations import resource
+from simulator.doubles.daqmx.routing import fire, waits_for
+from simulator.doubles.daqmx.strikes import Strike
+from simulator.doubles.daqmx.tasks import Bench, Task
+from simulator.doubles.vendor_api.statuses import (
+    DEVICES_CANNOT_BE_SYNCHRONISED,
+    INVALID_TRIGGER_SOURCE,
+    INVALID_VALUE,
+    SOFTWARE_FAULT,
+    TOO_MANY_PRETRIGGER_SAMPLES,
+    Status,
+)
+from simulator.errors import SimulatorError
+from simulator.parameters.electronics import AdcParameters
+
+RISING_SLOPE = 10280
+FINITE = 10178
+SAMPLE_CLOCK = 10388
+ANALOG_EDGE = 10099
+DIGITAL_EDGE = 10150
+NO_TRIGGER = 10230
+VOLTAGE = 10322
+VOLTS = 10348
+BITS = 10109
+ANALOG_INPUT = 10100
+DEFAULT_CONFIGURATION = -1
+GROUP_BY_CHANNEL = 0
+SMALLEST_RECORD = 2
+LONGEST_TRAVEL_NS = 1_000_000_000
+"""No wave triggers later than this after the striker's contact: older strikes need no look."""
+
+
+@dataclass(slots=True, eq=False)
+class InputChannel:
+    """One virtual channel."""
+
+    name: str
+    device: Device
+    number: int
+    minimum_v: float
+    maximum_v: float
+
+    @property
+    def physical_name(self) -> str:
+        """Board and input."""
+        return f"{self.device.name}/ai{self.number}"
+
+    @property
+    def range_v(self) -> float:
+        """Range that the board takes for these limits.
+
+        Raises
+        ------
+        Status
+            None is wide enough.
+        """
+        reach_v = max(abs(self.minimum_v), abs(self.maximum_v))
+        found = self.device.kind.coerced_range_v(reach_v)
+        if found is None:
+            limit_v = self.device.kind.ranges_v[-1]
+            raise Status(
+                INVALID_VALUE,
+                f"Property: AI.Max, AI.Min\nRequested Value: {reach_v}\nMaximum Value: {limit_v}",
+            )
+        return found
+
+    @property
+    def calibration(self) -> Calibration:
+        """Scaling polynomial as the board holds it now."""
+        return self.device.calibration(self.range_v)
+
+
+@dataclass(slots=True, eq=False)
+class Acquisition:
+    """What a started task acquires.
+
+    Attributes
+    ----------
+    begin_ns
+        When sampling began; None while a start trigger is awaited.
+    done_ns
+        When the record is complete; None until a strike is known that triggers it.
+    codes
+        One row a channel, once known.
+    read_samples
+        How many were handed out.
+    strike
+        What triggered.
+    seen
+        Strikes that were looked at and did not trigger.
+    """
+
+    begin_ns: int | None
+    done_ns: int | None = None
+    codes: NDArray[Any] | None = None
+    read_samples: int = 0
+    ended: bool = False
+    seen: set[Strike] = field(default_factory=set)
+    strike: Strike | None = None
+
+
+class AnalogInput:
+    """`tasks.TaskKind` of analog input."""
+
+    def verify(self, bench: Bench, task: Task) -> None:
+        """Check limits, rate, record and trigger against the board."""
+        if len(tasks.serials(task)) > 1:
+            raise Status(
+                DEVICES_CANNOT_BE_SYNCHRONISED, "The double has no task over boards.", task=task.name
+            )
+        for channel in task.channels:
+            _ = channel.range_v
+        rate_hz(task)
+        if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
+            raise Status(
+                INVALID_VALUE,
+                "Property: SampTimingType\nThe double samples with a sample clock only.",
+                task=task.name,
+            )
+        _verify_record(task)
+
+    def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
+        """One timing engine a board: its analog input belongs to one task at a time."""
+        return (resource(task.channels[0].device.serial_number, "ai"),)
+
+    def commit(self, bench: Bench, task: Task) -> None:
+        """Nothing drives a line here."""
+
+    def start(self, bench: Bench, task: Task, now_ns: int) -> None:
+        """Sample from now on, or from the start trigger on."""
+        task.begun += 1
+        task.run = Acquisition(begin_ns=None if waits_for(task) else now_ns)
+        if task.run.begin_ns is not None:
+            self.triggered(bench, task, now_ns)
+
+    def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
+        """Begin sampling and tell whoever waits for this board's start trigger."""
+        task.run.begin_ns = at_ns
+        fire(bench, f"/{task.channels[0].device.name}/ai/StartTrigger", at_ns)
+
+    def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
+        """Drop what was acquired."""
+        if task.run is not None:
+            task.run.ended = True
+
+    def done_ns(self, bench: Bench, task: Task) -> int | None:
+        """When the record is complete as far as the strikes known now tell."""
+        run: Acquisition = task.run
+        if run.done_ns is None and run.begin_ns is not None:
+            if _has_reference_trigger(task):
+                _look_for_strike(bench, task, run)
+            else:
+                _record_freely(bench, task, run)
+        return run.done_ns
+
+
+def rate_hz(task: Task) -> float:
+    """Sample rate that the board takes.
+
+    Raises
+    ------
+    Status
+        Too fast for the board, or not positive.
+    """
+    kind = task.channels[0].device.kind
+    asked_hz = float(task.settings.get("SampClk.Rate", 1000.0))
+    limit_hz = kind.rate_limit_hz(len(task.channels))
+    # The timebase divided by a whole number may exceed the limit by a rounding error.
+    if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
+        raise Status(
+            INVALID_VALUE,
+            f"Property: SampClk.Rate\nRequested Value: {asked_hz}\nMaximum Value: {limit_hz}",
+            task=task.name,
+        )
+    coerced_hz = kind.coerced_rate_hz(asked_hz)
+    return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
+
+
+def record_samples(task: Task) -> int:
+    """Return the length of the record, in samples a channel."""
+    return int(task.settings.get("SampQuant.SampPerChan", 1000))
+
+
+def _has_reference_trigger(task: Task) -> bool:
+    return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
+
+
+def _verify_record(task: Task) -> None:
+    """Finite, and with room for the pre-trigger; the trigger on a channel of the task."""
+    settings = task.settings
+    if settings.get("SampQuant.SampMode", FINITE) != FINITE:
+        raise Status(
+            INVALID_VALUE,
+            "Property: SampQuant.SampMode\nThe double samples finite records only.",
+            task=task.name,
+        )
+    if record_samples(task) < SMALLEST_RECORD:
+        raise Status(
+            INVALID_VALUE,
+            f"Property: SampQuant.SampPerChan\nRequested Value: {record_samples(task)}\n"
+            f"Minimum Value: {SMALLEST_RECORD}",
+            task=task.name,
+        )
+    if not _has_reference_trigger(task):
+        return
+    pretrigger = int(settings["RefTrig.PretrigSamples"])
+    if not 2 <= pretrigger <= record_samples(task) - 2:
+        raise Status(
+            TOO_MANY_PRETRIGGER_SAMPLES,
+            f"Property: RefTrig.PretrigSamples\nRequested Value: {pretrigger}\n"
+            f"Minimum Value: 2\nMaximum Value: {record_samples(task) - 2}",
+            task=task.name,
+        )
+    channel = trigger_channel(task)
+    level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
+    if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
+        raise Status(
+            INVALID_VALUE,
+            f"Property: AnlgEdge.RefTrig.Lvl\nRequested Value: {level_v}\n"
+            f"Maximum Value: {channel.range_v}\nThe double triggers on a rising edge above 0 V.",
+            task=task.name,
+        )
+
+
+def trigger_channel(task: Task) -> InputChannel:
+    """Channel whose edge triggers.
+
+    Raises
+    ------
+    Status
+        The source is no channel of the task.
+    """
+    source = str(task.settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
+    for channel in task.channels:
+        if source in (channel.name.casefold(), channel.physical_name.casefold()):
+            found: InputChannel = channel
+            return found
+    raise Status(INVALID_TRIGGER_SOURCE, f"Requested Value: {source}", task=task.name)
+
+
+def _adc(task: Task, channel: InputChannel, **trigger: Any) -> AdcParameters:
+    chosen = {"pretrigger_samples": 2, "trigger_level_v": 0.5 * channel.range_v} | trigger
+    return channel.device.parameters.adc(
+        range_v=channel.range_v, sample_rate_hz=rate_hz(task), record_samples=record_samples(task), **chosen
+    )
+
+
+def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
+    """Find the first strike that triggers: hardware ignores what comes before the pre-trigger is full."""
+    channel = trigger_channel(task)
+    position = _position(bench, channel)
+    pretrigger = int(task.settings["RefTrig.PretrigSamples"])
+    assert run.begin_ns is not None
+    filled_ns = run.begin_ns + round(pretrigger / rate_hz(task) * 1e9)
+    for strike in bench.strikes.planned:
+        if strike.key.position != position or strike in run.seen:
+            continue
+        if strike.contact_ns < run.begin_ns - LONGEST_TRAVEL_NS:
+            continue
+        adc = _adc(
+            task,
+            channel,
+            pretrigger_samples=pretrigger,
+            trigger_level_v=float(task.settings["AnlgEdge.RefTrig.Lvl"]),
+        )
+        try:
+            acquired = bench.strikes.record(strike, adc, channel.calibration)
+        except (SimulatorError, ValueError) as error:
+            raise Status(SOFTWARE_FAULT, f"The twin cannot compute this: {error}", task=task.name) from error
+        trigger_ns = (
+            None if acquired is None else strike.contact_ns + round(acquired.truth["trigger_time_s"] * 1e9)
+        )
+        if acquired is None or trigger_ns is None or trigger_ns < filled_ns:
+            run.seen.add(strike)
+            continue
+        run.codes = _all_channels(bench, task, channel, acquired.waveform.counts, strike)
+        run.done_ns = trigger_ns + round((record_samples(task) - pretrigger) / rate_hz(task) * 1e9)
+        run.strike = strike
+        return
+
+
+def _record_freely(bench: Bench, task: Task, run: Acquisition) -> None:
+    """Without a trigger the record is what nobody struck: the noise floor."""
+    assert run.begin_ns is not None
+    run.codes = _all_channels(bench, task, None, None, None)
+    run.done_ns = run.begin_ns + round(record_samples(task) / rate_hz(task) * 1e9)
+
+
+def _all_channels(
+    bench: Bench, task: Task, struck: InputChannel | None, counts: Counts | None, strike: Strike | None
+) -> NDArray[Any]:
+    """Codes of every channel, shape (channels, samples); only the struck one sees the wave."""
+    rows = []
+    for channel in task.channels:
+        if channel is struck:
+            rows.append(counts)
+            continue
+        place = _position(bench, channel) or channel.physical_name
+        shot = strike.key if strike is not None else ShotKey(position="", set_index=0, shot_index=task.begun)
+        key = ShotKey(
+            position=place, set_index=shot.set_index, shot_index=shot.shot_index, attempt=shot.attempt
+        )
+        rows.append(bench.strikes.quiet(key, _adc(task, channel), channel.calibration))
+    return np.array(rows)
+
+
+def _position(bench: Bench, channel: InputChannel) -> str | None:
+    """Position whose sensor is wired to this input."""
+    wanted = (channel.device.serial_number, channel.number)
+    for position, wiring in bench.description.transducers.items():
+        if (wiring.ai_serial, wiring.ai_channel) == wanted:
+            return position
+    return None
+
+
+def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
+    """Look again where a record counted on a strike that was cut short or called off."""
+    for task in bench.tasks.values():
+        run = task.run
+        if isinstance(run, Acquisition):
+            run.seen.discard(strike)
+            if run.strike is strike and run.done_ns is not None and run.done_ns > now_ns:
+                run.strike = run.codes = run.done_ns = None

@@ -1,0 +1,49 @@
+"""What reading and setting attributes of any family have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Task, TaskState
+from simulator.doubles.vendor_api.attributes import ATTRIBUTES, Attribute
+from simulator.doubles.vendor_api.statuses import (
+    ATTRIBUTE_NOT_SETTABLE,
+    ATTRIBUTE_NOT_SUPPORTED,
+    NO_SUCH_ATTRIBUTE,
+    PROPERTY_WHILE_RUNNING,
+    Status,
+)
+
+Values = Mapping[str, Callable[..., Any]]
+"""By attribute name: how its value is found."""
+
+
+def attribute_of(arguments: Arguments, family: str) -> Attribute:
+    """Attribute a call names; Status if it is none of this family."""
+    found = ATTRIBUTES.get(arguments["attribute"])
+    if found is None or found.family != family:
+        raise Status(NO_SUCH_ATTRIBUTE, f"{family} attribute {arguments['attribute']:#x}")
+    return found
+
+
+def look_up(values: Values, attribute: Attribute, *subject: Any) -> Answer:
+    """Answer with a value; Status if this kind of subject has none."""
+    if attribute.name not in values:
+        raise Status(ATTRIBUTE_NOT_SUPPORTED, f"Property: {attribute.name}")
+    return {"value": values[attribute.name](*subject)}
+
+
+def listed(items: Iterable[str]) -> str:
+    """Join names as NI does."""
+    return ", ".join(items)
+
+
+def settable(task: Task, arguments: Arguments, family: str) -> Attribute:
+    """Attribute a call may set now."""
+    attribute = attribute_of(arguments, family)
+    if not attribute.settable:
+        raise Status(ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)
+    if task.state is TaskState.RUNNING and family not in ("Read", "Watchdog"):
+        raise Status(PROPERTY_WHILE_RUNNING, f"Property: {attribute.name}", task=task.name)
+    return attribute

@@ -1,0 +1,166 @@
+"""The boards in the chassis: which are there, under which name, and how they are calibrated."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+
+from hardware_drivers.measurement import Calibration
+from simulator.doubles.chassis.boards import BoardType, board_calibration
+from simulator.doubles.chassis.description import BoardParameters
+from simulator.doubles.vendor_api.statuses import (
+    DEVICE_NOT_ACCESSIBLE,
+    NO_SUCH_PHYSICAL_CHANNEL,
+    UNKNOWN_DEVICE,
+    Status,
+)
+
+_LINES = re.compile(
+    r"^/?(?P<device>[^/]+)/(?P<port>port\d+)/line(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE
+)
+_CHANNEL = re.compile(r"^/?(?P<device>[^/]+)/(?P<part>[a-z]+)(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE)
+
+
+class Device:
+    """One board: what it is does not change, where it is and how it is calibrated does."""
+
+    def __init__(self, parameters: BoardParameters) -> None:
+        self.parameters = parameters
+        self.name = parameters.name
+        self.plugged = True
+        self.calibrated = datetime.fromisoformat(parameters.calibrated)
+        self.calibration_temperature_c = parameters.temperature_c
+        self.offset_shift_v = 0.0
+        self.power_up_states: dict[str, int] = {}
+
+    @property
+    def serial_number(self) -> int:
+        """What it is found by."""
+        return self.parameters.serial_number
+
+    @property
+    def kind(self) -> BoardType:
+        """The product's figures."""
+        return self.parameters.kind
+
+    def calibration(self, range_v: float) -> Calibration:
+        """Scaling polynomial in one range, as it is now."""
+        adc = self.parameters.adc(
+            range_v=range_v,
+            sample_rate_hz=self.kind.max_rate_hz,
+            record_samples=16,
+            pretrigger_samples=2,
+            trigger_level_v=0.5 * range_v,
+        )
+        return board_calibration(adc, self.offset_shift_v)
+
+    def self_calibrate(self, now: datetime) -> None:
+        """Adjust to the board's temperature: the polynomial changes a little."""
+        self.calibrated = now
+        self.calibration_temperature_c = self.parameters.temperature_c
+        self.offset_shift_v += self.parameters.self_calibration_shift_v
+
+
+class Devices:
+    """All boards; names are those of NI MAX, case does not matter."""
+
+    def __init__(self, boards: Iterable[BoardParameters]) -> None:
+        self._devices = {board.serial_number: Device(board) for board in boards}
+        self._former_names: set[str] = set()
+
+    def __iter__(self) -> Iterator[Device]:
+        return iter(self._devices.values())
+
+    def present(self) -> tuple[Device, ...]:
+        """Boards that are plugged in."""
+        return tuple(device for device in self if device.plugged)
+
+    def by_serial(self, serial_number: int) -> Device:
+        """Board by serial number; KeyError if there is none."""
+        return self._devices[serial_number]
+
+    def find(self, name: str) -> Device:
+        """Board by name.
+
+        Raises
+        ------
+        Status
+            Not plugged in (-201003) or unknown (-200220).
+        """
+        wanted = name.strip().strip("/").casefold()
+        for device in self:
+            if device.name.casefold() == wanted and device.plugged:
+                return device
+        known = {device.name.casefold() for device in self} | self._former_names
+        code = DEVICE_NOT_ACCESSIBLE if wanted in known else UNKNOWN_DEVICE
+        raise Status(code, f"Device Specified: {name}")
+
+    def unplug(self, serial_number: int) -> Device:
+        """Take a board out; its name stays in NI MAX."""
+        device = self.by_serial(serial_number)
+        device.plugged = False
+        return device
+
+    def plug(self, serial_number: int, name: str = "") -> Device:
+        """Put a board back, usually under another name."""
+        device = self.by_serial(serial_number)
+        self._former_names.add(device.name.casefold())
+        device.name = name or device.name
+        device.plugged = True
+        return device
+
+    def channels(self, text: str, part: str) -> list[tuple[Device, int]]:
+        """Boards and numbers of physical channels like ``Dev1/ai0:2, Dev1/ai4``.
+
+        Raises
+        ------
+        Status
+            -200170 for what is no channel of its board, and as `find`.
+        """
+        found: list[tuple[Device, int]] = []
+        for piece in text.split(","):
+            match = _CHANNEL.match(piece.strip())
+            device = self.find(piece.strip().strip("/").partition("/")[0])
+            limit = device.kind.analog_inputs if part == "ai" else len(device.kind.counter_terminals)
+            last = int(match["last"] or match["first"]) if match else limit
+            if match is None or match["part"].casefold() != part or max(last, int(match["first"])) >= limit:
+                raise Status(
+                    NO_SUCH_PHYSICAL_CHANNEL,
+                    f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
+                    f"{part}0 to {part}{limit - 1}.",
+                )
+            found += [(device, number) for number in _numbers(int(match["first"]), last)]
+        return found
+
+    def lines(self, text: str) -> list[tuple[Device, str]]:
+        """Boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.
+
+        Raises
+        ------
+        Status
+            -200170 for what is no line of its board, a whole port included, and as `find`.
+        """
+        found: list[tuple[Device, str]] = []
+        for piece in text.split(","):
+            match = _LINES.match(piece.strip())
+            device = self.find(piece.strip().strip("/").partition("/")[0])
+            named: list[str] = []
+            if match is not None:
+                numbers = _numbers(int(match["first"]), int(match["last"] or match["first"]))
+                named = [f"{match['port'].casefold()}/line{number}" for number in numbers]
+            if not named or not set(named) <= set(device.kind.digital_lines):
+                lines = device.kind.digital_lines
+                raise Status(
+                    NO_SUCH_PHYSICAL_CHANNEL,
+                    f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
+                    f"{lines[0]} to {lines[-1]}.",
+                )
+            found += [(device, line) for line in named]
+        return found
+
+
+def _numbers(first: int, last: int) -> range:
+    """Numbers of a range as names write it, up or down, its end included."""
+    step = 1 if last >= first else -1
+    return range(first, last + step, step)

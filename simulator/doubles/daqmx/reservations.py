@@ -1,0 +1,74 @@
+"""Who holds which part of which board."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from simulator.doubles.vendor_api.statuses import RESERVED_BY_OTHER_PROCESS, RESERVED_BY_OTHER_TASK, Status
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Holder:
+    """Who reserved a resource: a task of a client, or someone else altogether (`occupy`)."""
+
+    client: str
+    task: str
+
+
+class Reservations:
+    """Resources ``<serial number>/<part>`` (``ai``, ``ctr0``, ``watchdog``) and their holders."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, Holder] = {}
+
+    @property
+    def held(self) -> dict[str, Holder]:
+        """Everything that is reserved now."""
+        return dict(self._held)
+
+    def take(self, resources: Iterable[str], holder: Holder) -> None:
+        """Reserve all of them or none.
+
+        Raises
+        ------
+        Status
+            Another holder has one of them: -50103 if it is another process, else -200022.
+        """
+        wanted = tuple(resources)
+        for resource in wanted:
+            other = self._held.get(resource, holder)
+            if other != holder:
+                code = RESERVED_BY_OTHER_TASK if other.client == holder.client else RESERVED_BY_OTHER_PROCESS
+                raise Status(
+                    code, f"{resource} is reserved by task {other.task} of {other.client}.", task=holder.task
+                )
+        self._held.update(dict.fromkeys(wanted, holder))
+
+    def occupy(self, resource: str, owner: str) -> None:
+        """Reserve for someone who is no client of this double, whoever held it before."""
+        self._held[resource] = Holder(client="another process", task=owner)
+
+    def release(self, holder: Holder) -> None:
+        """Give back everything of one holder."""
+        self._held = {resource: other for resource, other in self._held.items() if other != holder}
+
+    def release_board(self, serial_number: int) -> dict[str, Holder]:
+        """Give back everything on one board, as its reset does; returns what was taken from whom."""
+        lost = {name: holder for name, holder in self._held.items() if board_of(name) == serial_number}
+        self._held = {name: holder for name, holder in self._held.items() if name not in lost}
+        return lost
+
+    def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
+        """Who holds anything on one board."""
+        return tuple(holder for name, holder in self._held.items() if board_of(name) == serial_number)
+
+
+def resource(serial_number: int, part: str) -> str:
+    """Name of one part of one board."""
+    return f"{serial_number}/{part}"
+
+
+def board_of(name: str) -> int:
+    """Return the serial number of a resource or line."""
+    return int(name.partition("/")[0])

@@ -1,0 +1,161 @@
+"""Terminals, routes between them, and start triggers that travel along them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+from simulator.doubles.chassis.boards import terminals
+from simulator.doubles.daqmx import tasks
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskState
+from simulator.doubles.vendor_api.statuses import (
+    INVALID_DESTINATION_TERMINAL,
+    INVALID_SOURCE_TERMINAL,
+    INVALID_VALUE,
+    ROUTE_IN_USE,
+    TERMINAL_IN_USE,
+    Status,
+)
+
+DIGITAL_EDGE = 10150
+NO_TRIGGER = 10230
+RISING_EDGE = 10280
+START_TRIGGER_SIGNAL = 12491
+REFERENCE_TRIGGER_SIGNAL = 12490
+BACKPLANE = "pxi_trig"
+
+
+def short_name(terminal: str) -> str:
+    """Compare terminals by this: without leading slash, in lower case."""
+    return terminal.strip().lstrip("/").casefold()
+
+
+def waits_for(task: Task) -> str:
+    """Terminal whose edge starts the task, empty if it starts at once."""
+    if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
+        return ""
+    return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
+
+
+def fire(bench: Bench, terminal: str, at_ns: int) -> None:
+    """Begin what waits for an edge at a terminal, along routes and the backplane's lines too."""
+    reached = {short_name(terminal)}
+    while True:
+        onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
+        if onward <= reached:
+            break
+        reached |= onward
+    for task in tuple(bench.tasks.values()):
+        if task.state is TaskState.RUNNING and task.run.begin_ns is None and _same(waits_for(task), reached):
+            bench.kinds[task.kind].triggered(bench, task, at_ns)
+
+
+def _same(terminal: str, reached: set[str]) -> bool:
+    if terminal in reached:
+        return True
+    # The lines of the backplane are common to all boards of a chassis.
+    line = terminal.rpartition("/")[2]
+    return line.startswith(BACKPLANE) and any(name.rpartition("/")[2] == line for name in reached)
+
+
+def _known(bench: Bench, terminal: str) -> bool:
+    name = short_name(terminal)
+    return any(
+        name == short_name(known)
+        for device in bench.devices.present()
+        for known in terminals(device.kind, device.name)
+    )
+
+
+def configure_start_trigger(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxCfgDigEdgeStartTrig`."""
+    task = tasks.find(bench, client, arguments["task"])
+    tasks.changed(task)
+    source = arguments["trigger_source"]
+    device = source.strip().lstrip("/").partition("/")[0]
+    if "/" in source.strip("/"):
+        bench.devices.find(device)
+    if not _known(bench, source):
+        raise Status(
+            INVALID_VALUE, f"Property: DigEdge.StartTrig.Src\nRequested Value: {source}", task=task.name
+        )
+    task.settings |= {
+        "StartTrig.Type": DIGITAL_EDGE,
+        "DigEdge.StartTrig.Src": source,
+        "DigEdge.StartTrig.Edge": arguments["trigger_edge"],
+    }
+    return {}
+
+
+def disable_start_trigger(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxDisableStartTrig`."""
+    task = tasks.find(bench, client, arguments["task"])
+    tasks.changed(task)
+    task.settings["StartTrig.Type"] = NO_TRIGGER
+    return {}
+
+
+def connect(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxConnectTerms`."""
+    source, destination = arguments["source_terminal"], arguments["destination_terminal"]
+    if not _known(bench, source):
+        raise Status(INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
+    if not _known(bench, destination):
+        raise Status(INVALID_DESTINATION_TERMINAL, f"Destination Terminal: {destination}")
+    other = bench.routes.get(short_name(destination))
+    if other not in (None, short_name(source)):
+        raise Status(ROUTE_IN_USE, f"Destination Terminal: {destination}\nSource Terminal in use: {other}")
+    bench.routes[short_name(destination)] = short_name(source)
+    return {}
+
+
+def disconnect(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxDisconnectTerms`; harmless where there is no route."""
+    destination = short_name(arguments["destination_terminal"])
+    if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
+        del bench.routes[destination]
+    return {}
+
+
+def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
+    terminal = short_name(arguments["output_terminal"])
+    if not _known(bench, terminal):
+        raise Status(INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
+    if terminal in bench.routes:
+        raise Status(TERMINAL_IN_USE, f"Terminal: {arguments['output_terminal']}")
+    name, _, pin = terminal.partition("/")
+    device = bench.devices.find(name)
+    for output in device.kind.counter_terminals:
+        if output.casefold() == pin:
+            bench.lines.drive(f"{device.serial_number}/{output}", 0, bench.settle(), "tristate")
+    return {}
+
+
+def export(bench: Bench, client: str, arguments: Arguments) -> Answer:
+    """`DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
+    task = tasks.find(bench, client, arguments["task"])
+    tasks.changed(task)
+    ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
+    signal = arguments["signal_id"]
+    if signal not in ends or task.kind != "ai":
+        raise Status(INVALID_VALUE, f"Signal: {signal}\nYou Can Select: {sorted(ends)}", task=task.name)
+    if not _known(bench, arguments["output_terminal"]):
+        raise Status(
+            INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}", task=task.name
+        )
+    source = f"{task.channels[0].device.name}/ai/{ends[signal]}"
+    bench.routes[short_name(arguments["output_terminal"])] = short_name(source)
+    return {}
+
+
+HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxyType(
+    {
+        "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
+        "DAQmxDisableStartTrig": disable_start_trigger,
+        "DAQmxConnectTerms": connect,
+        "DAQmxDisconnectTerms": disconnect,
+        "DAQmxTristateOutputTerm": tristate,
+        "DAQmxExportSignal": export,
+    }
+)

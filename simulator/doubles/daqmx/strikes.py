@@ -1,0 +1,176 @@
+"""From a coil that lets go to the counts of a record: the twin behind the boards.
+
+A strike belongs to a shot: the one that was announced for its position, or else the next one counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import Calibration, Counts, ShotKey
+from simulator.doubles.chassis.description import Description
+from simulator.electronics.transduction import counts_of, noise_volts
+from simulator.errors import SimulatorError
+from simulator.numerics.keyed_random import Purpose, generator
+from simulator.parameters.electronics import AdcParameters
+from simulator.shot.model import ShotModel
+from simulator.specimen import Specimen, Transducer, build_specimen
+
+log = logging.getLogger(__name__)
+
+FALL_ACCELERATION_M_PER_S2 = 9.81
+STRIKES_KEPT = 256
+"""Only strikes still in flight matter; the ring is far longer."""
+
+
+@dataclass(slots=True, eq=False)
+class Strike:
+    """One striker on its way to the chain.
+
+    Attributes
+    ----------
+    lifted_ns, released_ns
+        When its coil was switched on and off.
+    contact_ns
+        When it meets the chain.
+    """
+
+    key: ShotKey
+    hour_h: float
+    announced: bool
+    lifted_ns: int
+    released_ns: int
+    contact_ns: int
+    cancelled: bool = False
+
+
+class Strikes:
+    """Which shot the next strike is, and what it looks like at a sensor."""
+
+    def __init__(self, description: Description) -> None:
+        self._description = description
+        self.specimen = _specimen(description)
+        self._announced: dict[str, tuple[ShotKey, float]] = {}
+        self._counted: dict[str, int] = {}
+        self._hour_h = description.hour_h
+        self._planned: deque[Strike] = deque(maxlen=STRIKES_KEPT)
+
+    @property
+    def planned(self) -> tuple[Strike, ...]:
+        """The newest strikes, cancelled ones apart."""
+        return tuple(strike for strike in self._planned if not strike.cancelled)
+
+    def announce(self, key: ShotKey, hour_h: float) -> None:
+        """Say which shot the next strike, or pulse-echo record, at the key's position is.
+
+        Raises
+        ------
+        ValueError
+            Nothing is wired there.
+        """
+        if key.position not in self.specimen.walls:
+            names = ", ".join(self.specimen.walls) or "none"
+            raise ValueError(f"nothing is wired to position {key.position!r}; there are: {names}")
+        self._announced[key.position] = (key, hour_h)
+        self._hour_h = hour_h
+
+    def next_echo(self, position: str) -> tuple[ShotKey, float]:
+        """Which pulse-echo record and hour the next one at a position is."""
+        announced = self._announced.pop(position, None)
+        if announced is not None:
+            return announced
+        index = self._counted.get(position, 0)
+        self._counted[position] = index + 1
+        return ShotKey(position=position, set_index=index, shot_index=0), self._hour_h
+
+    def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
+        """Let the striker fall at a time to come; None if the pulse is too short to lift it."""
+        lift_s = self._description.transducers[position].lift_s
+        if released_ns - lifted_ns < round(lift_s * 1e9):
+            return None
+        announced = self._announced.pop(position, None)
+        key, hour_h = announced or (self._counted_key(position), self._hour_h)
+        strike = Strike(
+            key=key,
+            hour_h=hour_h,
+            announced=announced is not None,
+            lifted_ns=lifted_ns,
+            released_ns=released_ns,
+            contact_ns=released_ns + self._fall_ns(key, hour_h),
+        )
+        self._planned.append(strike)
+        return strike
+
+    def cut(self, strike: Strike, ns: int) -> None:
+        """Switch the coil off at `ns`, before its time: the striker falls now, or never rose."""
+        if strike.released_ns <= ns:
+            return
+        lift_s = self._description.transducers[strike.key.position].lift_s
+        if ns - strike.lifted_ns >= round(lift_s * 1e9):
+            strike.contact_ns -= strike.released_ns - ns
+            strike.released_ns = ns
+            return
+        strike.cancelled = True
+        position = strike.key.position
+        if strike.announced:
+            self._announced.setdefault(position, (strike.key, strike.hour_h))
+        else:
+            self._counted[position] -= 1
+
+    def _counted_key(self, position: str) -> ShotKey:
+        index = self._counted.get(position, 0)
+        self._counted[position] = index + 1
+        set_index, shot_index = divmod(index, self._description.shots_per_set)
+        return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
+
+    def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
+        height_m = self.specimen.strike(key, hour_h).drop_height_m
+        return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * 1e9)
+
+    def record(self, strike: Strike, adc: AdcParameters, calibration: Calibration) -> Acquired | None:
+        """Compute what a board records of a strike; None if it does not reach the trigger level.
+
+        Raises
+        ------
+        SimulatorError, ValueError
+            The twin cannot compute this shot or this record.
+        """
+        twin = replace(self.specimen.twin, adc=adc)
+        through_board = replace(self.specimen, twin=twin, adc_calibration=calibration)
+        return through_board.solitary_wave(strike.key, strike.hour_h)
+
+    def quiet(self, key: ShotKey, adc: AdcParameters, calibration: Calibration) -> Counts:
+        """Compute what a board records at a sensor that nobody strikes: noise, if it is on."""
+        twin = self.specimen.twin
+        volts = np.zeros(adc.record_samples)
+        if twin.noise.enabled:
+            random = generator(twin.seed, Purpose.NOISE, key=key)
+            volts += noise_volts(volts.size, adc.sample_rate_hz, twin.noise, random)
+        return counts_of(volts, calibration)
+
+    def warm_up(self) -> None:
+        """Compute one shot a position, so that no later one waits for a compiler or a plate."""
+        for position in self.specimen.transducers:
+            key = ShotKey(position=position, set_index=0, shot_index=0)
+            try:
+                self.specimen.solitary_wave(key, self._hour_h)
+            except (SimulatorError, ValueError) as error:
+                # The same error answers the record that needs this position.
+                log.warning("the twin cannot compute position %s: %s", position, error)
+
+
+def _specimen(description: Description) -> Specimen:
+    transducers = {
+        position: Transducer(
+            chain=wiring.chain, model=ShotModel(wiring.chain, wiring.plate, wiring.corrosion)
+        )
+        for position, wiring in description.transducers.items()
+    }
+    probed_thickness_m = {position: probe.thickness_m for position, probe in description.probes.items()}
+    return build_specimen(description.twin, transducers=transducers, probed_thickness_m=probed_thickness_m)

@@ -1,0 +1,380 @@
+"""Tasks and their states: unverified, verified, reserved, committed, running.
+
+Starting goes through the states that are missing, stopping goes back to the state before the start.
+What verifying, committing and running mean depends on the kind of task; each kind is a `TaskKind`.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any, Protocol
+
+from simulator.doubles.chassis.description import Description
+from simulator.doubles.daqmx.devices import Devices
+from simulator.doubles.daqmx.lines import LineRecord
+from simulator.doubles.daqmx.reservations import Holder, Reservations
+from simulator.doubles.daqmx.strikes import Strikes
+from simulator.doubles.vendor_api.statuses import (
+    DEVICE_REMOVED,
+    DUPLICATE_TASK,
+    INVALID_TASK,
+    INVALID_VALUE,
+    NO_CHANNELS,
+    RUNNING,
+    STOPPED_BEFORE_DONE,
+    Status,
+)
+
+
+class TaskState(IntEnum):
+    """In the order in which a task goes through them."""
+
+    UNVERIFIED = 0
+    VERIFIED = 1
+    RESERVED = 2
+    COMMITTED = 3
+    RUNNING = 4
+
+
+class Action(IntEnum):
+    """`DAQmxTaskControl`."""
+
+    START = 0
+    STOP = 1
+    VERIFY = 2
+    COMMIT = 3
+    RESERVE = 4
+    UNRESERVE = 5
+    ABORT = 6
+
+
+class Clock(Protocol):
+    """Wall time as the boards see it; a test brings its own."""
+
+    def now_ns(self) -> int:
+        """Monotonic time."""
+        ...
+
+    def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
+        """Wait on the condition, which the caller holds, at most until a time."""
+        ...
+
+
+class WallClock:
+    """The machine's monotonic clock."""
+
+    def now_ns(self) -> int:
+        """Monotonic time."""
+        return time.monotonic_ns()
+
+    def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
+        """Wait on the condition, at most until a time."""
+        changed.wait(None if until_ns is None else max(until_ns - self.now_ns(), 0) / 1e9)
+
+
+@dataclass(slots=True, eq=False)
+class Task:
+    """One task of one client.
+
+    Attributes
+    ----------
+    channels
+        Of one kind; a list of `analog_input.InputChannel` or `counter_output.PulseChannel`.
+    settings
+        What the client asked for, by attribute name.
+    run
+        What a running task is doing; kept after it ended until the task starts again.
+    resume
+        State that stopping goes back to.
+    lost
+        Status that every call answers since the board was reset or removed, 0 while all is well.
+    begun
+        How often it was started.
+    verified
+        The present settings have passed; a task can be reserved and yet have new ones.
+    """
+
+    handle: int
+    name: str
+    client: str
+    kind: str = ""
+    channels: list[Any] = field(default_factory=list)
+    settings: dict[str, Any] = field(default_factory=dict)
+    state: TaskState = TaskState.UNVERIFIED
+    resume: TaskState = TaskState.VERIFIED
+    run: Any = None
+    lost: int = 0
+    begun: int = 0
+    verified: bool = False
+
+    @property
+    def holder(self) -> Holder:
+        """As it appears among the reservations."""
+        return Holder(client=self.client, task=self.name)
+
+    def require_not_running(self) -> None:
+        """Raise -200479 while the task runs."""
+        if self.state is TaskState.RUNNING:
+            raise Status(RUNNING, task=self.name)
+
+
+class TaskKind(Protocol):
+    """What a state means for one kind of task."""
+
+    def verify(self, bench: Bench, task: Task) -> None:
+        """Check the settings against the board; Status if they contradict it."""
+        ...
+
+    def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
+        """Parts of boards that the task needs."""
+        ...
+
+    def commit(self, bench: Bench, task: Task) -> None:
+        """Program the board."""
+        ...
+
+    def start(self, bench: Bench, task: Task, now_ns: int) -> None:
+        """Let the hardware run; waits for nothing."""
+        ...
+
+    def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
+        """Begin what a started task had to wait for its start trigger with."""
+        ...
+
+    def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
+        """End what is still running."""
+        ...
+
+    def done_ns(self, bench: Bench, task: Task) -> int | None:
+        """When the running task is done as far as is known now, None if nothing says so."""
+        ...
+
+
+@dataclass(slots=True, eq=False)
+class Bench:
+    """Everything that evolves: one lock guards it (`changed`)."""
+
+    description: Description
+    clock: Clock
+    devices: Devices
+    strikes: Strikes
+    lines: LineRecord
+    reservations: Reservations
+    changed: threading.Condition
+    kinds: dict[str, TaskKind]
+    tasks: dict[int, Task] = field(default_factory=dict)
+    routes: dict[str, str] = field(default_factory=dict)
+    last_channel: dict[str, str] = field(default_factory=dict)
+    next_handle: int = 0x10001
+
+    def settle(self) -> int:
+        """Let everything happen whose time has come; returns the time now."""
+        now_ns = self.clock.now_ns()
+        for task in tuple(self.tasks.values()):
+            if task.kind == "watchdog" and task.state is TaskState.RUNNING:
+                task.run.settle(self, task, now_ns)
+        self.lines.settle(now_ns)
+        return now_ns
+
+
+Arguments = Mapping[str, Any]
+Answer = dict[str, Any]
+
+
+def create(bench: Bench, client: str, name: str, kind: str = "") -> Task:
+    """Make a task; a name is unique within its client."""
+    taken = {task.name for task in bench.tasks.values() if task.client == client}
+    if name in taken:
+        raise Status(DUPLICATE_TASK, task=name)
+    number = bench.next_handle
+    bench.next_handle += 1
+    task = Task(handle=number, name=name or f"_unnamedTask<{number - 0x10001:X}>", client=client, kind=kind)
+    bench.tasks[number] = task
+    return task
+
+
+def find(bench: Bench, client: str, handle: int) -> Task:
+    """Task of a client by handle.
+
+    Raises
+    ------
+    Status
+        No such task of this client (-200088), or its board is gone (-88710 at first, then -88709).
+    """
+    task = bench.tasks.get(handle)
+    if task is None or task.client != client:
+        raise Status(INVALID_TASK, f"Task handle: {handle:#x}")
+    if task.lost:
+        raise_lost(task)
+    return task
+
+
+def raise_lost(task: Task) -> None:
+    """Answer for a task whose board is gone: the first time with the cause."""
+    code = task.lost
+    task.lost = -88709
+    raise Status(code, task=task.name)
+
+
+def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
+    """Take the board away from a task: it ends, holds nothing and answers with a status."""
+    if task.kind:
+        bench.kinds[task.kind].stop(bench, task, bench.settle(), cause)
+    bench.reservations.release(task.holder)
+    task.state = task.resume = TaskState.UNVERIFIED
+    task.lost = code
+    bench.changed.notify_all()
+
+
+def serials(task: Task) -> set[int]:
+    """Boards that a task uses."""
+    return {channel.device.serial_number for channel in task.channels}
+
+
+def advance(bench: Bench, task: Task, target: TaskState) -> None:
+    """Take a task up to a state below running."""
+    if not task.kind or not task.channels:
+        raise Status(NO_CHANNELS, task=task.name)
+    kind = bench.kinds[task.kind]
+    if target >= TaskState.VERIFIED and not task.verified:
+        kind.verify(bench, task)
+        task.verified = True
+        task.state = max(task.state, TaskState.VERIFIED)
+    if task.state < TaskState.RESERVED <= target:
+        bench.reservations.take(kind.resources(bench, task), task.holder)
+        task.state = TaskState.RESERVED
+    if task.state < TaskState.COMMITTED <= target:
+        kind.commit(bench, task)
+        task.state = TaskState.COMMITTED
+
+
+def changed(task: Task) -> None:
+    """Note that a setting changed: it is verified and programmed again before the next start."""
+    task.require_not_running()
+    if task.state is TaskState.COMMITTED:
+        task.state = TaskState.RESERVED
+    task.verified = False
+
+
+def start(bench: Bench, task: Task) -> None:
+    """Run a task."""
+    task.require_not_running()
+    task.resume = max(task.state, TaskState.VERIFIED)
+    before = task.state
+    try:
+        advance(bench, task, TaskState.COMMITTED)
+        bench.kinds[task.kind].start(bench, task, bench.settle())
+    except Status:
+        # What was only reserved for this start is given back.
+        if before < TaskState.RESERVED <= task.state:
+            _unreserve(bench, task)
+        raise
+    task.state = TaskState.RUNNING
+    bench.changed.notify_all()
+
+
+def is_done(bench: Bench, task: Task) -> bool:
+    """Tell whether a task is not running or has done all it was asked for."""
+    if task.state is not TaskState.RUNNING:
+        return True
+    now_ns = bench.settle()
+    done_ns = bench.kinds[task.kind].done_ns(bench, task)
+    return done_ns is not None and done_ns <= now_ns
+
+
+def stop(bench: Bench, task: Task) -> None:
+    """Stop a task; harmless when it is not running.
+
+    Raises
+    ------
+    Status
+        The warning 200010 if it was not done.
+    """
+    if task.state is not TaskState.RUNNING:
+        return
+    try:
+        done = is_done(bench, task)
+    except Status:
+        # A record that the twin cannot compute must not keep its task from stopping.
+        done = False
+    _halt(bench, task)
+    if not done and task.kind != "watchdog":
+        raise Status(STOPPED_BEFORE_DONE, task=task.name)
+
+
+def _halt(bench: Bench, task: Task) -> None:
+    bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
+    task.state = task.resume
+    if task.state < TaskState.RESERVED:
+        bench.reservations.release(task.holder)
+    bench.changed.notify_all()
+
+
+def control(bench: Bench, task: Task, action: int) -> None:
+    """Answer `DAQmxTaskControl`."""
+    match action:
+        case Action.START:
+            start(bench, task)
+        case Action.STOP:
+            stop(bench, task)
+        case Action.VERIFY | Action.COMMIT | Action.RESERVE:
+            if task.state is TaskState.RUNNING:
+                return
+            targets = {
+                Action.VERIFY: TaskState.VERIFIED,
+                Action.RESERVE: TaskState.RESERVED,
+                Action.COMMIT: TaskState.COMMITTED,
+            }
+            advance(bench, task, targets[Action(action)])
+        case Action.UNRESERVE:
+            task.require_not_running()
+            _unreserve(bench, task)
+        case Action.ABORT:
+            if task.state is TaskState.RUNNING:
+                _halt(bench, task)
+            _unreserve(bench, task)
+        case _:
+            raise Status(INVALID_VALUE, f"Task action {action}.", task=task.name)
+
+
+def _unreserve(bench: Bench, task: Task) -> None:
+    if task.state >= TaskState.RESERVED:
+        bench.reservations.release(task.holder)
+        task.state = TaskState.VERIFIED
+        bench.changed.notify_all()
+
+
+def clear(bench: Bench, task: Task) -> None:
+    """End a task and forget it."""
+    if task.state is TaskState.RUNNING:
+        _halt(bench, task)
+    _unreserve(bench, task)
+    del bench.tasks[task.handle]
+    bench.changed.notify_all()
+
+
+def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
+    """Wait until a task is done, stopped, or the timeout is over; a negative timeout waits for ever.
+
+    Raises
+    ------
+    Status
+        `expired` at the deadline; -88710 and the like if the board goes away meanwhile.
+    """
+    deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * 1e9)
+    begun = task.begun
+    while not is_done(bench, task):
+        now_ns = bench.clock.now_ns()
+        if deadline_ns is not None and now_ns >= deadline_ns:
+            raise expired
+        done_ns = bench.kinds[task.kind].done_ns(bench, task)
+        moments = [moment for moment in (deadline_ns, done_ns) if moment is not None]
+        bench.clock.wait(bench.changed, min(moments) if moments else None)
+        if task.lost:
+            raise_lost(task)
+        if task.handle not in bench.tasks or task.begun != begun:
+            raise Status(DEVICE_REMOVED, "The task was cleared meanwhile.", task=task.name)

@@ -1,0 +1,1 @@
+"""Behind NI-SCOPE's door: sessions, pulsers, records."""

@@ -1,0 +1,340 @@
+"""Boards behind the NI-SCOPE double: sessions, attributes, one acquisition at a time.
+
+Rules are those of NI-SCOPE as its manual and header give them: values are coerced upwards, attributes do
+not change while an acquisition runs, a board belongs to one session.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from simulator.doubles.chassis.description import ProbeWiring
+from simulator.doubles.chassis.scopes import ScopeParameters
+from simulator.doubles.niscope.pulsers import NextEcho, Pulsers
+from simulator.doubles.niscope.session import (
+    CONFIGURATION,
+    FETCH_OFFSET,
+    FETCH_RECORD,
+    FETCH_RECORDS,
+    FETCH_RELATIVE_TO,
+    PRETRIGGER,
+    Acquisition,
+    Answer,
+    Arguments,
+    Channel,
+    Session,
+    channels_of,
+    require_idle,
+)
+from simulator.doubles.vendor_api.niscope_statuses import (
+    ADC_OVERLOAD_WARNING,
+    ALREADY_IN_USE,
+    CHANNEL_NOT_ENABLED,
+    HARDWARE_FAILURE,
+    INITIATE_NOT_CALLED,
+    INVALID_FETCH_PARAMETERS,
+    INVALID_SESSION,
+    MAX_TIME_EXCEEDED,
+    MESSAGES,
+    UNKNOWN_RESOURCE,
+    ScopeStatus,
+)
+from simulator.doubles.vendor_api.statuses import Status
+from simulator.specimen import Specimen
+
+SELF_CALIBRATION = 1
+
+
+class NiscopeBrain:
+    """All NI-SCOPE boards of a rig and the sessions open on them.
+
+    Parameters
+    ----------
+    next_echo
+        Asked once an acquisition, when its records are due.
+    monotonic_s
+        Clock of the pulsers.
+    """
+
+    def __init__(
+        self,
+        boards: tuple[ScopeParameters, ...],
+        probes: Mapping[str, ProbeWiring],
+        specimen: Specimen,
+        next_echo: NextEcho,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._boards = {board.name: board for board in boards}
+        self._unplugged: dict[int, ScopeParameters] = {}
+        self._pulsers = Pulsers(probes, boards, specimen, next_echo)
+        self._monotonic_s = monotonic_s
+        self._sessions: dict[int, Session] = {}
+        self._foreign_owners: dict[str, str] = {}
+        self._self_calibrated: dict[int, datetime.date] = {}
+        self._next_handle = 1
+        self._changed = threading.Condition()
+
+    # What a test or the control channel asks for
+
+    def has(self, serial_number: int) -> bool:
+        """Tell whether a board of this serial number is described, plugged in or not."""
+        known = {board.serial_number for board in self._boards.values()}
+        return serial_number in known | set(self._unplugged)
+
+    def unplug(self, serial_number: int) -> None:
+        """Take a board out: its sessions stay open and find nothing any more."""
+        with self._changed:
+            for name, board in tuple(self._boards.items()):
+                if board.serial_number == serial_number:
+                    self._unplugged[serial_number] = self._boards.pop(name)
+            self._changed.notify_all()
+
+    def plug(self, serial_number: int, name: str = "") -> None:
+        """Put a board back, under another name if one is given."""
+        with self._changed:
+            board = self._unplugged.pop(serial_number)
+            board = dataclasses.replace(board, name=name or board.name)
+            self._boards[board.name] = board
+
+    def names(self) -> frozenset[str]:
+        """Resource names of the boards that are plugged in."""
+        with self._changed:
+            return frozenset(self._boards)
+
+    def occupy(self, resource: str, owner: str) -> None:
+        """Let somebody else use a board."""
+        with self._changed:
+            self._foreign_owners[resource] = owner
+
+    def vacate(self, owner: str) -> None:
+        """Somebody else gives back everything."""
+        with self._changed:
+            owners = self._foreign_owners.items()
+            self._foreign_owners = {name: other for name, other in owners if other != owner}
+
+    def open_sessions(self) -> list[tuple[str, str]]:
+        """Client and resource of each open session."""
+        with self._changed:
+            return [(session.client, session.board.name) for session in self._sessions.values()]
+
+    def client_gone(self, client: str) -> list[str]:
+        """Close what a client left open, as the driver does when a process ends; return the resources."""
+        with self._changed:
+            left = [session for session in self._sessions.values() if session.client == client]
+            for session in left:
+                del self._sessions[session.handle]
+            self._changed.notify_all()
+            return [session.board.name for session in left]
+
+    # Entry points
+
+    def call(self, client: str, function: str, arguments: Arguments) -> Answer:
+        """Answer one entry point.
+
+        Raises
+        ------
+        Status
+            What the entry returns instead of 0; a positive code is a warning and carries the outputs.
+        """
+        name = function.removeprefix("niScope_")
+        if name == "SetRuntimeEnvironment":
+            return {}
+        if name == "InitWithOptions":
+            return self._open(client, arguments["resource_name"])
+        if name == "error_message":
+            code = arguments["error_code"]
+            return {"error_message": MESSAGES.get(code, f"Unknown status {code}.")}
+        with self._changed:
+            session = self._sessions.get(arguments["vi"])
+        if session is None:
+            raise ScopeStatus(INVALID_SESSION, str(arguments["vi"]))
+        if name == "GetError":
+            code, description = session.last_error
+            return {"error_code": code, "description": description}
+        try:
+            if name in CONFIGURATION:
+                return CONFIGURATION[name](session, arguments)
+            return _ENTRIES[name](self, session, arguments)
+        except Status as status:
+            session.last_error = (status.code, status.message)
+            raise
+
+    def _open(self, client: str, resource: str) -> Answer:
+        with self._changed:
+            board = self._boards.get(resource)
+            if board is None:
+                raise ScopeStatus(UNKNOWN_RESOURCE, repr(resource))
+            owners = [session.client for session in self._sessions.values() if session.board == board]
+            owner = self._foreign_owners.get(resource, "") or next(iter(owners), "")
+            if owner:
+                raise ScopeStatus(ALREADY_IN_USE, f"owner: {owner}")
+            handle, self._next_handle = self._next_handle, self._next_handle + 1
+            channels = {str(number): Channel() for number in range(board.channels)}
+            self._sessions[handle] = Session(handle=handle, client=client, board=board, channels=channels)
+            return {"vi": handle}
+
+    def _close(self, session: Session, _: Arguments) -> Answer:
+        with self._changed:
+            del self._sessions[session.handle]
+            self._changed.notify_all()
+        return {}
+
+    def _lock(self, session: Session, _: Arguments) -> Answer:
+        session.locks += 1
+        return {}
+
+    def _unlock(self, session: Session, _: Arguments) -> Answer:
+        session.locks -= 1
+        return {}
+
+    def _commit(self, session: Session, _: Arguments) -> Answer:
+        require_idle(session)
+        self._require_present(session)
+        return {}
+
+    def _restore_defaults(self, session: Session, _: Arguments) -> Answer:
+        self._require_present(session)
+        fresh = Session(
+            handle=session.handle,
+            client=session.client,
+            board=session.board,
+            channels={name: Channel() for name in session.channels},
+        )
+        with self._changed:
+            self._sessions[session.handle] = fresh
+            session.acquisition = None
+            self._changed.notify_all()
+        return {}
+
+    # Acquisition
+
+    def _initiate(self, session: Session, _: Arguments) -> Answer:
+        require_idle(session)
+        self._require_present(session)
+        if not any(channel.enabled for channel in session.channels.values()):
+            raise ScopeStatus(CHANNEL_NOT_ENABLED)
+        session.acquisition = self._pulsers.begin(session, self._monotonic_s())
+        return {}
+
+    def _acquisition_status(self, session: Session, _: Arguments) -> Answer:
+        running = session.acquisition
+        complete = running is None or self._monotonic_s() >= running.done_s
+        return {"acquisition_status": int(complete)}
+
+    def _abort(self, session: Session, _: Arguments) -> Answer:
+        with self._changed:
+            session.acquisition = None
+            self._changed.notify_all()
+        self._require_present(session)
+        return {}
+
+    def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
+        asked = session.fetch[FETCH_RECORDS]
+        left = max(session.records - session.fetch[FETCH_RECORD], 0)
+        records = left if asked < 0 else min(asked, left)
+        return {"num_wfms": records * len(channels_of(session, arguments))}
+
+    def _fetch(self, session: Session, arguments: Arguments) -> Answer:
+        """Wait for the records and hand them over, one channel after the other within a record."""
+        running = session.acquisition
+        if running is None:
+            raise ScopeStatus(INITIATE_NOT_CALLED)
+        self._wait_until_done(session, running, arguments["timeout"])
+        channels = channels_of(session, arguments)
+        if not all(channel.enabled for _, channel in channels):
+            raise ScopeStatus(CHANNEL_NOT_ENABLED)
+        wanted, count = arguments["num_samples"], self._waveform_count(session, arguments)["num_wfms"]
+        if wanted < 0 or session.fetch[FETCH_RELATIVE_TO] != PRETRIGGER or session.fetch[FETCH_OFFSET] != 0:
+            raise ScopeStatus(INVALID_FETCH_PARAMETERS)
+        first = session.fetch[FETCH_RECORD] * len(channels)
+        fetched = [
+            self._pulsers.waveform(
+                session, running, index // len(channels), channels[index % len(channels)], wanted
+            )
+            for index in range(first, first + count)
+        ]
+        # Waveforms lie `num_samples` apart in the caller's buffer.
+        waveform = np.zeros((count, wanted), dtype=np.int32)
+        for row, one in zip(waveform, fetched, strict=True):
+            row[: one.samples.size] = one.samples
+        answer = {
+            "waveform": waveform.reshape(-1),
+            "wfm_info": np.frombuffer(b"".join(one.info for one in fetched), dtype=np.uint8),
+        }
+        if any(one.overloaded for one in fetched):
+            raise ScopeStatus(ADC_OVERLOAD_WARNING, values=answer)
+        return answer
+
+    def _wait_until_done(self, session: Session, running: Acquisition, timeout_s: float) -> None:
+        deadline_s = math.inf if timeout_s < 0.0 else self._monotonic_s() + timeout_s
+        with self._changed:
+            while True:
+                self._require_present(session)
+                if self._sessions.get(session.handle) is not session:
+                    raise ScopeStatus(INVALID_SESSION)
+                if session.acquisition is not running:
+                    raise ScopeStatus(INITIATE_NOT_CALLED, "the acquisition was aborted")
+                now_s = self._monotonic_s()
+                if now_s >= running.done_s:
+                    return
+                if now_s >= deadline_s:
+                    raise ScopeStatus(MAX_TIME_EXCEEDED, f"Timeout: {timeout_s} s")
+                self._changed.wait(min(running.done_s, deadline_s) - now_s)
+
+    # Calibration
+
+    def _calibration_date(self, session: Session, arguments: Arguments) -> Answer:
+        day = datetime.date.fromisoformat(session.board.calibration_date)
+        if arguments["which_one"] == SELF_CALIBRATION:
+            day = self._self_calibrated.get(session.board.serial_number, day)
+        return {"year": day.year, "month": day.month, "day": day.day}
+
+    def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
+        return {"temperature": session.board.calibration_temperature_c}
+
+    def _self_calibrate(self, session: Session, _: Arguments) -> Answer:
+        require_idle(session)
+        self._require_present(session)
+        today = datetime.datetime.now(tz=datetime.UTC).date()
+        self._self_calibrated[session.board.serial_number] = today
+        return {}
+
+    def _self_test(self, session: Session, _: Arguments) -> Answer:
+        self._require_present(session)
+        return {"self_test_result": 0, "self_test_message": "Self-test passed."}
+
+    def _require_present(self, session: Session) -> None:
+        if session.board not in self._boards.values():
+            raise ScopeStatus(HARDWARE_FAILURE, f"{session.board.name} is not in the system any more")
+
+
+_ENTRIES: Mapping[str, Callable[[NiscopeBrain, Session, Arguments], Answer]] = {
+    "close": NiscopeBrain._close,
+    "LockSession": NiscopeBrain._lock,
+    "UnlockSession": NiscopeBrain._unlock,
+    "Commit": NiscopeBrain._commit,
+    "reset": NiscopeBrain._restore_defaults,
+    "ResetDevice": NiscopeBrain._restore_defaults,
+    "InitiateAcquisition": NiscopeBrain._initiate,
+    "AcquisitionStatus": NiscopeBrain._acquisition_status,
+    "Abort": NiscopeBrain._abort,
+    "ActualNumWfms": NiscopeBrain._waveform_count,
+    "FetchBinary16": NiscopeBrain._fetch,
+    "FetchBinary32": NiscopeBrain._fetch,
+    "CalFetchDate": NiscopeBrain._calibration_date,
+    "CalFetchTemperature": NiscopeBrain._calibration_temperature,
+    "CalSelfCalibrate": NiscopeBrain._self_calibrate,
+    "self_test": NiscopeBrain._self_test,
+}
+
+_ANSWERED_WITHOUT_SESSION = ("SetRuntimeEnvironment", "InitWithOptions", "error_message", "GetError")
+
+ANSWERED = frozenset(f"niScope_{name}" for name in (*_ANSWERED_WITHOUT_SESSION, *CONFIGURATION, *_ENTRIES))
+"""Entry points that the brain knows."""

@@ -1,0 +1,1 @@
+"""Supplies and climate probes at the end of a line."""

@@ -1,0 +1,1 @@
+"""The ultrasonic echo: far wall, pulse, records."""

@@ -1,0 +1,157 @@
+"""From a wall under an ultrasonic probe to the records its receiver takes and averages.
+
+What differs between two records of one wall is noise, the couplant and the bubbles in the liquid; each is
+keyed by seed, key and purpose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.measurement import Calibration, ShotKey
+from simulator.echo.far_wall import FarWall, RoughSpot
+from simulator.echo.pulse import at_temperature, bubble_volts, echo_volts, travel_time_s
+from simulator.electronics.transduction import counts_of
+from simulator.numerics.keyed_random import Purpose, generator
+from simulator.parameters.echo import EchoParameters
+
+FloatArray = NDArray[np.float64]
+
+RECORDS_AT_ONCE = 64
+"""Single records held at a time where each has to be drawn."""
+CLIPPING_SDS = 7.0
+"""No sample of a record's white noise reaches so many standard deviations: one in 4e11 does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ProbedWall:
+    """Wall under a probe at one hour.
+
+    Attributes
+    ----------
+    thickness_m
+        Mean under the beam.
+    facets
+        The far wall where it is rough; None where it is smooth.
+    warmer_k
+        Temperature above the one at which the parameters hold.
+    """
+
+    thickness_m: float
+    facets: FarWall | None
+    warmer_k: float
+
+    def volts(self, echo: EchoParameters) -> FloatArray:
+        """Noise-free record, shape (record_samples,)."""
+        return echo_volts(
+            self.thickness_m if self.facets is None else self.facets, at_temperature(echo, self.warmer_k)
+        )
+
+    def truth(self, echo: EchoParameters) -> dict[str, float]:
+        """Return what is stored of the wall; the travel time is that of a smooth one of its thickness."""
+        known = {
+            "thickness_m": self.thickness_m,
+            "travel_time_s": travel_time_s(self.thickness_m, at_temperature(echo, self.warmer_k)),
+        }
+        if self.facets is not None:
+            known |= {"thickness_least_m": self.facets.least_m, "roughness_rms_m": self.facets.rms_m}
+        return known
+
+
+def probed_wall(
+    pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
+) -> ProbedWall:
+    """Return the wall under a probe at one depth."""
+    return ProbedWall(
+        thickness_m=pristine_m * (1.0 - depth_fraction),
+        facets=None if spot is None or depth_fraction == 0.0 else spot.at(pristine_m, depth_fraction),
+        warmer_k=warmer_k,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Disturbance:
+    """What disturbs the records of one acquisition, the noise apart.
+
+    Attributes
+    ----------
+    gain
+        Of the couplant, over the nominal one; of all records.
+    bubbles
+        Whether bubbles rise past the probe.
+    """
+
+    gain: float = 1.0
+    bubbles: bool = False
+
+
+def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Disturbance, dict[str, float]]:
+    """Draw couplant and bubbles of one acquisition, with the truth of those that can act."""
+    gain, bubbles, truth = 1.0, False, {}
+    if echo.coupling_sd_db > 0.0:
+        level_db = echo.coupling_sd_db * generator(seed, Purpose.COUPLING, key=key).standard_normal()
+        gain = truth["coupling_gain"] = float(10.0 ** (level_db / 20.0))
+    if echo.bubble_probability > 0.0:
+        bubbles = bool(generator(seed, Purpose.BUBBLES, key=key).random() < echo.bubble_probability)
+        truth["bubbles"] = float(bubbles)
+    return Disturbance(gain=gain, bubbles=bubbles), truth
+
+
+def disturbed_records(
+    wall: ProbedWall, echo: EchoParameters, found: Disturbance, *, seed: int, key: ShotKey, records: int
+) -> FloatArray:
+    """Volts of single records before their noise, shape (records, record_samples)."""
+    volts = np.tile(wall.volts(echo), (records, 1))
+    if found.bubbles:
+        random = generator(seed, Purpose.BUBBLES, key=key)
+        random.random()  # what `disturbance` has drawn
+        volts += bubble_volts(wall.thickness_m, at_temperature(echo, wall.warmer_k), random, records)
+    return found.gain * volts
+
+
+def averaged_record(
+    wall: ProbedWall,
+    echo: EchoParameters,
+    calibration: Calibration,
+    found: Disturbance,
+    *,
+    seed: int,
+    key: ShotKey,
+    noisy: bool,
+) -> tuple[FloatArray, int]:
+    """Mean of the single records in volts, shape (record_samples,), and how many of them clipped.
+
+    Every record is cut off at the ends of the ADC's range before the mean, as in a receiver: with noise the
+    mean then no longer shows it. Where no record can come that far their noise is drawn once, as the mean's.
+    """
+    low, high = calibration.full_scale_counts
+    noise_v = echo.noise_rms_v if noisy else 0.0
+    if found.bubbles:
+        mean_v = disturbed_records(wall, echo, found, seed=seed, key=key, records=echo.averages).mean(axis=0)
+    else:
+        mean_v = found.gain * wall.volts(echo)
+    random = generator(seed, Purpose.ECHO_NOISE, key=key)
+    reach_v = float(np.abs(mean_v).max()) + CLIPPING_SDS * noise_v
+    if reach_v < calibration.volts(np.array([high - 1], dtype=np.int32))[0]:
+        if noisy:
+            # The mean of n records of white noise scatters by 1 / sqrt(n) of one record.
+            mean_v = mean_v + noise_v / np.sqrt(echo.averages) * random.standard_normal(mean_v.size)
+        return mean_v, 0
+    ends_v = calibration.volts(np.array([low, high], dtype=np.int32))
+    total_v, clipped = np.zeros_like(mean_v), 0
+    for records in _batches(echo.averages):
+        volts = mean_v + noise_v * random.standard_normal((records, mean_v.size))
+        counts = counts_of(volts, calibration)
+        clipped += int(np.count_nonzero((counts <= low + 1).any(axis=1) | (counts >= high).any(axis=1)))
+        total_v += np.clip(volts, *ends_v).sum(axis=0)
+    return total_v / echo.averages, clipped
+
+
+def _batches(records: int) -> Iterator[int]:
+    """Split a number of records into parts of at most `RECORDS_AT_ONCE`."""
+    for first in range(0, records, RECORDS_AT_ONCE):
+        yield min(RECORDS_AT_ONCE, records - first)

@@ -1,0 +1,1 @@
+"""From force to counts: sensor disk, digitizer, what interferes."""

@@ -1,0 +1,219 @@
+"""From the force at the sensor to the counts of a triggered record.
+
+force less preload -> volts (PZT) -> plus noise -> analog-edge trigger -> ADC counts. The PZT does not
+see the static preload; a force that falls below it leaves a small negative voltage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
+
+from hardware_drivers.measurement import Calibration, Counts
+from simulator.electronics.interference import Interference
+from simulator.electronics.sampling_kernel import (
+    cubic_samples,
+    first_crossing_s,
+    inverted_codes,
+    rising_edge,
+    scaled_noise,
+)
+from simulator.parameters.electronics import AdcParameters, NoiseParameters
+
+FloatArray = NDArray[np.float64]
+
+EARLY_TRIGGER_S = 30e-6
+"""Noise may fire the trigger this long before, or delay it this long after, the noise-free crossing."""
+
+INVERSE_TOLERANCE_COUNTS = 1e-6
+"""Accuracy of the inverted polynomial before rounding."""
+
+
+def adc_calibration(adc: AdcParameters) -> Calibration:
+    """Scaling polynomial of the board: ideal codes reach `over_range_fraction` beyond the range."""
+    half = float(1 << (adc.resolution_bits - 1))
+    full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
+    return Calibration(
+        coefficients_v=np.array(
+            [
+                adc.offset_v,
+                full_scale_v / half * (1.0 + adc.gain_error_fraction),
+                adc.range_v * adc.quadratic_fraction / half**2,
+                adc.range_v * adc.cubic_fraction / half**3,
+            ]
+        ),
+        resolution_bits=adc.resolution_bits,
+        range_v=adc.range_v,
+    )
+
+
+def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
+    """Nearest code of each voltage: the rounded inverse of the scaling polynomial, clipped to the codes.
+
+    Parameters
+    ----------
+    volts
+        float64, any shape.
+    calibration
+        Its polynomial must rise over all codes.
+
+    Returns
+    -------
+    Counts
+        int16 up to 16 bits, else int32, of the same shape.
+    """
+    low, high = calibration.full_scale_counts
+    offset_v, slope_v = calibration.coefficients_v[:2]
+    # The polynomial is a line with a slight bend: take the bend at the last answer off the line's,
+    # again and again. Each step shrinks the error by `bend`, the largest relative change of slope.
+    curved = calibration.coefficients_v[2:] / slope_v
+    powers = np.arange(2, curved.size + 2)
+    bend = float(np.sum(np.abs(curved) * powers * (-1.1 * low) ** (powers - 1.0)))
+    if bend >= 0.5:
+        raise ValueError(
+            f"the scaling polynomial's slope varies by {bend:.2g} of itself; at most 0.5 is supported"
+        )
+    error_counts, passes = -1.1 * low * bend, 0
+    while error_counts > INVERSE_TOLERANCE_COUNTS:
+        error_counts *= bend
+        passes += 1
+    flat = np.ascontiguousarray(volts, dtype=np.float64).reshape(-1)
+    codes: Counts
+    if calibration.resolution_bits <= 16:
+        codes = np.empty(flat.size, dtype=np.int16)
+    else:
+        codes = np.empty(flat.size, dtype=np.int32)
+    inverted_codes(flat, offset_v, slope_v, curved, passes, low, high, codes)
+    return codes.reshape(np.shape(volts))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TriggeredRecord:
+    """Counts around the trigger.
+
+    Attributes
+    ----------
+    counts
+        Shape (record_samples,); the trigger is sample ``pretrigger_samples``.
+    trigger_time_s
+        Time of the trigger sample from the striker's contact.
+    """
+
+    counts: Counts
+    trigger_time_s: float
+
+
+def triggered_record(
+    *,
+    force_step_s: float,
+    dynamic_force_n: FloatArray,
+    sensor_gain_v_per_n: float,
+    adc: AdcParameters,
+    calibration: Calibration,
+    sampling_phase: float = 0.0,
+    noise: NoiseParameters,
+    random: np.random.Generator,
+    interference: Interference | None = None,
+) -> TriggeredRecord | None:
+    """Sample, trigger and quantise one shot.
+
+    Parameters
+    ----------
+    force_step_s
+        Step of the force's uniform time grid, which starts at the striker's contact.
+    dynamic_force_n
+        float64, shape (n,): force at the sensor less the static preload; zero before the contact.
+    sampling_phase
+        Where the free-running sample clock stands at the noise-free crossing, in samples, 0 .. 1.
+    noise, random
+        Electronic noise and the generator it is drawn from.
+    interference
+        Hum and spikes; a spike before the wave may take the trigger.
+
+    Returns
+    -------
+    TriggeredRecord or None
+        None if no rising edge passes the trigger level: the strike is missed.
+
+    Raises
+    ------
+    ValueError
+        The force ends before the record does.
+    """
+    volts = sensor_gain_v_per_n * dynamic_force_n
+    crossing_s: float = first_crossing_s(volts, force_step_s, adc.trigger_level_v)
+    margin = round(EARLY_TRIGGER_S * adc.sample_rate_hz)
+    expected_s = [crossing_s]
+    if interference is not None:
+        expected_s = [*(crossing_s + interference.false_triggers_s(adc.trigger_level_v)), crossing_s]
+    for edge_s in expected_s:
+        start_s = edge_s - (adc.pretrigger_samples + margin + sampling_phase) / adc.sample_rate_hz
+        # With a force step of 0.5 us and pulses 100 us wide a chord would leave the curve by 4e-5 of the
+        # peak, half a 16-bit code; the cubic stays within 1e-8 but where a contact opens or closes.
+        sampled: FloatArray = cubic_samples(
+            volts, force_step_s, start_s, adc.sample_rate_hz, adc.record_samples + 2 * margin
+        )
+        if interference is not None:
+            sampled += interference.volts(start_s - crossing_s, adc.sample_rate_hz, sampled.size)
+        if noise.enabled:
+            sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
+        trigger: int = rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
+        if trigger >= 0:
+            break
+    else:
+        return None
+    first = trigger - adc.pretrigger_samples
+    last_s = start_s + (first + adc.record_samples - 1) / adc.sample_rate_hz
+    force_end_s = (dynamic_force_n.size - 1) * force_step_s
+    if last_s > force_end_s:
+        raise ValueError(
+            f"the force ends {force_end_s:.6g} s after the contact, the record {last_s:.6g} s after it; "
+            "compute the force for longer or shorten the record"
+        )
+    return TriggeredRecord(
+        counts=counts_of(sampled[first : first + adc.record_samples], calibration),
+        trigger_time_s=start_s + trigger / adc.sample_rate_hz,
+    )
+
+
+def noise_volts(
+    n_samples: int, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
+) -> FloatArray:
+    """White and slow noise in volts, shape (n_samples,)."""
+    # float32 is twice as fast and its grain, 1e-7 of the noise, is far below a code.
+    white = random.standard_normal(n_samples, dtype=np.float32)
+    if noise.slow_rms_v == 0.0:
+        return white.astype(np.float64) * noise.rms_v
+    slow = _slow_noise(n_samples, sample_rate_hz / noise.slow_bandwidth_hz, random)
+    noise_v: FloatArray = scaled_noise(white, noise.rms_v, slow, noise.slow_rms_v)
+    return noise_v
+
+
+def _slow_noise(n_samples: int, shortest_period: float, random: np.random.Generator) -> FloatArray:
+    """Noise of variance 1 whose spectrum is even up to the shortest period, given in samples.
+
+    Drawn as lines of a spectrum on a grid ten times finer than the shortest period, or as fine as the
+    samples, and brought from there to the samples by a cubic (within 0.4 % at the shortest period).
+    """
+    factor = max(1, int(shortest_period / 10.0))
+    n_coarse = next_fast_len(n_samples // factor + 4, real=True)
+    n_lines = min(max(1, int(n_coarse * factor / shortest_period)), (n_coarse - 1) // 2)
+    spectrum = np.zeros(n_coarse // 2 + 1, dtype=np.complex128)
+    parts = random.standard_normal((2, n_lines))
+    # A line of real and imaginary variance v adds 4 v / n_coarse^2 to the variance of the noise.
+    spectrum[1 : n_lines + 1] = (parts[0] + 1j * parts[1]) * (n_coarse / np.sqrt(4.0 * n_lines))
+    coarse = np.fft.irfft(spectrum, n_coarse)
+    x = np.arange(factor) / factor
+    lagrange = np.array(
+        [
+            -x * (x - 1.0) * (x - 2.0) / 6.0,
+            (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
+            -(x + 1.0) * x * (x - 2.0) / 2.0,
+            (x + 1.0) * x * (x - 1.0) / 6.0,
+        ]
+    )
+    fine = np.lib.stride_tricks.sliding_window_view(coarse, 4) @ lagrange
+    return np.asarray(fine.reshape(-1)[:n_samples], dtype=np.float64)

@@ -1,0 +1,123 @@
+"""What differs between two shots on the same wall: drop height, tilt, temperature, sensitivity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.measurement import ShotKey
+from simulator.numerics.keyed_random import Purpose, generator
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.electronics import SensorParameters
+from simulator.parameters.experiment import DriftParameters, ScatterParameters
+
+WANDER_TERMS = 8
+"""Sinusoids in the wander: enough that it does not look periodic over a test."""
+STEEPEST_TILT_RAD = 0.2
+"""Bound of `ChainParameters.tilt_rad`; a disk tilted further has left the chain."""
+HIGHEST_DROP_M = 1.0
+"""Bound of `ChainParameters.drop_height_m`."""
+LOWEST_DROP_FRACTION = 0.01
+"""Floor of the drop height over its nominal one: a guide never shrinks the drop to nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Temperature:
+    """Temperature of the room over time: day and night, and a slow seeded wander.
+
+    Attributes
+    ----------
+    periods_h, phases_rad
+        Shape (WANDER_TERMS,): the wander is a sum of equal sinusoids with these.
+    """
+
+    drift: DriftParameters
+    periods_h: NDArray[np.float64]
+    phases_rad: NDArray[np.float64]
+
+    def at(self, hour_h: float) -> float:
+        """Temperature in degrees Celsius at an hour of the experiment."""
+        drift = self.drift
+        if not drift.enabled:
+            return drift.mean_temperature_c
+        day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
+        turns = np.sin(2.0 * np.pi * hour_h / self.periods_h + self.phases_rad)
+        # n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
+        wander = drift.wander_sd_k * np.sqrt(2.0 / WANDER_TERMS) * turns.sum()
+        return float(drift.mean_temperature_c + day + wander)
+
+
+def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
+    """Draw the wander of the room, the same for all positions."""
+    random = generator(seed, Purpose.TEMPERATURE)
+    # One period in each of n equal steps of ln(period): slow and less slow parts are always there.
+    steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, WANDER_TERMS)) / WANDER_TERMS
+    periods_h = drift.shortest_wander_h * (drift.longest_wander_h / drift.shortest_wander_h) ** steps
+    return Temperature(
+        drift=drift, periods_h=periods_h, phases_rad=random.uniform(0.0, 2.0 * np.pi, WANDER_TERMS)
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Strike:
+    """How one strike and its sensor differ from the nominal ones."""
+
+    drop_height_m: float
+    tilt_rad: float
+    sensor_gain_v_per_n: float
+
+
+def scattered_strike(
+    key: ShotKey,
+    *,
+    seed: int,
+    chain: ChainParameters,
+    scatter: ScatterParameters,
+    drift: DriftParameters,
+    sensor: SensorParameters,
+    temperature_c: float,
+) -> Strike:
+    """Drop height, tilt and sensitivity of one shot.
+
+    The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
+    powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
+    of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
+    shots share it.
+    """
+    set_key = ShotKey(position=key.position, set_index=key.set_index, shot_index=0)
+    set_part = _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
+    shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
+    warmer_k = temperature_c - drift.mean_temperature_c
+
+    log_drop = scatter.scale * float(
+        scatter.set_drop_height_sd_fraction * set_part[0]
+        + scatter.shot_drop_height_sd_fraction * shot_part[0]
+    )
+    growth_m = drift.guide_length_m * drift.guide_expansion_per_k * warmer_k
+    drop_height_m = chain.drop_height_m * np.exp(log_drop) + growth_m
+    tilt_rad = (
+        chain.tilt_rad
+        + scatter.mean_tilt_rad
+        + scatter.scale
+        * float(scatter.set_tilt_sd_rad * set_part[1] + scatter.shot_tilt_sd_rad * shot_part[1])
+    )
+    # A disk tilted past upright leans to the other side, which for the wave is the same tilt.
+    tilt_rad = min(abs(tilt_rad), STEEPEST_TILT_RAD)
+    return Strike(
+        drop_height_m=float(
+            np.clip(drop_height_m, LOWEST_DROP_FRACTION * chain.drop_height_m, HIGHEST_DROP_M)
+        ),
+        tilt_rad=tilt_rad,
+        sensor_gain_v_per_n=float(
+            sensor.sensitivity_v_per_n
+            * np.exp(drift.sensitivity_per_k * warmer_k - sensor.tilt_loss_per_rad * tilt_rad)
+        ),
+    )
+
+
+def _unit_draws(random: np.random.Generator) -> tuple[float, float]:
+    """One normal and one uniform number, each of mean 0 and variance 1: for drop height and tilt."""
+    half_width = np.sqrt(3.0)
+    return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

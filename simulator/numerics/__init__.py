@@ -1,0 +1,1 @@
+"""Algebra, lanes, caches and keyed random numbers: nothing of waves."""

@@ -1,0 +1,197 @@
+"""Computed arrays kept on disk, found by a hash of everything that makes them.
+
+A file is `MAGIC`, the SHA-256 of the rest, the header's length (u32), the header (JSON, padded with
+spaces to a multiple of 64 bytes): ``[[name, shape], ...]``, and the arrays as little-endian float64.
+It is written beside its place and renamed, so it is complete or absent, whenever its writer ends; what
+a killed writer leaves is swept once it is `STALE_S` old. A damaged file is computed again. A folder that
+cannot be read or written costs time, nothing else. Nothing is flushed to the disk's platters: what a
+power failure spoils is a damaged file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import math
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import platformdirs
+from numpy.typing import NDArray
+
+from simulator.numerics.one_thread import blas_libraries
+from simulator.numerics.source import source_digest
+
+log = logging.getLogger(__name__)
+FloatArray = NDArray[np.float64]
+
+DEFAULT_CACHE_FOLDER: Final = platformdirs.user_cache_path("solimon", appauthor=False) / "reductions"
+"""The user's cache folder; hand in another one to keep tests or machines apart."""
+
+MAGIC: Final = b"solimon1"
+DIGEST_BYTES: Final = 32
+ALIGNMENT: Final = 64
+SUFFIX: Final = ".arrays"
+UNFINISHED_SUFFIX: Final = ".part"
+
+STALE_S: Final = 600.0
+"""An unfinished file of this age has lost its writer, who needs a moment; a writer that slept meanwhile
+finds its file gone, and its arrays are computed again another time."""
+
+FOLDER_LIMIT_BYTES: Final = 500_000_000
+"""Beyond this the oldest files are removed: several hundred plates."""
+
+
+def kept_arrays(
+    folder: Path | None, key: str, compute: Callable[[], Mapping[str, FloatArray]]
+) -> dict[str, FloatArray]:
+    """Read the arrays kept in `folder` under `key`, or compute and keep them.
+
+    Parameters
+    ----------
+    folder
+        None computes without any disk. Kept or not, the arrays are the same to the last bit.
+    key
+        From `content_key`: whatever changes the arrays must change it.
+    compute
+        Makes the arrays, float64 of any shape, by name.
+    """
+    if folder is None:
+        return _as_float64(compute())
+    path = folder / f"{key}{SUFFIX}"
+    _sweep_unfinished(folder)
+    found = read_arrays(path)
+    if found is None:
+        found = _as_float64(compute())
+        write_arrays(path, found)
+    return found
+
+
+def content_key(described: Mapping[str, object]) -> str:
+    """Hash of what is computed, of all the code of the twin and of the libraries below it.
+
+    Parameters
+    ----------
+    described
+        The name of the computation and everything that goes in, for `json.dumps`.
+    """
+    text = json.dumps({"described": described, "made_with": _made_with()}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@cache
+def _made_with() -> dict[str, object]:
+    """Name what else decides the digits; linear algebra has other kernels on another kind of processor."""
+    libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
+    return {"code": source_digest(), "libraries": libraries, "blas": blas_libraries()}
+
+
+def read_arrays(path: Path) -> dict[str, FloatArray] | None:
+    """Arrays of a file by `write_arrays`; None if there is none that is whole and readable."""
+    try:
+        stored = path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        log.warning("cannot read the cached arrays %s (%s); computing them", path, error)
+        return None
+    content = memoryview(stored)[len(MAGIC) + DIGEST_BYTES :]
+    digest = stored[len(MAGIC) : len(MAGIC) + DIGEST_BYTES]
+    if not stored.startswith(MAGIC) or hashlib.sha256(content).digest() != digest:
+        log.warning("the cached arrays %s are damaged; computing them again", path)
+        return None
+    header_end = 4 + int.from_bytes(content[:4], "little")
+    arrays = {}
+    offset = header_end
+    for name, shape in json.loads(bytes(content[4:header_end])):
+        count = math.prod(shape)
+        values = np.frombuffer(content, dtype="<f8", count=count, offset=offset)
+        arrays[name] = values.astype(np.float64).reshape(shape)  # a copy, aligned and writable
+        offset += 8 * count
+    return arrays
+
+
+def write_arrays(path: Path, arrays: Mapping[str, FloatArray]) -> None:
+    """Keep `arrays` at `path`; a folder that cannot be written is logged, and nothing is kept."""
+    content = _encoded(arrays)
+    unfinished = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=UNFINISHED_SUFFIX)
+        unfinished = Path(name)
+        with os.fdopen(handle, "wb") as file:
+            file.write(MAGIC + hashlib.sha256(content).digest())
+            file.write(content)
+        unfinished.replace(path)
+        _keep_within(path.parent, FOLDER_LIMIT_BYTES)
+    except OSError as error:
+        # Windows lets nobody replace a file that another process is reading: then it is there already.
+        level = logging.DEBUG if path.is_file() else logging.WARNING
+        log.log(level, "cannot keep the arrays in %s (%s); going on without", path.parent, error)
+        if unfinished is not None:
+            _discard(unfinished)
+
+
+def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
+
+
+def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
+    header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
+    before = len(MAGIC) + DIGEST_BYTES + 4
+    header += b" " * (-(before + len(header)) % ALIGNMENT)
+    blocks = [np.asarray(values, dtype="<f8").tobytes() for values in arrays.values()]
+    return b"".join((len(header).to_bytes(4, "little"), header, *blocks))
+
+
+def _sweep_unfinished(folder: Path) -> None:
+    """Remove what killed writers left. On Windows a file that is still open stays by itself."""
+    now = time.time()
+    for entry in _entries(folder):
+        if entry.name.endswith(UNFINISHED_SUFFIX):
+            status = _status(entry)
+            if status is not None and now - status.st_mtime > STALE_S:
+                _discard(Path(entry.path))
+
+
+def _keep_within(folder: Path, limit_bytes: int) -> None:
+    """Remove the oldest files of a folder that has grown beyond the limit."""
+    files = [(entry, _status(entry)) for entry in _entries(folder) if entry.name.endswith(SUFFIX)]
+    oldest = sorted(((s.st_mtime_ns, s.st_size, e.path) for e, s in files if s is not None), reverse=True)
+    total = sum(size for _, size, _ in oldest)
+    while total > limit_bytes and len(oldest) > 1:
+        _, size, path = oldest.pop()
+        total -= size
+        _discard(Path(path))
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as found:
+            return list(found)
+    except OSError as error:  # absent until the first file is written; else writing will say it
+        log.debug("cannot list %s (%s)", folder, error)
+        return []
+
+
+def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
+    try:
+        return entry.stat()
+    except OSError as error:  # renamed or removed by another process
+        log.debug("cannot look at %s (%s)", entry.path, error)
+        return None
+
+
+def _discard(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        log.warning("cannot remove %s (%s)", path, error)

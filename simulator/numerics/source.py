@@ -1,0 +1,22 @@
+"""The twin's own source as one digest: what is kept on disk was computed by one state of the code."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+
+@cache
+def source_digest() -> str:
+    """SHA-256 of every module of the simulator but the doubles, whose boards compute nothing of a shot.
+
+    Line ends do not count: an installed wheel and a checkout on Windows have the same digest.
+    """
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for name in sorted(path.relative_to(package).as_posix() for path in package.rglob("*.py")):
+        if not name.startswith("doubles/"):
+            content = (package / name).read_bytes().replace(b"\r\n", b"\n")
+            digest.update(f"{name} {hashlib.sha256(content).hexdigest()}\n".encode())
+    return digest.hexdigest()

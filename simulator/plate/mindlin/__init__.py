@@ -1,0 +1,1 @@
+"""The Reissner-Mindlin plate: elements, grid, load, liquid, reduction."""

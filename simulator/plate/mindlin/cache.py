@@ -1,0 +1,43 @@
+"""Reduced plates kept on disk: one for every depth of a patch (`array_cache` tells how they are kept)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, FloatArray, content_key, kept_arrays
+from simulator.numerics.one_thread import one_blas_thread
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+from simulator.plate.mindlin.reduction import reduce_plate
+from simulator.plate.reduced import ReducedPlate
+
+__all__ = ["DEFAULT_CACHE_FOLDER", "reduced_plate", "reduction_key"]
+
+
+def reduced_plate(
+    plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
+) -> ReducedPlate:
+    """Reduce the plate for this outline of the patch, or read the reduction kept in `folder`.
+
+    Parameters
+    ----------
+    plate, corrosion
+        The specimen; `corrosion.depth_fraction` has no influence.
+    folder
+        None computes without any disk. Cached or not, the answer is the same to the last bit.
+    """
+
+    def compute() -> dict[str, FloatArray]:
+        with one_blas_thread():
+            reduced = reduce_plate(build_plate(plate, corrosion))
+        return {"stiffness": reduced.stiffness, "mass": reduced.mass, "load": reduced.load}
+
+    return ReducedPlate(**kept_arrays(folder, reduction_key(plate, corrosion), compute))
+
+
+def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
+    """Hash of the specimen, of the code that reduces it and of the libraries that compute it."""
+    footprint = asdict(corrosion)
+    del footprint["depth_fraction"]
+    return content_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

@@ -1,0 +1,131 @@
+"""Which model of the plate a specimen asks for, as the chain feels it: modes at any depth of the patch."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from simulator.numerics.array_cache import FloatArray, content_key, kept_arrays
+from simulator.numerics.one_thread import one_blas_thread
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import reduced_plate
+from simulator.plate.reduced import PlateModes
+from simulator.plate.solid.family import SolidFamily, family_of, solid_family
+from simulator.plate.solid.plate import check_solid
+from simulator.plate.solid.reduction import SHALLOWEST_FRACTION, solid_modes
+
+DEPTHS_KNOWN = 256
+"""Depths whose modes a solid plate remembers, the first ones forgotten first."""
+
+
+class ModalPlate(Protocol):
+    """A finite plate under the chain."""
+
+    def modes(self, depth_fraction: float) -> PlateModes:
+        """All modes the model knows with the patch thinned by `depth_fraction`."""
+        ...
+
+
+def modal_plate(
+    plate: PlateParameters, corrosion: CorrosionParameters, cache_folder: Path | None
+) -> ModalPlate | None:
+    """Make the plate of `plate.model` ready; None for an analytic anchor, which has no modes.
+
+    Parameters
+    ----------
+    plate, corrosion
+        The specimen; `corrosion.depth_fraction` has no influence.
+    cache_folder
+        Where reductions are kept; None keeps none.
+
+    Raises
+    ------
+    SpecimenError
+        The patch does not fit the plate, or the model does not know it.
+    """
+    if plate.model == "mindlin":
+        return reduced_plate(plate, corrosion, cache_folder)
+    if plate.model == "solid":
+        return KeptSolid(plate, corrosion, cache_folder)
+    return None
+
+
+class KeptSolid:
+    """Solid plate whose modes are computed for each depth once, and kept on disk.
+
+    With `plate.solid.one_basis` what is computed and kept is a basis for all depths.
+
+    Parameters
+    ----------
+    plate, corrosion
+        The specimen; `corrosion.depth_fraction` has no influence.
+    folder
+        None keeps nothing on disk. Kept or not, the modes are the same to the last bit.
+
+    Raises
+    ------
+    SpecimenError
+        The solid plate does not model such a plate or patch.
+    """
+
+    def __init__(self, plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None) -> None:
+        check_solid(plate, replace(corrosion, depth_fraction=0.0))
+        self._plate = plate
+        self._corrosion = corrosion
+        self._folder = folder
+        self._known: OrderedDict[float, PlateModes] = OrderedDict()
+        self._family: SolidFamily | None = None
+        self._lock = threading.Lock()
+
+    def modes(self, depth_fraction: float) -> PlateModes:
+        """Modes with the patch thinned by `depth_fraction`."""
+        with self._lock:  # two threads must not compute the same depth
+            found = self._known.get(depth_fraction)
+            if found is None:
+                found = self._found(replace(self._corrosion, depth_fraction=depth_fraction))
+                self._known[depth_fraction] = found
+                if len(self._known) > DEPTHS_KNOWN:
+                    self._known.popitem(last=False)
+            return found
+
+    def _found(self, corrosion: CorrosionParameters) -> PlateModes:
+        check_solid(self._plate, corrosion)
+        lost = corrosion.depth_fraction * corrosion.depth_factor
+        if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
+            return self._kept_modes(corrosion)
+        if self._family is None:
+            self._family = self._kept_family()
+        with one_blas_thread():
+            return self._family.modes(1.0 - lost)
+
+    def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
+        def compute() -> dict[str, FloatArray]:
+            with one_blas_thread():
+                modes = solid_modes(self._plate, corrosion)
+            return {
+                "omega_rad_per_s": modes.omega_rad_per_s,
+                "participation": modes.participation,
+                "residual_compliance_m_per_n": np.array(modes.residual_compliance_m_per_n),
+            }
+
+        described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
+        found = kept_arrays(self._folder, content_key(described), compute)
+        return PlateModes(
+            omega_rad_per_s=found["omega_rad_per_s"],
+            participation=found["participation"],
+            residual_compliance_m_per_n=float(found["residual_compliance_m_per_n"]),
+        )
+
+    def _kept_family(self) -> SolidFamily:
+        def compute() -> dict[str, FloatArray]:
+            with one_blas_thread():
+                return solid_family(self._plate, self._corrosion).arrays()
+
+        footprint = asdict(replace(self._corrosion, depth_fraction=0.0))
+        described = {"basis": "solid", "plate": asdict(self._plate), "patch": footprint}
+        return family_of(kept_arrays(self._folder, content_key(described), compute))

@@ -1,0 +1,1 @@
+"""The three-dimensional plate of high order."""

@@ -1,0 +1,129 @@
+"""The solid plate at every depth from one basis.
+
+The grid lines lie at the same fractions of both layers whatever the depth, so that displacements of all
+nodes mean the same motions everywhere, and the projected layers are known at any thickness
+(`solid_reduction.ProjectedSolid`). Krylov spaces at some depths are merged; what lies between is a
+combination of them, as the plate changes smoothly with depth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+from scipy import linalg
+
+from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PlateParameters
+from simulator.plate.reduced import PlateModes
+from simulator.plate.solid.plate import build_solid_plate
+from simulator.plate.solid.reduction import (
+    ProjectedSolid,
+    contact_residual_m_per_n,
+    krylov_fields,
+    passive_modes,
+    project,
+)
+
+FloatArray = NDArray[np.float64]
+
+FAMILY = (
+    (0.004, 60),
+    (0.05, 40),
+    (0.15, 40),
+    (0.3, 40),
+    (0.45, 40),
+    (0.6, 40),
+    (0.72, 40),
+    (0.82, 40),
+    (0.9, 40),
+    (0.95, 60),
+)
+"""Lost parts of the thickness whose Krylov vectors enter the basis, and how many of each."""
+
+MERGE_TOLERANCE = 1e-6
+"""Directions weaker than this part of the strongest are left out of the merged basis."""
+
+RESIDUAL_NODES = 13
+"""Chebyshev nodes over the logarithm of the remaining thickness, for the compliance under the contact."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolidFamily:
+    """Projected solid plate for every depth.
+
+    Attributes
+    ----------
+    projected
+        Both layers in the merged basis.
+    residual
+        float64: Chebyshev coefficients of the compliance to add to the modes, over `_log_place`.
+    """
+
+    projected: ProjectedSolid
+    residual: FloatArray
+
+    def modes(self, remaining: float) -> PlateModes:
+        """Modes with the part `remaining` of the thickness left within the patch, ready for a shot."""
+        added = float(chebyshev.chebval(_log_place(remaining), self.residual))
+        return passive_modes(self.projected.modes(remaining, added))
+
+    def arrays(self) -> dict[str, FloatArray]:
+        """Give what `family_of` needs to make it again."""
+        return {
+            "stiffness": self.projected.stiffness,
+            "mass": self.projected.mass,
+            "load": self.projected.load,
+            "residual": self.residual,
+        }
+
+
+def family_of(arrays: Mapping[str, FloatArray]) -> SolidFamily:
+    """Make the family whose `arrays` these are."""
+    projected = ProjectedSolid(stiffness=arrays["stiffness"], mass=arrays["mass"], load=arrays["load"])
+    return SolidFamily(projected=projected, residual=arrays["residual"])
+
+
+def _log_place(remaining: float) -> float:
+    """Place on -1..1 of a remaining part between the deepest patch's and all."""
+    return 1.0 - 2.0 * math.log(remaining) / math.log(1.0 - DEEPEST_PATCH_FRACTION)
+
+
+def solid_family(
+    plate: PlateParameters,
+    corrosion: CorrosionParameters,
+    depths: tuple[tuple[float, int], ...] = FAMILY,
+) -> SolidFamily:
+    """Merge the Krylov spaces at `depths` and project the plate onto them.
+
+    Parameters
+    ----------
+    plate, corrosion
+        The specimen; `corrosion.depth_fraction` has no influence.
+    depths
+        Lost parts of the thickness, and how many vectors of each.
+    """
+    spaces = []
+    for lost, vectors in depths:
+        built = build_solid_plate(plate, _at(corrosion, lost))
+        spaces.append(krylov_fields(built, vectors))
+    built = build_solid_plate(plate, _at(corrosion, 0.5))
+    fields = np.hstack(spaces)
+    strength, directions = linalg.eigh(fields.T @ fields, check_finite=False)
+    kept = strength > MERGE_TOLERANCE**2 * strength[-1]
+    basis = fields @ (directions[:, kept] / np.sqrt(strength[kept]))
+    places = chebyshev.chebpts1(RESIDUAL_NODES)
+    deepest = math.log(1.0 - DEEPEST_PATCH_FRACTION)
+    residuals = []
+    for place in places:
+        patch = _at(corrosion, 1.0 - math.exp(0.5 * (1.0 - place) * deepest))
+        residuals.append(contact_residual_m_per_n(build_solid_plate(plate, patch), patch))
+    coefficients = chebyshev.chebfit(places, np.array(residuals), RESIDUAL_NODES - 1)
+    return SolidFamily(projected=project(built, basis), residual=np.asarray(coefficients))
+
+
+def _at(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
+    return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -1,0 +1,165 @@
+"""Integrals over the elements of the solid plate: in the plane, within a circle, and the load's own.
+
+A stiffness or mass is a sum of products of such integrals in the plane and integrals through the thickness
+(`tensor_basis`).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.materials import shear_modulus_pa
+from simulator.numerics.tensor_basis import Axis, lagrange
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+
+FloatArray = NDArray[np.float64]
+
+COMPONENTS = 3
+
+VOID = 1e-9
+"""Stiffness and mass of what a circle takes out of an element, relative to the metal: not quite nothing, so
+that every unknown is held."""
+
+RADIAL_POINTS = 48
+ANGULAR_POINTS = 48
+"""Points over a quarter of the circle of contact: the nodal loads are sure to about 1e-4 of the largest."""
+
+CUT_POINTS = 16
+"""Points of each of the integrals over an element that a circle cuts."""
+
+
+def patch_integrals(
+    x: Axis, y: Axis, corrosion: CorrosionParameters
+) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
+    """Fraction of each element within the patch, and the integrals over what a circle leaves of it."""
+    half_x, half_y = corrosion.half_sizes_m
+    near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
+    far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
+    if corrosion.shape != "round":
+        within_x, within_y = far_x <= half_x * (1.0 + 1e-9), far_y <= half_y * (1.0 + 1e-9)
+        return np.outer(within_x, within_y).astype(np.float64), {}
+    inside = (np.hypot(far_x[:, None], far_y[None, :]) <= half_x * (1.0 + 1e-9)).astype(np.float64)
+    touched = (np.hypot(near_x[:, None], near_y[None, :]) < half_x * (1.0 - 1e-9)) & (inside == 0.0)
+    cut = {}
+    for ex, ey in np.argwhere(touched):
+        whole = in_plane_integrals(x, y, int(ex), int(ey))
+        lost = _integrals_within(x, y, int(ex), int(ey), half_x)
+        inside[ex, ey] = lost[0].sum() / whole[0].sum()
+        cut[int(ex), int(ey)] = tuple(w - (1.0 - VOID) * part for w, part in zip(whole, lost, strict=True))
+    return inside, cut
+
+
+def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, ...]:
+    """Integrals over one element, numbered (x, y), with N_,x for a derivative.
+
+    ``N N``, ``N_,x N_,x``, ``N_,y N_,y``, ``N_,x N``, ``N_,y N`` and ``N_,x N_,y``, the first factor by row.
+    """
+    mass_x, slope_x, stiffness_x = x.interval_matrices(ex)
+    mass_y, slope_y, stiffness_y = y.interval_matrices(ey)
+    products = (
+        np.kron(mass_x, mass_y),
+        np.kron(stiffness_x, mass_y),
+        np.kron(mass_x, stiffness_y),
+        np.kron(slope_x, mass_y),
+        np.kron(mass_x, slope_y),
+        np.kron(slope_x, slope_y.T),
+    )
+    return tuple(np.asarray(product, dtype=np.float64) for product in products)
+
+
+def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
+    """Take the same integrals over what a circle about the origin covers of an element."""
+    left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
+    bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
+    crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
+    ends = [left, *sorted(c for c in crossings if left < c < right), right]
+    at_x, at_y, weights = [], [], []
+    for start, end in itertools.pairwise(ends):
+        # Squared towards the end: there the arc may stand upright.
+        t, t_weight = _gauss(CUT_POINTS, 1.0)
+        across = end - (end - start) * t**2
+        for a, a_weight in zip(across, 2.0 * (end - start) * t * t_weight, strict=True):
+            reach = min(top, math.sqrt(max(radius_m**2 - a**2, 0.0))) - bottom
+            if reach <= 0.0:
+                continue
+            up, up_weight = _gauss(CUT_POINTS, reach)
+            at_x.append(np.full(CUT_POINTS, a))
+            at_y.append(bottom + up)
+            weights.append(a_weight * up_weight)
+    if not weights:
+        nodes = len(x.nodes_of(ex)) * len(y.nodes_of(ey))
+        return (np.zeros((nodes, nodes)),) * 6
+    sign_x = math.copysign(1.0, x.breaks_m[ex] + x.breaks_m[ex + 1])
+    sign_y = math.copysign(1.0, y.breaks_m[ey] + y.breaks_m[ey + 1])
+    value_x, along_x = _values_on(x, ex, sign_x * np.concatenate(at_x))
+    value_y, along_y = _values_on(y, ey, sign_y * np.concatenate(at_y))
+    pairs = ((value_x, value_y), (along_x, value_y), (value_x, along_y))
+    n, n_x, n_y = ((a[:, :, None] * b[:, None, :]).reshape(len(a), -1) for a, b in pairs)
+    weight = np.concatenate(weights)[:, None]
+    products = ((n, n), (n_x, n_x), (n_y, n_y), (n_x, n), (n_y, n), (n_x, n_y))
+    return tuple(np.asarray(first.T @ (weight * second)) for first, second in products)
+
+
+def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
+    value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
+    return value, slope * (2.0 / (end - start))
+
+
+def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
+    """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
+
+    With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
+    in c and in the angle carry the pressure. The loads add up to one, for a quarter of the plate, too.
+    """
+    c, c_weight = _gauss(RADIAL_POINTS, 1.0)
+    angle, angle_weight = _gauss(ANGULAR_POINTS, 0.5 * math.pi)
+    r = radius_m * np.sqrt(1.0 - c**2)
+    share = np.outer(c**2 * c_weight, angle_weight).ravel()
+    at_x, at_y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
+    signs = (1.0, -1.0) if whole else (1.0,)
+    along_x, along_y = (sum(axis.values(sign * at) for sign in signs) for axis, at in ((x, at_x), (y, at_y)))
+    weights = np.asarray(along_x).T @ ((share / share.sum())[:, None] * np.asarray(along_y))
+    return np.asarray(weights / len(signs) ** 2)
+
+
+def _gauss(count: int, end: float) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Legendre points and weights on 0..end."""
+    points, weights = np.polynomial.legendre.leggauss(count)
+    return 0.5 * end * (points + 1.0), 0.5 * end * weights
+
+
+def in_plane_terms(
+    plate: PlateParameters, integrals: tuple[FloatArray, ...]
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Isotropic elasticity of one element, its dependence on z split off; numbered (node, component).
+
+    The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
+
+    Returns
+    -------
+    A, B, C, D
+        float64, shape (3 nodes, 3 nodes).
+    """
+    nn, xx, yy, xn, yn, xy = integrals
+    mu = shear_modulus_pa(plate.warm_youngs_modulus_pa, plate.poisson_ratio)
+    lame = 2.0 * mu * plate.poisson_ratio / (1.0 - 2.0 * plate.poisson_ratio)
+    u, v, w = range(COMPONENTS)
+    a, b, c, d = (np.zeros((len(nn), COMPONENTS, len(nn), COMPONENTS)) for _ in range(4))
+    a[:, u, :, u] = (lame + 2.0 * mu) * xx + mu * yy
+    a[:, v, :, v] = (lame + 2.0 * mu) * yy + mu * xx
+    a[:, w, :, w] = mu * (xx + yy)
+    a[:, u, :, v] = lame * xy + mu * xy.T
+    a[:, v, :, u] = a[:, u, :, v].T
+    for component, stiffness in ((u, mu), (v, mu), (w, lame + 2.0 * mu)):
+        b[:, component, :, component] = stiffness * nn
+        d[:, component, :, component] = plate.density_kg_per_m3 * nn
+    for component, slope in ((u, xn), (v, yn)):
+        c[:, component, :, w] = mu * slope.T
+        c[:, w, :, component] = lame * slope.T
+    size = COMPONENTS * len(nn)
+    return a.reshape(size, size), b.reshape(size, size), c.reshape(size, size), d.reshape(size, size)

@@ -1,0 +1,1 @@
+"""A strike: chain and plate integrated together."""

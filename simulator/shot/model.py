@@ -1,0 +1,432 @@
+"""A shot: chain and plate integrated together from the striker's first touch.
+
+`ShotModel` is prepared once for a transducer, a plate and an outline of the patch; each shot may then
+have its own depth, drop height and tilt. Shots of one model can be computed in several threads, and many
+at once side by side (`ShotModel.shots`), with the same digits.
+
+Specimens other than the finite plate: `rigid_wall` does not move; `infinite_kirchhoff` moves with
+``(F - F_static) / (8 sqrt(D rho h))``, the static load being carried where it is. Neither has a patch.
+At a through hole nothing touches the last sphere: a retainer carries the weight of the chain and is
+so soft that its force stays the weight, so the incident wave runs off the free end.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from copy import copy
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.chain.spheres import Chain, build_chain, struck_again
+from simulator.errors import IntegrationError, SpecimenError
+from simulator.materials import thin_plate_impedance_n_s_per_m
+from simulator.numerics.one_thread import one_blas_thread
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
+from simulator.plate.models import ModalPlate, modal_plate
+from simulator.shot.modal_weights import modal_weights
+from simulator.shot.side_by_side import UNMOVED, Propagator, integrate
+from simulator.shot.time_step import record_duration_s, resolving_step_s, stiffest_contact_n_per_m
+
+FloatArray = NDArray[np.float64]
+
+ENERGY_TOLERANCE = 1e-4
+"""Largest defect of the energy balance, relative to the impact energy."""
+
+STEP_HALVINGS = 4
+"""A shot that misses `ENERGY_TOLERANCE` is repeated with half the step, at most so often; on a plate with
+each halved step twice, see `WIDE_CUT_PHASE_RAD`."""
+
+CUT_PHASE_RAD = 1.0
+"""Modes of the plate that turn faster than this in a step stay as residual compliance."""
+
+CONTACT_PHASE_SQUARED = 1.0
+"""So do modes that would let contact spring and plate swing against each other faster than this: on a
+very thin plate the explicit part of the integration could not follow."""
+
+WIDE_CUT_PHASE_RAD = 10.0
+"""Cut of the second attempt at a halved step, without that other limit: a strong dashpot keeps fast modes
+stable, and their energy, which the residual compliance would lose, stays in the balance. It is as far as
+`modal_weights` is exact."""
+
+TURN_TO_END = 2.5
+"""A record of automatic length lasts so many times as long as the incident wave takes to turn round."""
+
+EXTENSIONS = 3
+"""How often such a record is lengthened when a longer one shows a later turn."""
+
+DEPTHS_KEPT = 64
+"""Prepared depths a model remembers, the latest ones."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Impact:
+    """One strike; what is None is that of the model's parameters.
+
+    Attributes
+    ----------
+    depth_fraction, drop_height_m, tilt_rad
+        Depth of the patch, height the striker falls from, tilt of the sensor disk.
+    through_hole
+        Nothing stands under the chain (`ShotModel.shot_at_hole`); the depth does not matter then.
+    second_delay_s, second_drop_height_m
+        A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
+        touches again as from this height (None: as at first). It meets the chain as it then moves. The
+        record gets no longer by it, and `ShotForce.reflection_time_s` is that of the stronger wave.
+    """
+
+    depth_fraction: float | None = None
+    drop_height_m: float | None = None
+    tilt_rad: float | None = None
+    through_hole: bool = False
+    second_delay_s: float | None = None
+    second_drop_height_m: float | None = None
+
+    def __post_init__(self) -> None:
+        delay_s = self.second_delay_s
+        if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
+            raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
+        if delay_s is None and self.second_drop_height_m is not None:
+            raise ValueError("second_drop_height_m is given without second_delay_s; give both")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShotForce:
+    """Noise-free force at the sensor.
+
+    Attributes
+    ----------
+    time_s
+        float64, shape (n,): uniform, 0 at the striker's first touch.
+    force_n
+        float64, shape (n,): mean of the two contact forces at the sensor, static preload included.
+    preload_n
+        That mean before the strike.
+    energy_residual
+        Largest defect of the energy balance of chain and plate during the shot, relative to the
+        striker's impact energy.
+    step_s
+        Step of the integration; `time_s` may be coarser.
+    reflection_time_s
+        When the force between chain and specimen was largest: no reflected wave reaches the sensor
+        before. None at a hole.
+    contact_force_n
+        float64, shape (n_bodies, n), where asked for: force of the contact below each body, the striker
+        first, static force included. A sensor in place of body i > 0 would see the mean of rows i - 1 and i.
+    """
+
+    time_s: FloatArray
+    force_n: FloatArray
+    preload_n: float
+    energy_residual: float
+    step_s: float
+    reflection_time_s: float | None = None
+    contact_force_n: FloatArray | None = None
+
+
+class ShotModel:
+    """Chain on a specimen, ready to be struck.
+
+    Parameters
+    ----------
+    chain, plate, corrosion
+        The transducer, the specimen and its patch; `corrosion.depth_fraction` is the depth of a shot
+        that names none.
+    duration_s
+        Length of the record from first touch. None chooses one that holds the reflected wave: 1.4 ms
+        for the paper's chain, longer for slow chains and for a specimen so soft that the wave turns
+        round late (`TURN_TO_END`).
+    cache_folder
+        Where reductions of plates are kept; None keeps none.
+    step_s
+        Step of the integration and spacing of the record, for studies of convergence. None chooses
+        one that resolves the chain, 0.5 us for the paper's.
+    prepared_plate
+        What `modal_plate` gives for `plate` and `corrosion`, where the caller has it for another chain.
+
+    Raises
+    ------
+    SpecimenError
+        The patch does not fit the plate, or the specimen has no patch at all.
+    """
+
+    def __init__(
+        self,
+        chain: ChainParameters,
+        plate: PlateParameters,
+        corrosion: CorrosionParameters,
+        *,
+        duration_s: float | None = None,
+        cache_folder: Path | None = DEFAULT_CACHE_FOLDER,
+        step_s: float | None = None,
+        prepared_plate: ModalPlate | None = None,
+    ) -> None:
+        self._chain = chain
+        self._plate = plate
+        self._corrosion = corrosion
+        self._nominal = nominal = build_chain(chain, plate)
+        self._chosen_step = step_s is not None
+        for name, value in (("duration_s", duration_s), ("step_s", step_s)):
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise SpecimenError(f"{name} is {value}; it must be positive and finite")
+        self._step_s = resolving_step_s(nominal) if step_s is None else step_s
+        self._contact_stiffness_n_per_m = stiffest_contact_n_per_m(nominal)
+        self._chosen_duration_s = duration_s
+        self._shortest_record_s = record_duration_s(nominal) if duration_s is None else duration_s
+        self._modal_plate = prepared_plate or modal_plate(plate, corrosion, cache_folder)
+        if self._modal_plate is None and corrosion.depth_fraction > 0.0:
+            raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
+        self._prepared: OrderedDict[tuple[float, float, bool], Propagator] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def with_chain(self, chain: ChainParameters) -> ShotModel:
+        """Another chain on the same plate; a plate's reduction takes seconds, so it is shared.
+
+        A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
+        set. It has a step of its own where that must be less than 0.4 of this model's.
+        """
+        nominal = build_chain(chain, self._plate)
+        if resolving_step_s(nominal) < 0.4 * self._step_s and not self._chosen_step:
+            return ShotModel(
+                chain,
+                self._plate,
+                self._corrosion,
+                duration_s=self._chosen_duration_s,
+                prepared_plate=self._modal_plate,
+            )
+        other = copy(self)
+        other._chain = chain
+        other._nominal = nominal
+        if self._chosen_duration_s is None:
+            other._shortest_record_s = record_duration_s(nominal)
+        return other
+
+    def shot(
+        self,
+        *,
+        depth_fraction: float | None = None,
+        drop_height_m: float | None = None,
+        tilt_rad: float | None = None,
+        contact_forces: bool = False,
+    ) -> ShotForce:
+        """Force at the sensor for one strike.
+
+        Parameters
+        ----------
+        depth_fraction, drop_height_m, tilt_rad
+            Replace those of the parameters for this shot.
+        contact_forces
+            Keep the force at every contact of the chain, too.
+
+        Raises
+        ------
+        ValueError
+            A replacement breaks the bounds of its parameter.
+        IntegrationError
+            The energy balance fails even with the finest step.
+        """
+        impact = Impact(depth_fraction=depth_fraction, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
+        return self.shots([impact], contact_forces=contact_forces)[0]
+
+    def shot_at_hole(
+        self,
+        *,
+        drop_height_m: float | None = None,
+        tilt_rad: float | None = None,
+        contact_forces: bool = False,
+    ) -> ShotForce:
+        """Force at the sensor above a through hole: an incident wave and no reflected one."""
+        impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
+        return self.shots([impact], contact_forces=contact_forces)[0]
+
+    def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
+        """Force at the sensor for many strikes, in their order; errors as for `shot`.
+
+        Strikes at the same depth are computed side by side. Each has the digits that it has alone.
+        """
+        by_wall: dict[tuple[float, bool], list[tuple[int, Chain]]] = {}
+        count = 0
+        for count, impact in enumerate(impacts, start=1):
+            wall = 0.0 if impact.through_hole else self._depth(impact), impact.through_hole
+            by_wall.setdefault(wall, []).append((count - 1, self._struck(impact)))
+        forces: dict[int, ShotForce] = {}
+        for (depth, is_hole), struck in by_wall.items():
+            chains = [chain for _, chain in struck]
+            found = (
+                self._over_hole(chains, contact_forces)
+                if is_hole
+                else self._over_wall(chains, depth, contact_forces)
+            )
+            forces.update(zip((order for order, _ in struck), found, strict=True))
+        return [forces[order] for order in range(count)]
+
+    def _depth(self, impact: Impact) -> float:
+        if impact.depth_fraction is None:
+            return self._corrosion.depth_fraction
+        depth = float(impact.depth_fraction)
+        if depth != self._corrosion.depth_fraction:
+            replace(self._corrosion, depth_fraction=depth)  # checks the bounds
+        if self._modal_plate is None and depth > 0.0:
+            raise SpecimenError(_no_patch(self._plate.model, depth))
+        return depth
+
+    def _struck(self, impact: Impact) -> Chain:
+        chain = self._chain
+        if impact.drop_height_m is not None:
+            chain = replace(chain, drop_height_m=float(impact.drop_height_m))
+        if impact.tilt_rad is not None:
+            chain = replace(chain, tilt_rad=float(impact.tilt_rad))
+        struck = self._nominal if chain is self._chain else struck_again(self._nominal, chain)
+        if impact.second_delay_s is None:
+            return struck
+        if impact.second_drop_height_m is not None:
+            chain = replace(chain, drop_height_m=float(impact.second_drop_height_m))
+        return replace(
+            struck,
+            second_delay_s=impact.second_delay_s,
+            second_speed_m_per_s=struck_again(self._nominal, chain).impact_speed_m_per_s,
+        )
+
+    def _over_wall(self, chains: list[Chain], depth: float, contact_forces: bool) -> list[ShotForce]:
+        def specimen(step: float, wide: bool) -> Propagator:
+            return self._propagator(depth, step, wide)
+
+        forces = self._converged(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
+        if self._chosen_duration_s is None:
+            for k, chain in enumerate(chains):
+                for _ in range(EXTENSIONS):
+                    needed = TURN_TO_END * (forces[k].reflection_time_s or 0.0)
+                    if forces[k].time_s[-1] >= needed:
+                        break
+                    forces[k] = self._converged([chain], specimen, needed, contact_forces=contact_forces)[0]
+        return forces
+
+    def _over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
+        free_ends = [
+            replace(
+                chain,
+                stiffness_n_per_m15=_without_last(chain.stiffness_n_per_m15),
+                damping_n_s_per_m=_without_last(chain.damping_n_s_per_m),
+                static_force_n=_without_last(chain.static_force_n),
+                static_overlap_m=_without_last(chain.static_overlap_m),
+            )
+            for chain in chains
+        ]
+        forces = self._converged(
+            free_ends,
+            lambda step, wide: UNMOVED,
+            self._shortest_record_s,
+            retainer_force_n=float(self._nominal.static_force_n[-1]),
+            contact_forces=contact_forces,
+        )
+        return [replace(force, reflection_time_s=None) for force in forces]
+
+    def _converged(
+        self,
+        chains: list[Chain],
+        specimen: Callable[[float, bool], Propagator],
+        duration_s: float,
+        *,
+        retainer_force_n: float = 0.0,
+        contact_forces: bool = False,
+    ) -> list[ShotForce]:
+        """Integrate with ever smaller steps, then also more modes, until the energy balances close."""
+        samples = round(duration_s / self._step_s) + 1
+        time_s = self._step_s * np.arange(samples, dtype=np.float64)
+        forces: dict[int, ShotForce] = {}
+        pending = list(range(len(chains)))
+        for halving, wide in self._attempts():
+            every = 2**halving
+            step = self._step_s / every
+            records = integrate(
+                [chains[k] for k in pending],
+                specimen(step, wide),
+                step,
+                (samples - 1) * every + 1,
+                retainer_force_n=retainer_force_n,
+                contact_forces=contact_forces,
+            )
+            open_balances = {}
+            for k, record in zip(pending, records, strict=True):
+                defect = record.defect_j / chains[k].impact_energy_j
+                if not defect <= ENERGY_TOLERANCE:
+                    open_balances[k] = defect
+                    continue
+                observed = record.contact_force_n
+                forces[k] = ShotForce(
+                    time_s=time_s,
+                    force_n=np.ascontiguousarray(record.force_n[::every]),
+                    preload_n=chains[k].preload_n,
+                    energy_residual=defect,
+                    step_s=step,
+                    reflection_time_s=record.reflection_step * step,
+                    contact_force_n=None if observed is None else np.ascontiguousarray(observed[:, ::every]),
+                )
+            pending = list(open_balances)
+            if not pending:
+                return [forces[k] for k in range(len(chains))]
+        raise IntegrationError(
+            f"the energy balance is off by {open_balances[pending[0]]:.3g} of the impact energy with a step "
+            f"of {step:.3g} s; at most {ENERGY_TOLERANCE} is allowed; look for an extreme mass, stiffness or "
+            f"damping"
+        )
+
+    def _attempts(self) -> Iterator[tuple[int, bool]]:
+        """Halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+        for halving in range(STEP_HALVINGS + 1):
+            yield halving, False
+            if halving and self._modal_plate is not None:
+                yield halving, True
+
+    def _propagator(self, depth: float, step: float, wide: bool) -> Propagator:
+        if self._modal_plate is None:
+            return _specimen_without_modes(self._plate)
+        key = depth, step, wide
+        with self._lock:
+            if key in self._prepared:
+                self._prepared.move_to_end(key)
+                return self._prepared[key]
+        phase, yielding = CUT_PHASE_RAD, CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
+        if wide:
+            phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
+        with one_blas_thread():
+            every_mode = self._modal_plate.modes(depth)
+        modes = every_mode.cut_above(phase / step, yielding)
+        made = Propagator(
+            bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),
+            residual_compliance_m_per_n=modes.residual_compliance_m_per_n,
+        )
+        with self._lock:
+            self._prepared[key] = made
+            if len(self._prepared) > DEPTHS_KEPT:
+                self._prepared.popitem(last=False)
+        return made
+
+
+def _specimen_without_modes(plate: PlateParameters) -> Propagator:
+    if plate.model == "rigid_wall":
+        return UNMOVED
+    impedance = thin_plate_impedance_n_s_per_m(
+        plate.warm_youngs_modulus_pa, plate.poisson_ratio, plate.density_kg_per_m3, plate.thickness_m
+    )
+    return replace(UNMOVED, mobility_m_per_n_s=1.0 / impedance)
+
+
+def _without_last(values: FloatArray) -> FloatArray:
+    changed = values.copy()
+    changed[-1] = 0.0
+    return changed
+
+
+def _no_patch(model: str, depth: float) -> str:
+    return (
+        f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
+        f"use depth 0 or plate.model = 'mindlin' or 'solid'"
+    )

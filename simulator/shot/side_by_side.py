@@ -1,0 +1,112 @@
+"""Shots of like chains on one specimen, passed to the compiled time loop as many as fit side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.chain.spheres import Chain
+from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, WIDEST, kernel
+
+FloatArray = NDArray[np.float64]
+
+WORTH_A_WIDE_PASS = 4
+"""Shots from which on a pass of `coupled_kernel.WIDEST` lanes costs less than one after the other."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Propagator:
+    """What the kernel needs to know about the specimen, for one depth and step."""
+
+    bank: FloatArray
+    residual_compliance_m_per_n: float = 0.0
+    mobility_m_per_n_s: float = 0.0
+
+
+UNMOVED = Propagator(bank=np.empty(0))
+"""A specimen that stands still, or none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Record:
+    """One shot as integrated: every step, energy not judged yet."""
+
+    force_n: FloatArray
+    contact_force_n: FloatArray | None
+    defect_j: float
+    reflection_step: int
+
+
+def integrate(
+    chains: list[Chain],
+    specimen: Propagator,
+    step: float,
+    steps: int,
+    *,
+    retainer_force_n: float,
+    contact_forces: bool,
+) -> list[Record]:
+    """Integrate chains that differ in impact speed and sensor dashpots only, as many as fit side by side."""
+    records: list[Record] = []
+    while len(records) < len(chains):
+        rest = len(chains) - len(records)
+        width = WIDEST if rest >= WORTH_A_WIDE_PASS else 1
+        together = chains[len(records) : len(records) + width]
+        found = _side_by_side(together, width, specimen, step, steps, retainer_force_n, contact_forces)
+        records += found
+    return records
+
+
+def _side_by_side(
+    chains: list[Chain],
+    width: int,
+    specimen: Propagator,
+    step: float,
+    steps: int,
+    retainer_force_n: float,
+    contact_forces: bool,
+) -> list[Record]:
+    """One pass of the kernel; lanes without a shot of their own repeat the last one."""
+    lanes = chains + [chains[-1]] * (width - len(chains))
+    chain = lanes[0]
+    bodies = len(chain.mass_kg)
+    force = np.empty((steps, width))
+    contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
+    defect_j, reflection_step = np.empty(width), np.empty(width)
+    kernel(width, chain.damping_exponent == 0.0)(
+        chain.mass_kg,
+        chain.stiffness_n_per_m15,
+        np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
+        chain.static_force_n,
+        chain.static_overlap_m,
+        chain.gravity_m_per_s2,
+        np.array([lane.impact_speed_m_per_s for lane in lanes]),
+        np.array(
+            [-1 if lane.second_delay_s is None else round(lane.second_delay_s / step) for lane in lanes]
+        ),
+        np.array([lane.second_speed_m_per_s for lane in lanes]),
+        chain.sensor,
+        retainer_force_n,
+        chain.precompression_n,
+        LAWS_OF_DAMPING.index(chain.damping_exponent),
+        step,
+        specimen.bank,
+        specimen.residual_compliance_m_per_n,
+        specimen.mobility_m_per_n_s,
+        ENERGY_INTERVAL_STEPS,
+        force.ravel(),
+        contacts.ravel(),
+        defect_j,
+        reflection_step,
+    )
+    return [
+        Record(
+            force_n=force[:, k],
+            contact_force_n=contacts[:, :, k] if contact_forces else None,
+            defect_j=float(defect_j[k]),
+            reflection_step=int(reflection_step[k]),
+        )
+        for k in range(len(chains))
+    ]

@@ -1,0 +1,1 @@
+"""What tests share: rigs, brains, folders and records made for them."""

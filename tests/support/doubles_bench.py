@@ -1,0 +1,153 @@
+"""Doubles of NI's libraries for any suite: a brain in this process, or a running one that `nidaqmx` meets.
+
+A `conftest.py` beside the tests imports the fixtures: ``from doubles_bench import doubles, meeting``.
+A module sets ``DESCRIPTION`` for other boards than the default ones.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simulator.doubles.brain import Brain
+from simulator.doubles.chassis.description import Description
+from simulator.doubles.doors.control import RunningDoubles, running_doubles
+from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
+
+
+class SteppedClock:
+    """Time that passes only while somebody waits, and then at once up to the next thing to happen."""
+
+    def __init__(self, now_ns: int = 1_000_000_000) -> None:
+        self.time_ns = now_ns
+
+    def now_ns(self) -> int:
+        return self.time_ns
+
+    def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
+        assert until_ns is not None, "nothing would ever end this wait"
+        self.time_ns = max(self.time_ns, until_ns)
+
+    def pass_s(self, seconds: float) -> None:
+        self.time_ns += round(seconds * 1e9)
+
+
+class Caller:
+    """One client of a brain in this process: C names without their prefix, arguments by name."""
+
+    DEFAULTS: Mapping[str, Mapping[str, Any]] = {
+        "CreateTask": {"session_name": ""},
+        "CreateAIVoltageChan": {
+            "name_to_assign_to_channel": "",
+            "terminal_config": -1,
+            "min_val": -5.0,
+            "max_val": 5.0,
+            "units": 10348,
+            "custom_scale_name": "",
+        },
+        "CreateCOPulseChanTime": {
+            "name_to_assign_to_channel": "",
+            "units": 10364,
+            "idle_state": 10214,
+            "initial_delay": 2e-4,
+            "low_time": 0.01,
+            "high_time": 0.02,
+        },
+        "CfgSampClkTiming": {"source": "", "active_edge": 10280, "sample_mode": 10178},
+        "CfgAnlgEdgeRefTrig": {"trigger_slope": 10280},
+        "ReadBinaryI16": {"num_samps_per_chan": -1, "fill_mode": 0, "array_size_in_samps": 1 << 20},
+        "ReadBinaryI32": {"num_samps_per_chan": -1, "fill_mode": 0, "array_size_in_samps": 1 << 20},
+        "GetChanAttribute": {"channel": ""},
+        "GetWatchdogAttribute": {"lines": ""},
+    }
+
+    def __init__(self, brain: Brain, kind: Any = "library", label: str = "test") -> None:
+        self.brain = brain
+        self.name = brain.open_client(kind, label)
+
+    def __call__(self, function: str, task: int | None = None, **arguments: Any) -> dict[str, Any]:
+        given = {} if task is None else {"task": task}
+        return self.brain.call(
+            self.name, f"DAQmx{function}", {**self.DEFAULTS.get(function, {}), **given, **arguments}
+        )
+
+    def digitizer(
+        self,
+        channel: str,
+        *,
+        name: str = "",
+        rate: float = 10e6,
+        samples: int = 13_600,
+        pretrigger: int = 1_000,
+        level: float = 0.25,
+        range_v: float = 5.0,
+    ) -> int:
+        """Task that waits for a strike at the first channel."""
+        task: int = self("CreateTask", session_name=name)["task"]
+        self("CreateAIVoltageChan", task, physical_channel=channel, min_val=-range_v, max_val=range_v)
+        self("CfgSampClkTiming", task, rate=rate, samps_per_chan=samples)
+        self(
+            "CfgAnlgEdgeRefTrig",
+            task,
+            trigger_source=channel.split(",")[0],
+            trigger_level=level,
+            pretrigger_samples=pretrigger,
+        )
+        return task
+
+    def coil(self, counter: str, *, name: str = "", **times: Any) -> int:
+        """Task that pulses a coil once."""
+        task: int = self("CreateTask", session_name=name)["task"]
+        self("CreateCOPulseChanTime", task, counter=counter, **times)
+        return task
+
+    def control(self, task: int, action: int) -> None:
+        """`DAQmxTaskControl`."""
+        self("TaskControl", task, action=action)
+
+
+@pytest.fixture
+def doubles_description(request: pytest.FixtureRequest) -> Description | None:
+    """The module's ``DESCRIPTION``, None for the default boards."""
+    found: Description | None = getattr(request.module, "DESCRIPTION", None)
+    return found
+
+
+@pytest.fixture(scope="session")
+def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of libnidaqmx; the test is skipped with its reason where it cannot be built."""
+    if reason := why_unavailable():
+        pytest.skip(reason)
+    return build_library("nidaqmx", tmp_path_factory.mktemp("doubles"))
+
+
+@pytest.fixture(scope="module")
+def doubles(request: pytest.FixtureRequest) -> Iterator[RunningDoubles]:
+    """One running double for a module; whoever breaks it starts its own."""
+    with running_doubles(getattr(request.module, "DESCRIPTION", None)) as running:
+        yield running
+
+
+@pytest.fixture
+def meeting(doubles: RunningDoubles, double_library: Path, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+    """A running double that the `nidaqmx` of this very process meets; its record starts empty."""
+    meet(doubles, double_library, monkeypatch)
+    doubles.control.clear_faults()
+    doubles.control.clear_record()
+    return doubles
+
+
+def meet(doubles: RunningDoubles, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process find the double's library.
+
+    The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
+    its soname whatever the path says, so it is loaded by its file first.
+    """
+    ctypes.CDLL(str(library / SONAMES["nidaqmx"]), mode=ctypes.RTLD_GLOBAL)
+    for name, text in client_environment(doubles.wire, library, environment={}).items():
+        monkeypatch.setenv(name, text)

@@ -1,0 +1,365 @@
+"""A data folder filled through the real catalogue and archive with an invented test."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from analysis.waves.features import extract_features
+from daq_service.acquisition.schedule import plan
+from daq_service.alarms.states import Change, Moment, acknowledge, reset
+from daq_service.archive import Archive, PositionRecord, SetRecord
+from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.judgement.transaction import set_row, shot_row
+from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.live_picture import LivePicture
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+from support.synthetic_records import Scene
+
+N_BASELINE = 48
+LIMIT_F, LIMIT_PAPER = 24.3, 12.1
+PULSE_ECHO = Scene(
+    n_samples=2000, pretrigger_samples=0, rate_hz=100e6, width_s=1e-6, isw_time_s=3e-6, tof_s=4e-6
+)
+
+
+def depth(position: str, hour: float) -> float:
+    """Lost part of the wall: B and C thin, D stays."""
+    return {"B": 0.7, "C": 0.55}.get(position, 0.0) * max(0.0, hour - 40.0) / 310.0
+
+
+class FilledFolder:
+    """Adds sets as a recorder would: file first, then rows and events in one transaction."""
+
+    def __init__(self, folder: Path, settings: Settings, *, shots_per_set: int = 1) -> None:
+        self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
+        self.epoch_ns = parse_utc(settings.clock.epoch)
+        self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
+        self.catalogue = open_catalogue(folder, writer=True)
+        self.catalogue.create_experiment(
+            name=settings.name,
+            configuration_hash=settings.configuration_hash(),
+            configuration=settings.model_dump(mode="json"),
+            epoch_utc_ns=self.epoch_ns,
+            clock=settings.clock.kind,
+            solimon_version="0",
+        )
+        self.archive = Archive(folder)
+        self.live = LivePicture(folder, settings.rig.kind)
+        self.beat()
+        self.say("recorder_started", 0)
+
+    def close(self) -> None:
+        self.catalogue.close()
+
+    def beat(self, doing: str = "waiting") -> None:
+        Heartbeat(self.folder, deadline_s=3600.0).beat(doing)
+
+    def say(self, kind: str, utc_ns: int | None = None, **payload: object) -> int:
+        return self.catalogue.add_event(
+            utc_ns=utc_ns or self.epoch_ns, topic="service", kind=kind, payload=payload
+        )
+
+    def scene(self, position: str, hour: float) -> Scene:
+        lost = depth(position, hour)
+        return Scene(
+            tof_s=330e-6 * (1.0 + 0.14 * lost), amplitude_ratio=0.5 * (1.0 - 0.6 * lost), noise_fraction=0.004
+        )
+
+    def features(self, position: str, index: int, hour: float) -> dict[str, float]:
+        scene = self.scene(position, hour)
+        rng = np.random.default_rng([ord(position), index])
+        tof = scene.tof_s * (1.0 + 0.002 * rng.standard_normal())
+        ratio = scene.amplitude_ratio * (1.0 + 0.012 * rng.standard_normal())
+        return {
+            "tof_pp_s": tof,
+            "tof_ac_s": tof,
+            "amplitude_ratio": ratio,
+            "autocorrelation_coefficient": ratio / (1.0 + ratio**2),
+            "psw_area_v_s": 3.3e-4 * ratio,
+            "tof_mf_s": tof,
+            "isw_amplitude_v": scene.isw_v,
+            "psw_amplitude_v": scene.isw_v * ratio,
+            "ssw_amplitude_v": math.nan,
+            "isw_time_s": scene.isw_time_s,
+            "psw_time_s": scene.isw_time_s + tof,
+            "ssw_time_s": math.nan,
+            "isw_fwhm_s": 65e-6,
+            "psw_isw_area_ratio": ratio,
+            "noise_rms_v": 0.02,
+        }
+
+    def add_set(
+        self, index: int, *, stored: bool = True, shown: bool = False, judged: bool = True
+    ) -> list[int]:
+        """One set of all positions; returns its events' ids."""
+        due = self.due[index]
+        rows: dict[str, list] = {
+            name: [] for name in ("sets", "shots", "features", "thickness", "verdicts", "events")
+        }
+        records = self._records(due)
+        file = None
+        if stored:
+            stored_set = self.archive.store_set(self._set_record(due, records))
+            file = stored_set.file
+        for position, place in self.settings.positions.items():
+            its = [record for record in records if record.key.position == position]
+            rows["sets"].append(
+                set_row(
+                    due,
+                    position,
+                    method=place.method,
+                    state="done",
+                    cause=None,
+                    n_planned=len(its),
+                    n_taken=len(its),
+                    n_valid=len(its),
+                    started_utc_ns=due.due_utc_ns,
+                    ended_utc_ns=due.due_utc_ns,
+                    file=file,
+                )
+            )
+            rows["shots"] += [shot_row(record, valid=True, flags=()) for record in its]
+            common = {
+                "set_index": index,
+                "position": position,
+                "due_h": due.due_h,
+                "quality": "good",
+                "extractor_version": "1",
+            }
+            if place.method == "pulse_echo":
+                rows["thickness"].append(
+                    {**common, "sequence": its[0].sequence, **self.thickness(index, due.due_h)}
+                )
+            else:
+                values = self.features(position, index, due.due_h)
+                for record in its:
+                    rows["features"].append(
+                        {
+                            **common,
+                            "shot_index": record.key.shot_index,
+                            "sequence": record.sequence,
+                            "n_valid": 1,
+                            **values,
+                        }
+                    )
+                rows["features"].append(
+                    {**common, "shot_index": None, "sequence": None, "n_valid": len(its), **values}
+                )
+                if judged:
+                    rows["verdicts"].append(self.verdict(position, index, due.due_h))
+            rows["events"] += self._events(due, position, place.method)
+        committed = self.catalogue.commit_set(SetCommit(**rows))
+        if shown:
+            self.show(records, due.due_h)
+        return committed.event_ids
+
+    def thickness(self, index: int, hour: float) -> dict[str, float]:
+        rng = np.random.default_rng([65, index])
+        wall = 6.35e-3 - 2.15e-3 * max(0.0, hour - 20.0) / 280.0 + 4e-6 * rng.standard_normal()
+        return {
+            "travel_time_s": 2 * wall / 5900.0,
+            "thickness_m": wall,
+            "thickness_loss_m": 6.35e-3 - wall,
+            "correlation_coefficient": 0.98,
+        }
+
+    def verdict(self, position: str, index: int, hour: float) -> dict[str, object]:
+        in_baseline = index < N_BASELINE
+        rng = np.random.default_rng([ord(position), index, 1])
+        distance = float(rng.chisquare(5)) + (120.0 * depth(position, hour)) ** 2 / 4.0
+        return {
+            "set_index": index,
+            "position": position,
+            "due_h": hour,
+            "baseline_id": None,
+            "in_baseline": in_baseline,
+            "distance_squared": distance,
+            "limit_name": "f_predictive",
+            "limit_f": LIMIT_F,
+            "limit_paper": LIMIT_PAPER,
+            "outlier": None if in_baseline else distance > LIMIT_F,
+            "outlier_paper": None if in_baseline else distance > LIMIT_PAPER,
+            "reason": None,
+            "contributions": {"tof_pp_s": distance},
+        }
+
+    def add_alarm(
+        self,
+        position: str | None,
+        index: int,
+        *,
+        severity: str = "high",
+        kind: str = "wall_change",
+        message: str | None = None,
+        state: str = "unacknowledged",
+    ) -> int:
+        due = self.due[index]
+        row = {
+            "position": position,
+            "kind": kind,
+            "family": "damage" if position else "device",
+            "severity": severity,
+            "state": state,
+            "raised_utc_ns": due.due_utc_ns,
+            "raised_h": due.due_h,
+            "raised_set_index": index,
+            "changed_utc_ns": due.due_utc_ns,
+            "message": message
+            or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
+            "wall or transducer has changed; inspect",
+            "proof": {
+                "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
+                "rule": {"k": 3, "n": 5},
+                "set_index": index,
+                "limit_name": "f_predictive",
+                "limit": LIMIT_F,
+                "contributions": {"tof_pp_s": 21.4, "amplitude_ratio": 9.1},
+            },
+        }
+        event = {
+            "utc_ns": due.due_utc_ns,
+            "topic": "alarms",
+            "kind": "alarm_raised",
+            "position": position,
+            "set_index": index,
+            "payload": {"message": row["message"]},
+            "alarm_index": 0,
+        }
+        return self.catalogue.commit_set(SetCommit(alarms=[row], events=[event])).alarm_ids[0]
+
+    def add_environment(self, index: int) -> None:
+        """Supply and climate around a set: 10 V and 5 mA, the probe a little late and without humidity."""
+        due = self.due[index]
+        row = {
+            "set_index": index,
+            "due_h": due.due_h,
+            "supply_state": "on",
+            "supply_quality": "good",
+            "supply_age_s": 0.5,
+            "supply_tripped": None,
+            "voltage_v": 10.0,
+            "voltage_min_v": 9.98,
+            "voltage_max_v": 10.02,
+            "current_a": 0.005,
+            "current_min_a": 0.0049,
+            "current_max_a": 0.0051,
+            "charge_coulomb": 18.0 * due.due_h,
+            "unknown_s": 0.0,
+            "climate_quality": "stale",
+            "climate_age_s": 95.0,
+            "temperature_c": 21.5,
+            "relative_humidity": None,
+        }
+        event = {"utc_ns": due.due_utc_ns, "topic": "environment", "kind": "environment_read", "payload": row}
+        event |= {"set_index": index}
+        self.catalogue.commit_set(SetCommit(environment=[row], events=[event]))
+
+    def show(self, records, hour: float) -> None:
+        """Replace the live pictures, as often as a test wants."""
+        for record in records:
+            found = extract_features(record.waveform) if isinstance(record, Shot) else None
+            self.live.show(record, due_h=hour, features=found)
+
+    def retire(self, position: str, index: int) -> None:
+        """Retire a transducer: its alarm, and the row of a planned set that it did not take."""
+        self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
+        due, method = self.due[index], self.settings.positions[position].method
+        row = set_row(due, position, method=method, state="retired", cause="hole", n_planned=0)
+        event = {"utc_ns": due.due_utc_ns, "topic": "sets", "kind": "set_retired", "payload": {}}
+        event |= {"position": position, "set_index": index}
+        self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
+
+    def reinstate(self, position: str) -> None:
+        """Reset the alarm that retired a transducer, as the recorder does."""
+        row = self.catalogue.alarms_of(position)["retired"]
+        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
+        self._change(reset(row, "ann", "put right", moment), moment)
+
+    def _change(self, change: Change, moment: Moment) -> None:
+        event = {"utc_ns": moment.utc_ns, "topic": "alarms", "kind": change.event_kind, "payload": {}}
+        event |= {"position": change.row["position"], "alarm_index": 0}
+        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event]))
+
+    def acknowledge(self, alarm_id: int, command) -> None:
+        """Carry out an order as the recorder does."""
+        row = self.catalogue.alarm(alarm_id)
+        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
+        self._change(acknowledge(row, command["author"], command["arguments"]["note"], moment), moment)
+        self.catalogue.finish_command(command["id"], "done", "acknowledged")
+
+    def records(self, index: int):
+        """The records of a set, the same at every call."""
+        return self._records(self.due[index])
+
+    def show_set(self, index: int) -> None:
+        self.show(self._records(self.due[index]), self.due[index].due_h)
+
+    def _records(self, due) -> list[Shot | PulseEchoRecord]:
+        records: list[Shot | PulseEchoRecord] = []
+        sequence = 100 * due.set_index + 1
+        for position, place in self.settings.positions.items():
+            count = 1 if place.method == "pulse_echo" else self.shots_per_set
+            for shot in range(count):
+                key = ShotKey(position=position, set_index=due.set_index, shot_index=shot)
+                stamp = Stamp(
+                    utc_ns=due.due_utc_ns + 4 * shot * 1_000_000_000,
+                    mono_ns=due.due_utc_ns,
+                    boot_id="simulated",
+                )
+                if place.method == "pulse_echo":
+                    waveform = PULSE_ECHO.waveform(sequence)
+                    records.append(
+                        PulseEchoRecord(
+                            sequence=sequence,
+                            key=key,
+                            stamp=stamp,
+                            waveform=waveform,
+                            gain_db=40.0,
+                            offset_v=0.0,
+                            averages=16,
+                        )
+                    )
+                else:
+                    waveform = self.scene(position, due.due_h).waveform(sequence)
+                    records.append(Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform))
+                sequence += 1
+        return records
+
+    def _set_record(self, due, records) -> SetRecord:
+        return SetRecord(
+            set_index=due.set_index,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            started_utc_ns=due.due_utc_ns,
+            ended_utc_ns=due.due_utc_ns + NS_PER_H // 60,
+            rig_kind="simulated",
+            positions=[
+                PositionRecord(
+                    position=name,
+                    method=place.method,
+                    n_planned=1 if place.method == "pulse_echo" else self.shots_per_set,
+                )
+                for name, place in self.settings.positions.items()
+            ],
+            shots=[record for record in records if isinstance(record, Shot)],
+            echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+        )
+
+    def _events(self, due, position: str, method: str) -> list[dict[str, object]]:
+        at = {
+            "utc_ns": due.due_utc_ns,
+            "position": position,
+            "set_index": due.set_index,
+            "payload": {"due_h": due.due_h},
+        }
+        kinds = (
+            [("sets", "set_done"), ("thickness", "thickness_read")]
+            if method == "pulse_echo"
+            else [("sets", "set_done"), ("features", "set_features"), ("verdicts", "set_judged")]
+        )
+        return [{**at, "topic": topic, "kind": kind} for topic, kind in kinds]

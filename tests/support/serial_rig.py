@@ -1,0 +1,129 @@
+"""The serial instruments' doubles and the real drivers on them, for contract and fault tests."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+from simulator.doubles.serial.instruments import SerialInstruments, Supply
+from simulator.doubles.serial.link import pseudo_terminals_missing
+
+NO_TERMINALS = pseudo_terminals_missing()
+"""Why there is nothing to test here; empty where there is."""
+REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
+"""The doubles answer within a millisecond, on a busy machine later; nobody waits for what never comes, see
+`DeadlineClock`."""
+
+
+class DeadlineClock:
+    """The machine's monotonic time, moved past every deadline when an answer is withheld."""
+
+    def __init__(self) -> None:
+        self._ahead_s = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() + self._ahead_s
+
+    def skip(self) -> None:
+        self._ahead_s += 100.0 * REPLY_TIMEOUT_S
+
+
+class TestClock:
+    """Time that passes when a test says so; stamps differ all the same."""
+
+    __test__ = False
+
+    def __init__(self) -> None:
+        self.now_ns = 10**18
+        self._ticks = itertools.count(1)
+
+    def advance(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+    def utc_ns(self) -> int:
+        return self.now_ns
+
+    def mono_ns(self) -> int:
+        return self.now_ns
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        self.now_ns = max(self.now_ns, utc_ns)
+        return idle()
+
+    def stamp(self) -> Stamp:
+        now_ns = self.now_ns + next(self._ticks)
+        return Stamp(utc_ns=now_ns, mono_ns=now_ns, boot_id="test")
+
+
+class SerialRig:
+    """Doubles on pseudo terminals in a folder, and the drivers that speak with them."""
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        noise_v: float = 0.0,
+        noise_a: float = 0.0,
+        line: dict[str, Any] | None = None,
+        read_timeout_s: float = READ_TIMEOUT_S,
+        **supply: Any,
+    ) -> None:
+        self.clock = TestClock()
+        self.deadlines = DeadlineClock()
+        self.instruments = SerialInstruments(folder, supply=Supply(noise_v=noise_v, noise_a=noise_a))
+        for link in (self.instruments.supply_link, self.instruments.climate_link):
+            link.withheld = self.deadlines.skip
+        line = {"reply_timeout_s": REPLY_TIMEOUT_S, **(line or {})}
+        self.supply_parameters = SupplyParameters(
+            line=SerialLineParameters(port=str(self.instruments.supply_link.path), **line),
+            identity="SOLIMON,DC SUPPLY DOUBLE,SD0001",
+            read_timeout_s=read_timeout_s,
+            **supply,
+        )
+        self.climate_parameters = ClimateParameters(
+            line=SerialLineParameters(port=str(self.instruments.climate_link.path), **line),
+            identity="SOLIMON,CLIMATE PROBE DOUBLE,CD0001",
+            read_timeout_s=read_timeout_s,
+        )
+        self.supply = self.new_supply()
+        self.climate = ScpiClimateProbe(
+            self.climate_parameters, stamp=self.clock.stamp, monotonic_s=self.deadlines
+        )
+
+    def new_supply(self) -> ScpiPowerSupply:
+        """A second driver on the same port."""
+        return ScpiPowerSupply(self.supply_parameters, stamp=self.clock.stamp, monotonic_s=self.deadlines)
+
+    def __enter__(self) -> SerialRig:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.supply.close()
+        self.climate.close()
+        self.instruments.close()
+
+    def supply_is_read(self) -> bool:
+        """Read the supply once its next attempt is due; a reading that comes must be that of the order."""
+        self.clock.advance(60.0)
+        try:
+            reading = self.supply.read(READ_TIMEOUT_S)
+        except ConnectionLostError:
+            return False
+        assert (reading.voltage_v, reading.output_on) == (10.0, True)
+        return True
+
+    def switched(self) -> list[tuple[bool, str]]:
+        """What happened to the supply's output: on or off, and who did it."""
+        return [(change.on, change.cause) for change in self.instruments.output_changes()]
+
+    def heard(self) -> list[str]:
+        """Commands the supply heard."""
+        return [command for _, command in self.instruments.supply_link.heard()]

@@ -1,0 +1,93 @@
+"""A web service running in a thread of the test, on a free port, stopped by its event."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+from fastapi import FastAPI
+
+from daq_service.settings.tree import Settings
+from daq_service.web.app import create_app
+from daq_service.web.server import serve
+
+DEADLINE_S = 10.0
+"""Far beyond what any answer takes; a hanging test ends here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    app: FastAPI
+    url: str
+    stop: threading.Event
+    thread: threading.Thread
+
+    @property
+    def netloc(self) -> str:
+        return self.url.removeprefix("http://").rstrip("/")
+
+    def client(self, **headers: str) -> httpx.Client:
+        return httpx.Client(base_url=self.url, timeout=DEADLINE_S, headers=headers)
+
+
+@contextmanager
+def served(settings: Settings, folder: Path, *, port: int = 0) -> Iterator[Served]:
+    with served_app(create_app(settings, folder), port=port) as service:
+        yield service
+
+
+@contextmanager
+def served_app(app: FastAPI, *, port: int = 0) -> Iterator[Served]:
+    stop = threading.Event()
+    said: queue.Queue[str | BaseException] = queue.Queue()
+
+    def run() -> None:
+        try:
+            serve(app, "127.0.0.1", port, on_bound=said.put, stop=stop)
+        except BaseException as error:
+            said.put(error)
+            raise
+
+    thread = threading.Thread(target=run, name="served-web")
+    thread.start()
+    url = said.get(timeout=DEADLINE_S)
+    if isinstance(url, BaseException):
+        thread.join()
+        raise url
+    try:
+        yield Served(app, url, stop, thread)
+    finally:
+        stop.set()
+        thread.join(DEADLINE_S)
+        assert not thread.is_alive(), "the service did not stop"
+
+
+@dataclass(frozen=True, slots=True)
+class StreamEvent:
+    id: int | None
+    event: str
+    data: object
+
+
+def stream_events(response: httpx.Response) -> Iterator[StreamEvent]:
+    """Parse server-sent events as a browser does; comments are left out."""
+    fields: dict[str, str] = {}
+    for line in response.iter_lines():
+        if line == "":
+            if "data" in fields:
+                number = int(fields["id"]) if "id" in fields else None
+                yield StreamEvent(number, fields.get("event", "message"), json.loads(fields["data"]))
+            fields = {}
+        elif not line.startswith(":"):
+            name, _, value = line.partition(": ")
+            fields[name] = value
+
+
+def take(events: Iterator[StreamEvent], count: int) -> list[StreamEvent]:
+    return [next(events) for _ in range(count)]

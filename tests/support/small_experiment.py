@@ -1,0 +1,118 @@
+"""A short experiment on a coarse twin, through the real recorder, archive and catalogue."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from daq_service.catalogue import open_catalogue
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.recording.session import record
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.measurement import ShotKey
+
+SMALL: dict[str, Any] = {
+    "schedule": {
+        "phases": [{"until_h": 12.0, "interval_h": 0.5}],
+        "shots_per_set": 3,
+    },
+    # A coarse mesh: the recorder does not care how good the physics is.
+    "plate": {"elements_per_edge": 16},
+    "baseline": {"hours": 9.0, "minimum_valid_shots": 2},
+    "alarms": {"hole_shots": 2},
+}
+SETS = 24
+BASELINE_SETS = 18
+
+RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
+
+
+def small_settings(**tables: Mapping[str, Any]) -> Settings:
+    """Settings of the short experiment; ``tables`` lie over them."""
+    overrides = {name: {**SMALL.get(name, {}), **table} for name, table in tables.items()}
+    return load_settings(None, overrides={**SMALL, **overrides})
+
+
+def run(
+    settings: Settings,
+    folder: Path,
+    *,
+    rig: RigOpener = open_rig,
+    stop: threading.Event | None = None,
+    restarted_because: str = "",
+) -> bool:
+    """Record to the end, or until ``stop``; the return value is the recorder's."""
+    prepare_data_folder(folder)
+    with own_data_folder(folder):
+        return record(
+            settings,
+            folder,
+            rig,
+            stop=stop or threading.Event(),
+            restarted_because=restarted_because,
+            tell=lambda event, **values: None,
+        )
+
+
+TIMELESS = {"wall_utc_ns", "created_utc_ns", "finished_wall_utc_ns"}
+"""Columns that say when something was written, not what."""
+
+
+def rows_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Every row of the catalogue that a repeated experiment must repeat."""
+    with open_catalogue(folder) as catalogue:
+        tables = {
+            "sets": catalogue.list_sets(limit=None),
+            "set_features": catalogue.list_features(scope="set"),
+            "shot_features": catalogue.list_features(scope="shot"),
+            "thickness": catalogue.list_thickness(),
+            "verdicts": catalogue.list_verdicts(),
+            "baselines": catalogue.list_baselines(),
+            "alarms": catalogue.list_alarms(),
+        }
+        tables["shots"] = [
+            shot for row in tables["sets"] for shot in catalogue.list_shots(row["position"], row["set_index"])
+        ]
+    return {
+        name: [{key: value for key, value in row.items() if key not in TIMELESS} for row in rows]
+        for name, rows in tables.items()
+    }
+
+
+class DisturbedDigitizer:
+    """The twin's digitizer with something wrong at chosen shots."""
+
+    def __init__(self, digitizer: Any, disturb: Callable[[ShotKey, Acquired], Acquired]) -> None:
+        self._digitizer = digitizer
+        self._disturb = disturb
+        self._key: ShotKey | None = None
+
+    def arm(self, key: ShotKey) -> None:
+        self._key = key
+        self._digitizer.arm(key)
+
+    def read(self, timeout_s: float) -> Acquired:
+        assert self._key is not None
+        acquired: Acquired = self._digitizer.read(timeout_s)
+        return self._disturb(self._key, acquired)
+
+    def disarm(self) -> None:
+        self._digitizer.disarm()
+
+
+def disturbed_rig(disturb: Callable[[ShotKey, Acquired], Acquired]) -> RigOpener:
+    """The twin, with each record passed through ``disturb``, which may raise."""
+
+    @contextmanager
+    def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+        with open_rig(settings, clock, epoch_utc_ns) as rig:
+            yield replace(rig, digitizer=DisturbedDigitizer(rig.digitizer, disturb))
+
+    return opener

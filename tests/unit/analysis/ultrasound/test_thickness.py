@@ -1,0 +1,225 @@
+"""Pulse-echo travel time and thickness (paper, eq. 17)."""
+
+import math
+
+import numpy as np
+import pytest
+
+from analysis.errors import EchoNotFoundError, InvalidInputError, RecordError
+from analysis.ultrasound.thickness import reference_echo, thickness, travel_time
+from hardware_drivers.measurement import Calibration, Waveform
+
+RATE_HZ = 100e6
+CARRIER_HZ = 5e6
+DELAY_S = 8e-6
+SPEED = 5900.0
+INITIAL_M = 6.35e-3
+CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1.0 / 8192]), resolution_bits=14, range_v=1.0)
+SPREAD_S = 0.15e-6  # about half the centre frequency as bandwidth
+
+
+def arrival_s(thickness_m):
+    return DELAY_S + 2.0 * thickness_m / SPEED
+
+
+def burst(time_s, centre_s, phase_rad=0.0):
+    t = time_s - centre_s
+    return np.exp(-0.5 * (t / SPREAD_S) ** 2) * np.cos(2 * np.pi * CARRIER_HZ * t + phase_rad)
+
+
+def record(thickness_m, *, noise_v=0.0, seed=0, scale=1.0, phase_rad=0.0, front_v=0.02, n=2048, pretrigger=0):
+    t = (np.arange(n) - pretrigger) / RATE_HZ
+    volts = -front_v * burst(t, DELAY_S)
+    for echo in range(8):
+        centre_s = DELAY_S + (echo + 1) * 2.0 * thickness_m / SPEED
+        volts += 0.5 * 0.45**echo * burst(t, centre_s, phase_rad)
+    volts = scale * volts + noise_v * np.random.default_rng(seed).standard_normal(n)
+    counts = np.clip(np.rint(volts * 8192), -8192, 8191).astype(np.int16)
+    return Waveform(
+        counts=counts, sample_rate_hz=RATE_HZ, pretrigger_samples=pretrigger, calibration=CALIBRATION
+    )
+
+
+def reference(waveform=None, **changes):
+    arguments = {"delay_s": DELAY_S, "initial_thickness_m": INITIAL_M, "velocity_m_per_s": SPEED} | changes
+    return reference_echo(record(INITIAL_M) if waveform is None else waveform, **arguments)
+
+
+def measured_m(waveform, echo):
+    found = travel_time(waveform, echo)
+    return thickness(found.travel_time_s, echo.travel_time_s, DELAY_S, INITIAL_M).thickness_m
+
+
+@pytest.mark.parametrize("front_v", [0.0, 0.02])
+def test_reference_is_the_first_back_wall_echo(front_v):
+    echo = reference(record(INITIAL_M, front_v=front_v))
+    # A count is 1/4096 of the echo; over the 36 samples of its top that is .02 ns.
+    assert echo.travel_time_s == pytest.approx(arrival_s(INITIAL_M), abs=0.05e-9)
+
+
+def test_reference_needs_no_exact_speed_or_thickness():
+    assert reference(velocity_m_per_s=5400.0, initial_thickness_m=6.2e-3).travel_time_s == pytest.approx(
+        reference().travel_time_s, abs=1e-15
+    )
+
+
+# From the pristine plate over the paper's 4.2 mm (.73 us, 3.6 carrier periods earlier) and 3.8 mm (its core).
+@pytest.mark.parametrize("thickness_mm", [6.5, 6.35, 6.3, 6.0, 5.55, 5.0, 4.5, 4.2, 3.8, 3.0, 2.0])
+def test_thinning_wall_is_followed_without_a_cycle_skip(thickness_mm):
+    echo = reference()
+    found = travel_time(record(thickness_mm * 1e-3), echo)
+    # Neighbour echoes and quantisation move the pick by up to .1 ns; a slip would be 200 ns.
+    assert found.travel_time_s == pytest.approx(arrival_s(thickness_mm * 1e-3), abs=0.2e-9)
+    assert found.quality == "good"
+    assert found.reason == ""
+    assert found.correlation_coefficient > 0.98
+    assert measured_m(record(thickness_mm * 1e-3), echo) == pytest.approx(thickness_mm * 1e-3, abs=1e-6)
+
+
+def test_noise_moves_the_pick_by_what_theory_allows():
+    echo = reference()
+    noise_v = 0.0025  # 46 dB, sixteen averages of the receiver
+    picks = [travel_time(record(5e-3, noise_v=noise_v, seed=s), echo).travel_time_s for s in range(200)]
+    t = np.arange(-100, 101) / RATE_HZ
+    slope = np.gradient(0.5 * burst(t, 0.0), 1.0 / RATE_HZ)
+    bound_s = noise_v / math.sqrt(float(slope @ slope))  # Cramer-Rao, known shape
+    # 200 picks know an SD to 5 %; the rest of the room is the template's end at 5 % and the parabola.
+    assert 0.8 * bound_s < np.std(picks) < 1.3 * bound_s
+
+
+@pytest.mark.parametrize("height", [0.1, 0.2])
+def test_weaker_echo_before_the_back_wall_is_not_taken_for_it(height):
+    # A lamination or the front wall's tail, at a third of the way.
+    extra = record(5e-3).volts() + height * burst(np.arange(2048) / RATE_HZ, DELAY_S + 0.7e-6)
+    disturbed = Waveform(
+        counts=np.rint(extra * 8192).astype(np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    found = travel_time(disturbed, reference())
+    assert found.travel_time_s == pytest.approx(arrival_s(5e-3), abs=1e-9)
+
+
+def test_stronger_echo_beyond_the_gate_does_not_matter():
+    extra = record(INITIAL_M).volts() + 0.5 * burst(np.arange(2048) / RATE_HZ, DELAY_S + 4.35e-6)
+    focused = Waveform(
+        counts=np.rint(extra * 8192).astype(np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    assert extra.max() > 1.1 * 0.5  # the first echo is .5 V
+    found = travel_time(focused, reference())
+    assert found.travel_time_s == pytest.approx(arrival_s(INITIAL_M), abs=0.2e-9)
+
+
+def test_gain_does_not_matter():
+    echo = reference()
+    strong, weak = travel_time(record(5e-3), echo), travel_time(record(5e-3, scale=0.2), echo)
+    # A fifth of the amplitude makes the ADC's steps five times coarser: .1 ns.
+    assert weak.travel_time_s == pytest.approx(strong.travel_time_s, abs=0.1e-9)
+    assert weak.correlation_coefficient == pytest.approx(strong.correlation_coefficient, abs=1e-3)
+
+
+def test_pretrigger_is_not_travel_time():
+    shifted = record(INITIAL_M, pretrigger=50, n=2098)
+    assert reference(shifted).travel_time_s == pytest.approx(reference().travel_time_s, abs=1e-12)
+    echo = reference()
+    late = travel_time(record(5e-3, pretrigger=50, n=2098), echo)
+    assert late.travel_time_s == pytest.approx(travel_time(record(5e-3), echo).travel_time_s, abs=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [120, 150, 180, 210, 240])
+def test_possible_cycle_slip_is_said(degrees):
+    # A carrier turned that far under the same envelope puts two maxima about equally far from its peak.
+    found = travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference())
+    assert found.quality == "suspect"
+    assert "slip" in found.reason
+
+
+@pytest.mark.parametrize("degrees", [-60, -30, 30, 60])
+def test_carrier_turned_a_little_is_no_slip(degrees):
+    assert travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference()).quality == "good"
+
+
+def test_quality_follows_the_likeness_of_the_echo():
+    echo, seen = reference(), set()
+    for seed in range(60):
+        found = travel_time(record(5e-3, noise_v=0.02 + 0.005 * seed, seed=seed), echo)
+        coefficient = found.correlation_coefficient
+        if coefficient < 0.6:
+            assert found.quality == "bad"
+        elif coefficient < 0.9:
+            assert found.quality == "suspect"
+            assert f"correlation {coefficient:.2f}" in found.reason
+        elif "slip" not in found.reason:
+            assert (found.quality, found.reason) == ("good", "")
+        seen.add(found.quality)
+    assert seen == {"good", "suspect", "bad"}
+
+
+def test_buried_echo_is_bad_or_suspect():
+    qualities = {travel_time(record(5e-3, noise_v=0.5, seed=s), reference()).quality for s in range(20)}
+    assert "good" not in qualities
+
+
+def test_silence_has_no_travel_time():
+    silent = Waveform(
+        counts=np.zeros(2048, dtype=np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    found = travel_time(silent, reference())
+    assert math.isnan(found.travel_time_s)
+    assert math.isnan(found.correlation_coefficient)
+    assert (found.quality, found.reason) == ("bad", "no echo in the gate")
+    assert math.isnan(thickness(found.travel_time_s, 1e-5, DELAY_S, INITIAL_M).thickness_m)
+    with pytest.raises(EchoNotFoundError, match="check the coupling"):
+        reference(silent)
+
+
+def test_noise_alone_is_no_reference():
+    volts = np.random.default_rng(0).standard_normal(2048) * 0.05
+    noise = Waveform(
+        counts=np.rint(volts * 8192).astype(np.int16),
+        sample_rate_hz=RATE_HZ,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    with pytest.raises(EchoNotFoundError):
+        reference(noise)
+
+
+def test_equation_17():
+    # The paper's own numbers: .73 us less of 2.153 us is 34 % thinner, 4.2 mm.
+    result = thickness(8e-6 + 1.4237e-6, 8e-6 + 2.1525e-6, 8e-6, 6.35e-3)
+    assert result.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
+    assert result.thickness_loss_m == pytest.approx(2.15e-3, abs=1e-6)
+    assert result.thickness_m + result.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
+
+
+def test_bad_input_is_refused():
+    with pytest.raises(InvalidInputError, match="must exceed delay_s"):
+        thickness(9e-6, 8e-6, 8e-6, 6.35e-3)
+    with pytest.raises(InvalidInputError, match="initial_thickness_m"):
+        thickness(9e-6, 1e-5, 8e-6, 0.0)
+    with pytest.raises(InvalidInputError, match="velocity_m_per_s is 0"):
+        reference(velocity_m_per_s=0.0)
+    with pytest.raises(InvalidInputError, match="delay_s is -1"):
+        reference(delay_s=-1.0)
+    with pytest.raises(InvalidInputError, match="enclose"):
+        reference(thinnest_fraction=1.2)
+    with pytest.raises(RecordError, match="record longer"):
+        reference(record(INITIAL_M, n=900))
+    with pytest.raises(RecordError, match="record longer"):
+        travel_time(record(INITIAL_M, n=1000), reference())
+    other = Waveform(
+        counts=np.zeros(2048, dtype=np.int16),
+        sample_rate_hz=50e6,
+        pretrigger_samples=0,
+        calibration=CALIBRATION,
+    )
+    with pytest.raises(RecordError, match="new reference"):
+        travel_time(other, reference())

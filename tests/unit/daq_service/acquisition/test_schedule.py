@@ -1,0 +1,28 @@
+import pytest
+
+from daq_service.acquisition.schedule import due_hours, plan
+from daq_service.settings.tree import PhaseSettings, ScheduleSettings
+
+
+def test_the_paper_has_425_sets_and_a_baseline_of_48() -> None:
+    hours = list(due_hours(ScheduleSettings().phases))
+    assert len(hours) == 425
+    assert hours[149] == 75.0, "the paper: measurement 150, i.e. about 75 h"
+    assert hours[-1] == 350.0
+    assert sum(hour <= 24.0 for hour in hours) == 48
+
+
+def test_hours_do_not_drift_with_many_sets() -> None:
+    hours = list(due_hours([PhaseSettings(until_h=1000.0, interval_h=0.1)]))
+    assert len(hours) == 10_000
+    # One rounding of k * interval, not ten thousand of a running sum.
+    assert hours[-1] == pytest.approx(1000.0, abs=1e-12)
+
+
+def test_an_end_cuts_the_plan_and_keeps_the_set_due_then() -> None:
+    assert list(due_hours(ScheduleSettings().phases, end_h=2.0)) == [0.5, 1.0, 1.5, 2.0]
+
+
+def test_a_plan_counts_from_the_epoch() -> None:
+    first = plan(ScheduleSettings().phases, 1_000)[0]
+    assert (first.set_index, first.due_h, first.due_utc_ns) == (0, 0.5, 1_000 + 1_800_000_000_000)

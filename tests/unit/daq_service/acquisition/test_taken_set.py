@@ -1,0 +1,131 @@
+"""What a set knows while it is taken: misses, repetitions, why it fell short."""
+
+from dataclasses import replace
+
+import pytest
+from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
+
+from analysis.waves.features import ShotFeatures
+from analysis.waves.quality_gate import RestrikeRule
+from daq_service.acquisition.take_set import MissedShot
+from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes, n_tried, superseded
+from daq_service.archive import MissedRecord
+from hardware_drivers.errors import BusyError, ConnectionLostError
+from hardware_drivers.measurement import ShotKey
+
+GOOD = ShotFeatures(flags=(), valid=True, quality="good")
+CLIPPED = ShotFeatures(flags=("clipped",), valid=False, quality="bad")
+STOPPED = "the recorder was told to stop"
+
+
+def key(position, shot_index, attempt=0):
+    return ShotKey(position=position, set_index=SET_INDEX, shot_index=shot_index, attempt=attempt)
+
+
+def missed(position, shot_index, attempt=0, cause="no trigger within 5 s"):
+    return MissedShot(key=key(position, shot_index, attempt), cause=cause)
+
+
+def taken_set(*measurements, budget=3, **values):
+    taken = TakenSet(rule=RestrikeRule(restrikes_per_set=budget), **values)
+    for measurement in measurements:
+        taken.keep(measurement)
+    return taken
+
+
+def test_what_is_kept_goes_where_it_belongs():
+    taken = taken_set()
+    assert taken.is_empty
+    for measurement in (missed("B", 0), make_echo(40), make_shot("B", 0, 41, attempt=1)):
+        taken.keep(measurement)
+    assert not taken.is_empty
+    assert ([shot.sequence for shot in taken.shots], [echo.sequence for echo in taken.echoes]) == ([41], [40])
+    (told,) = taken.missed_records()
+    assert (told.key, told.cause, told.reason) == (key("B", 0), "no trigger within 5 s", "no_trigger")
+
+
+def test_misses_alone_are_no_record():
+    assert taken_set(missed("B", 0)).is_empty
+
+
+def test_a_repeated_shot_is_one_shot():
+    taken = taken_set(make_shot("B", 0, 1), make_shot("B", 0, 2, attempt=1), make_shot("C", 0, 3))
+    assert (taken.n_records("B"), taken.n_records("C"), taken.n_records("D")) == (1, 1, 0)
+
+
+def test_a_granted_repetition_is_counted_for_its_transducer_alone():
+    taken = taken_set(budget=1)
+    assert taken.wants_restrike(missed("B", 0))
+    assert not taken.wants_restrike(missed("B", 1)), "the budget is used up"
+    assert taken.wants_restrike(missed("C", 0))
+    assert not taken.wants_restrike(missed("C", 0, attempt=1))
+    assert taken.restrikes == {"B": 1, "C": 1}
+
+
+@pytest.mark.parametrize(("features", "wanted"), [(GOOD, False), (CLIPPED, True)])
+def test_a_record_is_judged_by_its_flags(features, wanted):
+    shot = make_shot("B", 0, 1)
+    taken = taken_set(shot)
+    taken.features[1] = features
+    assert taken.wants_restrike(shot) is wanted
+
+
+def test_a_whole_position_has_no_shortfall():
+    taken = taken_set(missed("B", 0), make_shot("B", 0, 1, attempt=1), make_shot("B", 1, 2))
+    assert taken.shortfall("B", 2, STOPPED) == ""
+
+
+def test_a_shortfall_names_what_ended_the_set_and_what_was_missed():
+    lost = ConnectionLostError("board 01A2 is gone")
+    silence = [missed("B", 0), missed("B", 0, 1), missed("B", 1)]
+    assert taken_set(*silence).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
+    assert taken_set(make_shot("B", 0, 1)).shortfall("B", 2, STOPPED) == STOPPED
+    assert (
+        taken_set(missed("B", 0)).shortfall("B", 2, STOPPED) == f"{STOPPED}; 1 missed: no trigger within 5 s"
+    )
+    cut = taken_set(missed("B", 0), trouble=lost)
+    assert cut.shortfall("B", 2, STOPPED) == "board 01A2 is gone; 1 missed: no trigger within 5 s"
+    # Its own strikes were all tried before the trouble came.
+    assert taken_set(*silence, trouble=lost).shortfall("B", 2, STOPPED) == "3 missed: no trigger within 5 s"
+    assert taken_set(*silence, trouble=lost).shortfall("C", 2, STOPPED) == "board 01A2 is gone"
+
+
+def test_the_same_words_are_not_said_twice():
+    lost = ConnectionLostError("board 01A2 is gone")
+    taken = taken_set(missed("B", 0, cause=str(lost)), trouble=lost)
+    assert taken.shortfall("B", 2, STOPPED) == "board 01A2 is gone"
+
+
+def test_trouble_is_told_with_its_class():
+    assert taken_set().told_trouble() == ""
+    assert taken_set(trouble=BusyError("owned by LabVIEW: slot 3")).told_trouble() == (
+        "BusyError: owned by LabVIEW: slot 3"
+    )
+
+
+def test_outcomes_are_found_position_by_position():
+    shots = [
+        make_shot("B", 0, 1),
+        make_shot("B", 0, 2, attempt=1),
+        make_shot("C", 0, 3),  # the same index at another position is another shot
+        make_shot("C", 1, 4),
+        make_shot("C", 1, 5, attempt=1),
+    ]
+    features = {1: CLIPPED, 2: GOOD, 3: CLIPPED, 4: GOOD, 5: CLIPPED}
+    assert superseded(shots, features) == {1: "superseded", 5: "superseded"}
+
+
+def test_a_stored_set_counts_strikes_misses_and_repetitions():
+    record = replace(
+        make_set(),
+        missed=[
+            MissedRecord(key=key("B", 0, 1), cause="", reason="no_trigger"),
+            MissedRecord(key=key("C", 1), cause="", reason="no_trigger"),
+            MissedRecord(key=key("C", 1, 1), cause="", reason="no_trigger"),
+        ],
+    )
+    # B: shots 0 and 1, each repeated, one repetition without a record. C: shot 0 and a silent shot 1.
+    counts = {
+        name: (n_tried(record, name), n_missed(record, name), n_restrikes(record, name)) for name in "BCD"
+    }
+    assert counts == {"B": (2, 1, 2), "C": (2, 2, 1), "D": (0, 0, 0)}

@@ -1,0 +1,425 @@
+"""What the doctor says of software, machine and folder, each state of each check."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.small_experiment import run, small_settings
+
+from daq_service.cli.doctor.boards import board_checks, digital_name
+from daq_service.cli.doctor.check import Check, exit_code
+from daq_service.cli.doctor.command import run_doctor
+from daq_service.cli.doctor.machine import ask_system, machine_checks
+from daq_service.cli.doctor.software import software_checks
+from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
+from daq_service.cli.doctor.trial import Trial
+from daq_service.errors import UsageError
+from daq_service.processes.data_folder import prepare_data_folder
+from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.tree import RigSettings, Settings
+from hardware_drivers.daqmx.survey import BoardFacts, Finding
+
+LABORATORY = load_settings(config_file("laboratory.toml")).rig
+
+
+def by_name(checks: Sequence[Check]) -> dict[str, Check]:
+    return {check.name: check for check in checks}
+
+
+# The checks themselves ------------------------------------------------------------------------------
+
+
+def check(area: Any, state: Any) -> Check:
+    return Check(area=area, name="it", state=state, found="something", remedy="mend it")
+
+
+@pytest.mark.parametrize(
+    ("checks", "code"),
+    [
+        ([check("rig", "ok"), check("machine", "warn"), check("rig", "skipped")], 0),
+        ([check("software", "fail")], 2),
+        ([check("software", "fail"), check("folder", "fail")], 4),
+        ([check("folder", "fail"), check("rig", "fail"), check("software", "fail")], 3),
+        ([check("rig", "fail"), check("recorder", "fail")], 5),
+    ],
+)
+def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> None:
+    assert exit_code(checks) == code
+
+
+def test_what_is_not_ok_needs_a_remedy() -> None:
+    with pytest.raises(ValueError, match="needs a remedy"):
+        Check(area="rig", name="it", state="warn", found="something")
+
+
+# Software -------------------------------------------------------------------------------------------
+
+
+def test_the_packages_of_this_environment_are_good() -> None:
+    checks = by_name(software_checks(LABORATORY))
+    assert {check.state for check in checks.values()} == {"ok"}
+    assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
+    assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
+
+
+def test_a_rig_without_boards_asks_for_none_of_their_packages() -> None:
+    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(RigSettings())))
+
+
+def test_a_missing_and_an_old_package_have_a_remedy() -> None:
+    def installed(name: str) -> str:
+        if name == "niscope":
+            raise PackageNotFoundError(name)
+        return {"nidaqmx": "0.9.0", "numpy": "1.26.4"}.get(name, "99.0")
+
+    checks = by_name(software_checks(LABORATORY, installed=installed))
+    assert checks["niscope"].found == "not installed"
+    assert "solimon[niscope]" in checks["niscope"].remedy
+    assert checks["nidaqmx"].found == "0.9.0 (at least 1.0)"
+    assert checks["numpy"].state == "fail"
+    assert {name for name, one in checks.items() if one.state == "fail"} == {"niscope", "nidaqmx", "numpy"}
+
+
+def test_a_package_that_does_not_load_is_named() -> None:
+    def load(name: str) -> None:
+        if name == "numba":
+            raise OSError("libLLVM: cannot open shared object file")
+
+    found = by_name(software_checks(RigSettings(), load=load))["compiled packages"]
+    assert (found.state, "numba does not load (OSError: libLLVM" in found.found) == ("fail", True)
+    assert found.remedy.endswith("--force-reinstall numba")
+
+
+# Machine --------------------------------------------------------------------------------------------
+
+ON_BATTERY_AND_MAINS = """\
+GUID des Energieschemas: 381b4222-f694-41f0-9685-ff5bb260df2e  (Ausbalanciert)
+    Minimale Einstellung: 0x00000000
+    Index der aktuellen Wechselstromeinstellung: {mains}
+    Index der aktuellen Gleichstromeinstellung: 0x00000384
+"""
+
+
+def answers(**by_program: str | None) -> Any:
+    def ask(command: Sequence[str]) -> str | None:
+        return by_program.get(command[0].replace("-", "_"))
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "state"),
+    [
+        ("linux", {"timedatectl": "yes"}, "ok"),
+        ("linux", {"timedatectl": "no"}, "warn"),
+        ("linux", {}, "warn"),
+        ("win32", {"w32tm": "Sprungindikator: 0(keine Warnung)"}, "ok"),
+        ("win32", {"w32tm": "Leap Indicator: 3(not synchronized)"}, "warn"),
+        ("win32", {}, "warn"),
+        ("darwin", {}, "warn"),
+    ],
+)
+def test_whether_the_clock_is_synchronised_and_how_that_was_found(
+    system: str, answer: dict[str, str], state: str
+) -> None:
+    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["clock synchronised"]
+    assert found.state == state
+    assert ("unknown" in found.found) == (not answer)
+    assert next(iter(answer), "") in found.found, "it says who was asked"
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "state"),
+    [
+        ("linux", {"systemctl": "masked"}, "ok"),
+        ("linux", {"systemctl": "static"}, "warn"),
+        ("linux", {}, "warn"),
+        ("win32", {"powercfg": ON_BATTERY_AND_MAINS.format(mains="0x00000000")}, "ok"),
+        ("win32", {"powercfg": ON_BATTERY_AND_MAINS.format(mains="0x00000708")}, "warn"),
+        ("win32", {}, "warn"),
+    ],
+)
+def test_whether_the_computer_would_sleep(system: str, answer: dict[str, str], state: str) -> None:
+    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["sleep"]
+    assert found.state == state
+    assert ("unknown" in found.found) == (not answer)
+
+
+def test_on_simulated_time_neither_matters() -> None:
+    checks = by_name(machine_checks("simulated", ask=answers(), system="linux"))
+    assert {name for name, one in checks.items() if one.state == "skipped"} == {"clock synchronised", "sleep"}
+
+
+@pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
+def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) -> None:
+    checks = machine_checks(
+        "simulated",
+        started_wall_s=time.time() - 5.0 - step_s,
+        started_mono_s=time.monotonic() - 5.0,
+    )
+    assert by_name(checks)["monotonic clock"].state == state
+
+
+def test_a_program_that_is_not_there_or_fails_is_no_answer() -> None:
+    assert ask_system(["solimon-no-such-program"]) is None
+    assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
+    assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
+
+
+# Folder ---------------------------------------------------------------------------------------------
+
+
+def test_a_new_folder_is_good_and_not_made(tmp_path: Path) -> None:
+    folder = tmp_path / "a" / "b"
+    checks = by_name(storage_checks(Settings(), folder))
+    assert {one.state for one in checks.values()} == {"ok"}
+    assert "to be made" in checks["data folder: writable"].found
+    assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
+
+
+def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Path) -> None:
+    settings = small_settings(schedule={"end_h": 1.0})
+    assert run(settings, tmp_path)
+    checks = by_name(storage_checks(settings, tmp_path))
+    assert {one.state for one in checks.values()} == {"ok"}
+    assert checks["disk: space"].values["stored_bytes"] == sum(
+        path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
+    )
+    other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
+    assert other["data folder: configuration"].state == "fail"
+    assert "belongs to the experiment" in other["data folder: configuration"].found
+
+
+def test_a_folder_with_somebody_s_files_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
+    assert (found.state, "thesis.tex" in found.found) == ("fail", True)
+
+
+def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("precious")
+    found = by_name(storage_checks(Settings(), tmp_path / "file" / "data"))["data folder: writable"]
+    assert (found.state, "is a file" in found.found) == ("fail", True)
+
+
+def test_a_disk_that_refuses_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(handle: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("daq_service.cli.doctor.storage.os.fsync", full)
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
+    assert found.found == f"{tmp_path} cannot be written: No space left on device"
+
+
+def test_a_network_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daq_service.cli.doctor.storage.network_filesystem", lambda folder: "nfs4")
+    found = by_name(storage_checks(Settings(), tmp_path))["data folder: place"]
+    assert (found.state, "nfs4" in found.found) == ("fail", True)
+
+
+@pytest.mark.parametrize(("free", "state"), [(10_000_000_000, "ok"), (300_000_000, "warn"), (1_000, "fail")])
+def test_the_disk_is_compared_with_the_plan(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
+) -> None:
+    class Usage:
+        pass
+
+    Usage.free = free  # type: ignore[attr-defined]
+    monkeypatch.setattr("daq_service.cli.inspection.shutil.disk_usage", lambda place: Usage)
+    found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
+    assert found.state == state
+    # 425 sets of 30 strikes and one echo, int16, packed to half.
+    assert found.values["needed_bytes"] == 425 * (30 * 13_600 + 2048)
+
+
+# Owner ----------------------------------------------------------------------------------------------
+
+
+START = (
+    "import sys; from pathlib import Path; from daq_service.processes.data_folder import own_data_folder\n"
+    "with own_data_folder(Path(sys.argv[1])): pass"
+)
+
+
+def started(folder: Path) -> subprocess.CompletedProcess[str]:
+    """A recorder that takes its folder and leaves."""
+    return subprocess.run(
+        [sys.executable, "-c", START, str(folder)], capture_output=True, text=True, check=False
+    )
+
+
+def test_no_recorder_starts_while_the_doctor_strikes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "data"
+    prepare_data_folder(folder)
+    assert started(folder).returncode == 0, "a recorder was here"
+    seen = []
+
+    def striking(settings: Settings, position: str) -> Trial:
+        seen.append(started(folder))
+        return Trial(position=position, checks=())
+
+    monkeypatch.setattr("daq_service.cli.doctor.command.strike_once", striking)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
+    capsys.readouterr()
+    assert "another recorder owns" in seen[0].stderr
+    assert started(folder).returncode == 0
+
+
+def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folder_free(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refused, it would end with a final exit code and its supervisor would end the test."""
+    folder = tmp_path / "data"
+    prepare_data_folder(folder)
+    assert started(folder).returncode == 0, "a recorder was here"
+    seen = []
+
+    def looking(*arguments: object) -> list[Check]:
+        seen.append(started(folder).returncode)
+        return []
+
+    monkeypatch.setattr("daq_service.cli.doctor.command.rig_checks", looking)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=None, as_json=True)
+    capsys.readouterr()
+    assert seen == [0]
+
+
+def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another user's recorder: its boards must not be touched."""
+    prepare_data_folder(tmp_path)
+    (tmp_path / "recorder.lock").touch()
+
+    def forbidden(folder: Path) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("daq_service.cli.doctor.storage.own_data_folder", forbidden)
+    assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
+
+
+def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> None:
+    with held_folder(tmp_path) as owner:
+        assert owner == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+# Boards, with what the driver would find ------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """A survey made up: `hardware_drivers.daqmx.survey.survey` on doubles is tested elsewhere."""
+
+    findings: tuple[Finding, ...] = ()
+    driver_version: str = "24.8.0"
+    boards: tuple[BoardFacts, ...] = ()
+    noise_rms_v: dict[str, float] = field(default_factory=dict)
+
+
+def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
+    assert LABORATORY.daqmx is not None
+    return by_name(board_checks(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s))
+
+
+@pytest.mark.parametrize(
+    ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
+)
+def test_the_driver_s_version_is_compared_by_numbers(version: str, state: str) -> None:
+    found = looked(Found(driver_version=version))["driver: version"]
+    assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
+
+
+def test_a_driver_that_was_not_reached_has_no_version() -> None:
+    assert "driver: version" not in looked(Found(driver_version=""))
+
+
+def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
+    broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
+    checks = looked(
+        Found(
+            findings=(
+                Finding(subject="board 01C16021", **broken),
+                Finding(subject="board FFFFFFFF", **broken),
+            )
+        )
+    )
+    assert checks["board 01C16021: answers"].state == "warn"
+    assert checks["board FFFFFFFF: answers"].state == "fail"
+    assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
+
+
+def test_what_a_board_agreed_to_is_told_with_units() -> None:
+    said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
+    assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
+        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it"
+    )
+
+
+def test_noise_goes_into_the_values() -> None:
+    said = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
+    found = looked(Found(findings=(said,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
+    assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
+
+
+@pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
+def test_a_coil_that_is_on_too_often_is_worth_a_word(interval_s: float, state: str) -> None:
+    found = looked(Found(), shot_interval_s=interval_s)["coils: duty cycle"]
+    assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
+
+
+# The command on the twin ----------------------------------------------------------------------------
+
+
+def coarse(folder: Path) -> Path:
+    path = folder / "twin.toml"
+    path.write_text("[plate]\nelements_per_edge = 16\n", encoding="utf-8")
+    return path
+
+
+def test_the_twin_is_struck_the_way_of_every_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike="B", as_json=True)
+    out = capsys.readouterr()
+    report = json.loads(out.out)
+    assert (code, report["exit_code"], report["rig"]) == (0, 0, "simulated")
+    features = report["strike"]["features"]
+    # A coarse plate: anything between the rigid wall (317 us) and a plate softer than the paper's.
+    assert 317e-6 < features["tof_pp_s"] < 360e-6
+    assert features["flags"] == []
+    assert "one test strike at B" in out.err
+
+
+def test_without_strike_nothing_is_struck(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def opened(*arguments: object) -> None:
+        pytest.fail("the rig was opened")
+
+    monkeypatch.setattr("daq_service.cli.doctor.trial.open_rig", opened)
+    assert run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "d", strike=None, as_json=False) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("ok       python ")
+    assert lines[-1].startswith("0 fail, ")
+
+
+@pytest.mark.parametrize(("position", "words"), [("A", "B, C, D"), ("Z", "B, C, D")])
+def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike=position, as_json=True)
+
+
+@pytest.mark.parametrize(
+    ("terminal", "line"),
+    [("PFI0", "port1/line0"), ("PFI12", "port2/line4"), ("PFI15", "port2/line7"), ("Ctr0Out", "")],
+)
+def test_a_terminal_s_digital_name(terminal: str, line: str) -> None:
+    assert digital_name(terminal) == line

@@ -1,0 +1,103 @@
+"""What the doctor finds at supply, climate probe and ultrasonic probe; it never switches anything."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.niscope_rig import description, met_brain, needs_niscope, parameters
+from support.serial_rig import NO_TERMINALS, SerialRig
+
+from daq_service.cli.doctor.check import Check, exit_code
+from daq_service.cli.doctor.other_instruments import climate_checks, probe_checks, supply_checks
+from hardware_drivers.niscope.parameters import ProbeWiring
+
+on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
+
+
+def by_name(checks: Sequence[Check]) -> dict[str, Check]:
+    return {check.name: check for check in checks}
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[SerialRig]:
+    with SerialRig(tmp_path) as rig:
+        yield rig
+
+
+@on_terminals
+def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
+    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    assert {check.state for check in checks.values()} == {"ok"}
+    assert "DC SUPPLY DOUBLE" in checks["supply: identity"].found
+    assert checks["supply: read-back"].found.endswith("output off")
+    assert checks["supply: output"].values["output_on"] is False
+    assert rig.switched() == []
+    assert not any(command.startswith(("OUTP ", "VOLT ", "CURR ")) for command in rig.heard())
+
+
+@on_terminals
+def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
+    rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(True))
+    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    assert checks["supply: output"].state == "warn"
+    assert checks["supply: output"].found.startswith("ON: ")
+    assert [on for on, _ in rig.switched()] == [True], "the doctor left it as it was"
+
+
+@on_terminals
+def test_a_tripped_protection_fails(rig: SerialRig) -> None:
+    rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip("CURR"))
+    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    assert checks["supply: read-back"].state == "fail"
+    assert "CURR:PROT:TRIP?" in checks["supply: read-back"].found
+
+
+@on_terminals
+def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: SerialRig) -> None:
+    checks = list(supply_checks(replace(rig.supply_parameters, identity="KEYSIGHT,E36312A")))
+    assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
+    assert exit_code(checks) == 3
+    assert set(rig.heard()) == {"*IDN?"}
+
+
+@on_terminals
+def test_the_climate_is_read(rig: SerialRig) -> None:
+    checks = by_name(list(climate_checks(rig.climate_parameters)))
+    assert "CLIMATE PROBE DOUBLE" in checks["climate probe: identity"].found
+    reading = checks["climate probe: reading"].values
+    assert rig.climate.read(2.0).temperature_c == pytest.approx(float(str(reading["temperature_c"])), abs=0.1)
+    rig.instruments.climate_link.unplug()
+    (gone,) = climate_checks(rig.climate_parameters)
+    assert (gone.state, gone.remedy != "") == ("fail", True)
+
+
+@needs_niscope
+def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
+    with met_brain(description()):
+        checks = by_name(list(probe_checks(parameters())))
+    assert {check.state for check in checks.values()} == {"ok"}
+    assert "at PXI1Slot5, channel 0" in checks["probe A: board"].found
+    assert "2048 samples at 100 MS/s, mean of 16" in checks["probe A: record"].found
+    # The double's echo of a half-volt back wall in a range of one volt.
+    assert 0.3 < float(str(checks["probe A: record"].values["peak_v"])) < 0.7
+    assert checks["probe A: self-calibration"].values["calibration_date"]
+
+
+@needs_niscope
+def test_an_echo_beyond_its_range_is_worth_a_word() -> None:
+    with met_brain(description()):
+        checks = by_name(list(probe_checks(parameters(range_v=0.2))))
+    assert checks["probe A: record"].state == "warn"
+    assert checks["probe A: record"].values["clipped"] is True
+
+
+@needs_niscope
+def test_a_missing_board_hides_no_other() -> None:
+    both = replace(
+        parameters(), probes={"X": ProbeWiring(resource="PXI1Slot9"), "A": parameters().probes["A"]}
+    )
+    with met_brain(description()):
+        checks = by_name(list(probe_checks(both)))
+    assert checks["probe X: board"].state == "fail"
+    assert checks["probe A: record"].state == "ok"

@@ -1,0 +1,127 @@
+"""Charge from readings: closed forms, gaps, boots, and what a restart carries on."""
+
+import functools
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq_service.corrosion_drive.charge import Charge, DriveState, add_interval, elapsed_s, restored_state
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+
+FARADAY_C_PER_MOL = 96_485.332
+PARAMETERS = SupplyParameters(
+    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0
+)  # longest gap 30 s
+
+
+def integrated(times_s, current, longest_s=math.inf):
+    pairs = itertools.pairwise(times_s)
+    return functools.reduce(
+        lambda charge, pair: add_interval(
+            charge,
+            elapsed_s=pair[1] - pair[0],
+            first_a=current(pair[0]),
+            last_a=current(pair[1]),
+            longest_s=longest_s,
+        ),
+        pairs,
+        Charge(),
+    )
+
+
+def test_a_straight_line_is_integrated_exactly():
+    charge = integrated([0.0, 1.0, 4.0, 4.5, 10.0], lambda t: 0.2 - 0.01 * t)
+    # 0.2 t - 0.005 t^2 at 10 s; the trapezoid rule is exact for a line, up to rounding.
+    assert charge.coulomb == pytest.approx(1.5, rel=1e-14)
+    assert charge.unknown_s == 0.0
+
+
+def test_a_decaying_current_approaches_its_closed_form_as_the_rule_must():
+    """I = I_0 exp(-t/T): Q = I_0 T (1 - exp(-t/T)), error t h^2 I''/12 of the trapezoid rule."""
+    first_a, decay_s, end_s = 0.25, 3600.0, 7200.0
+    exact = first_a * decay_s * (1.0 - math.exp(-end_s / decay_s))
+    errors = []
+    for step_s in (20.0, 10.0):
+        times_s = [step_s * i for i in range(round(end_s / step_s) + 1)]
+        charge = integrated(times_s, lambda t: first_a * math.exp(-t / decay_s))
+        errors.append(charge.coulomb / exact - 1.0)
+    assert errors[0] == pytest.approx((20.0 / decay_s) ** 2 / 12.0, rel=1e-3)  # next term: (h/T)^2 / 60
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=1e-3)  # second order
+
+
+def test_a_wall_of_the_papers_size_fits_faradays_law():
+    """2.3 mm of 6.45 cm2 in 300 h is some 11 A h: the order of charge this bookkeeping is for."""
+    iron_kg = 2.3e-3 * 6.4516e-4 * 7800.0
+    coulomb = iron_kg / 55.845e-3 * 2.0 * FARADAY_C_PER_MOL
+    charge = integrated([10.0 * i for i in range(300 * 360 + 1)], lambda t: coulomb / (300.0 * 3600.0))
+    # A sum of 108,000 terms rounds off at most 1e5 * 1e-16.
+    assert charge.coulomb == pytest.approx(coulomb, rel=1e-11)
+    assert 10.0 < charge.ampere_hours < 12.0
+    # docs/how-to/supply-and-climate.md: 1.04 g an ampere hour.
+    assert iron_kg / charge.ampere_hours == pytest.approx(1.04e-3, abs=0.005e-3)  # as rounded there
+
+
+def test_a_long_interval_is_unknown_and_not_integrated():
+    charge = integrated([0.0, 10.0, 45.0, 55.0], lambda t: 1.0, longest_s=30.0)
+    assert charge == Charge(coulomb=20.0, unknown_s=35.0)
+    assert integrated([0.0, 30.0], lambda t: 1.0, longest_s=30.0).unknown_s == 0.0
+
+
+def test_a_clock_set_back_adds_nothing():
+    charge = add_interval(Charge(coulomb=5.0), elapsed_s=-7.0, first_a=1.0, last_a=1.0, longest_s=30.0)
+    assert charge == Charge(coulomb=5.0)
+
+
+@given(st.lists(st.floats(0.01, 100.0), min_size=1, max_size=30), st.floats(0.01, 100.0))
+def test_every_second_is_either_integrated_or_unknown(steps_s, longest_s):
+    times_s = [math.fsum(steps_s[:i]) for i in range(len(steps_s) + 1)]
+    charge = integrated(times_s, lambda t: 1.0, longest_s=longest_s)
+    assert charge.coulomb + charge.unknown_s == pytest.approx(times_s[-1], rel=1e-12)  # rounding
+
+
+def stamp(utc_s, mono_s, boot_id):
+    return Stamp(utc_ns=round(utc_s * 1e9), mono_ns=round(mono_s * 1e9), boot_id=boot_id)
+
+
+def test_time_is_monotonic_within_a_boot_and_utc_across():
+    before = stamp(1000.0, 50.0, "one")
+    assert elapsed_s(before, stamp(9000.0, 60.0, "one")) == 10.0
+    assert elapsed_s(before, stamp(1025.0, 3.0, "two")) == 25.0
+
+
+def row(**changes):
+    return {
+        "supply_state": "on",
+        "supply_age_s": 4.0,
+        "supply_tripped": None,
+        "charge_coulomb": 123.0,
+        "unknown_s": 7.0,
+        **changes,
+    }
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, {"output_on": True, "booked_utc_ns": 96_000_000_000}),
+        ({"supply_state": "off"}, {"output_on": False, "booked_utc_ns": 96_000_000_000}),
+        ({"supply_state": "unknown"}, {"output_on": None, "booked_utc_ns": 96_000_000_000}),
+        ({"supply_tripped": "hole at B"}, {"output_on": True, "booked_utc_ns": 96_000_000_000}),
+        # Longer than three intervals: the row counts that time as unknown already.
+        ({"supply_age_s": 31.0}, {"output_on": True, "booked_utc_ns": 100_000_000_000}),
+        ({"supply_age_s": None}, {"output_on": True, "booked_utc_ns": None}),
+    ],
+)
+def test_a_restart_goes_on_from_the_newest_row(changes, expected):
+    state = restored_state(row(**changes), written_utc_ns=100_000_000_000, parameters=PARAMETERS)
+    tripped = changes.get("supply_tripped")
+    assert state == DriveState(charge=Charge(coulomb=123.0, unknown_s=7.0), tripped=tripped, **expected)
+
+
+@pytest.mark.parametrize("newest", [None, row(supply_state="absent", charge_coulomb=None, unknown_s=None)])
+def test_without_a_supplys_row_it_starts_at_nothing(newest):
+    assert restored_state(newest, written_utc_ns=1, parameters=PARAMETERS) == DriveState()

@@ -1,0 +1,525 @@
+"""The corrosion drive on a scripted supply and a clock that the test moves."""
+
+import pytest
+from support.serial_rig import TestClock
+
+from daq_service.catalogue.tables import environment
+from daq_service.corrosion_drive.charge import Charge, DriveState, restored_state
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
+from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+
+INTERVAL_S = 10.0
+LINE = SerialLineParameters(port="COM4")
+PARAMETERS = SupplyParameters(
+    line=LINE,
+    identity="ANY",
+    log_interval_s=INTERVAL_S,
+    voltage_v=10.0,
+    current_limit_a=1.0,
+    interlock_current_a=0.9,
+    interlock_readings=3,
+    interlock_lost_after_s=300.0,
+)
+CLIMATE = ClimateParameters(line=LINE, identity="ANY", log_interval_s=60.0)
+
+
+class PlainSupply:
+    """Says what the test wants; notes everything that is asked of it."""
+
+    tripped_protections = ()
+
+    def __init__(self, clock):
+        self.clock = clock
+        self.on = False
+        self.current_a = 0.2
+        self.set = {"set_voltage_v": 10.0, "set_current_limit_a": 1.0}
+        self.error = None
+        self.calls = []
+
+    def _call(self, name):
+        self.calls.append(name)
+        if self.error is not None:
+            raise self.error
+
+    def read(self, timeout_s):
+        assert timeout_s == PARAMETERS.read_timeout_s
+        self._call("read")
+        return SupplyReading(
+            stamp=self.clock.stamp(),
+            voltage_v=10.0 if self.on else 0.0,
+            current_a=self.current_a if self.on else 0.0,
+            output_on=self.on,
+        )
+
+    def energise(self, voltage_v, current_limit_a):
+        self._call(f"energise {voltage_v:g} V {current_limit_a:g} A")
+        self.on = True
+
+    def make_safe(self):
+        self._call("make_safe")
+        self.on = False
+
+    def identity(self):
+        return {}
+
+
+class ScriptedSupply(PlainSupply):
+    """The same, and tells what is set."""
+
+    def read_back(self, timeout_s):
+        assert timeout_s == PARAMETERS.read_timeout_s
+        self._call("read_back")
+        return {**self.set, "output": "on" if self.on else "off"}
+
+
+class ScriptedProbe:
+    def __init__(self, clock):
+        self.clock = clock
+        self.error = None
+        self.calls = 0
+
+    def read(self, timeout_s):
+        self.calls += 1
+        if self.error is not None:
+            raise self.error
+        return ClimateReading(stamp=self.clock.stamp(), temperature_c=21.5, relative_humidity=0.4)
+
+
+LOST = ConnectionLostError("the supply at COM4 is gone")
+
+
+class Bench:
+    def __init__(self, state=None, kind=ScriptedSupply, **supply):
+        self.clock = TestClock()
+        self.supply = kind(self.clock)
+        for name, value in supply.items():
+            setattr(self.supply, name, value)
+        self.probe = ScriptedProbe(self.clock)
+        self.drive = ElectrochemicalDrive(
+            self.supply,
+            self.probe,
+            self.clock,
+            PARAMETERS,
+            DriveState() if state is None else state,
+            climate_parameters=CLIMATE,
+        )
+
+    def run(self, seconds):
+        """Tick every 0.5 s, as an idle recorder does."""
+        for _ in range(round(seconds / 0.5)):
+            self.drive.tick()
+            self.clock.advance(0.5)
+
+    def active(self):
+        return {condition.name for condition in self.drive.conditions() if condition.active}
+
+    def message(self, name):
+        return next(condition.message for condition in self.drive.conditions() if condition.name == name)
+
+
+@pytest.fixture
+def energised():
+    bench = Bench()
+    bench.drive.energise("Ada")
+    bench.run(60.0)
+    return bench
+
+
+# Reading -------------------------------------------------------------------------------------------
+
+
+def test_one_call_reads_one_instrument_at_most():
+    bench = Bench()
+    total = 0
+    for _ in range(600):
+        bench.drive.tick()
+        calls = len(bench.supply.calls) + bench.probe.calls
+        assert calls - total <= 1
+        total = calls
+        bench.clock.advance(0.5)
+    assert bench.supply.calls.count("read") == 30
+    assert bench.supply.calls.count("read_back") == 1
+    assert bench.probe.calls == 5
+
+
+def test_a_recorder_that_was_busy_reads_once_and_not_in_a_burst(energised):
+    energised.supply.calls.clear()
+    energised.clock.advance(25.0)
+    for _ in range(5):
+        energised.drive.tick()
+    assert energised.supply.calls == ["read"]
+    energised.run(INTERVAL_S)
+    assert energised.supply.calls == ["read"] * 2
+
+
+def test_charge_is_the_integral_of_the_measured_current(energised):
+    before = energised.drive.summary()["charge_coulomb"]
+    energised.supply.current_a = 0.4
+    energised.run(120.0)
+    # A reading every 10 s: 0.2 A until the one before the change, 0.4 A from the one after, 0.3 A between.
+    flowed = energised.drive.summary()["charge_coulomb"] - before
+    assert flowed == pytest.approx(0.3 * 10.0 + 0.4 * 110.0, rel=1e-6)  # stamps differ by nanoseconds
+    assert energised.drive.summary()["unknown_s"] == 0.0
+
+
+def test_the_summary_has_the_columns_of_the_catalogue(energised):
+    columns = set(environment.columns.keys()) - {"id", "set_index", "due_h"}
+    assert set(energised.drive.summary()) == columns
+    without = ElectrochemicalDrive(None, None, energised.clock, None, DriveState())
+    assert set(without.summary()) == columns
+
+
+def test_a_window_holds_the_readings_of_its_set(energised):
+    energised.drive.begin_window()
+    for current_a in (0.2, 0.5, 0.3):
+        energised.supply.current_a = current_a
+        energised.run(INTERVAL_S)
+    row = energised.drive.summary()
+    assert (row["current_min_a"], row["current_max_a"]) == (0.2, 0.5)
+    assert row["current_a"] == pytest.approx(1.0 / 3.0, rel=1e-12)  # rounding of a mean
+    assert (row["voltage_v"], row["voltage_min_v"], row["voltage_max_v"]) == (10.0, 10.0, 10.0)
+    assert (row["temperature_c"], row["relative_humidity"], row["climate_quality"]) == (21.5, 0.4, "good")
+    energised.drive.begin_window()
+    row = energised.drive.summary()
+    assert row["current_a"] is None
+    assert row["current_max_a"] is None
+    assert row["charge_coulomb"] > 0.0, "totals go on"
+
+
+def test_without_instruments_it_says_absent_and_does_nothing():
+    bench = Bench()
+    drive = ElectrochemicalDrive(None, None, bench.clock, None, DriveState())
+    drive.tick()
+    row = drive.summary()
+    assert (row["supply_state"], row["supply_quality"], row["climate_quality"]) == ("absent",) * 3
+    assert row["charge_coulomb"] is None
+    assert drive.conditions() == ()
+    assert drive.trip("hole at B") is False
+    assert drive.tripped is None
+    with pytest.raises(ConfigurationError, match=r"\[rig.supply\]"):
+        drive.energise("Ada")
+    with pytest.raises(ValueError, match="together"):
+        ElectrochemicalDrive(bench.supply, None, bench.clock, None, DriveState())
+
+
+def test_the_climate_goes_on_without_the_supply_and_the_other_way_round(energised):
+    energised.supply.error = LOST
+    energised.run(200.0)
+    assert energised.drive.summary()["climate_quality"] == "good"
+    energised.supply.error, energised.probe.error = None, ConnectionLostError("probe gone")
+    energised.run(200.0)
+    row = energised.drive.summary()
+    assert (row["supply_quality"], row["climate_quality"]) == ("good", "lost")
+    assert row["temperature_c"] == 21.5, "the last one, with its age"
+    assert row["climate_age_s"] >= 180.0
+
+
+# Lost links ----------------------------------------------------------------------------------------
+
+
+def test_before_the_first_reading_nothing_is_known():
+    bench = Bench()
+    row = bench.drive.summary()
+    assert (row["supply_state"], row["supply_quality"], row["supply_age_s"]) == ("unknown", "stale", None)
+    assert bench.active() == set()
+
+
+@pytest.mark.parametrize("error", [LOST, BusyError("in use"), ConfigurationError("another instrument")])
+def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
+    energised.supply.error = error
+    energised.run(INTERVAL_S)
+    row = energised.drive.summary()
+    assert (row["supply_state"], row["supply_quality"]) == ("unknown", "stale"), "one answer missing"
+    assert energised.active() == set(), "which is no alarm"
+    energised.run(30.0)
+    row = energised.drive.summary()
+    assert (row["supply_state"], row["supply_quality"]) == ("unknown", "lost")
+    # The newest reading was the fixture's last, 10 s before it ended.
+    assert row["supply_age_s"] == pytest.approx(50.0, abs=0.5)  # half a second between ticks
+    assert row["unknown_s"] == row["supply_age_s"], "a silence that lasts is unknown time already"
+    assert energised.active() == {"supply_lost"}
+    assert str(error) in energised.message("supply_lost")
+
+
+def test_time_without_readings_is_booked_once_and_not_integrated(energised):
+    charge_c = energised.drive.summary()["charge_coulomb"]
+    energised.supply.error = LOST
+    energised.run(100.0)
+    energised.supply.error = None
+    energised.run(INTERVAL_S)
+    row = energised.drive.summary()
+    assert row["charge_coulomb"] == charge_c
+    assert row["unknown_s"] == pytest.approx(110.0, abs=0.5)  # half a second between ticks
+    assert row["supply_state"] == "on"
+    energised.run(INTERVAL_S)
+    assert energised.drive.summary()["charge_coulomb"] > charge_c
+
+
+def test_what_is_found_after_a_loss_is_read_back_and_reported(energised):
+    energised.supply.error = LOST
+    energised.run(50.0)
+    energised.supply.error = None
+    energised.supply.set = {"set_voltage_v": 9.0, "set_current_limit_a": 0.3}
+    energised.supply.calls.clear()
+    energised.run(INTERVAL_S)
+    assert energised.supply.calls == ["read", "read_back"]
+    assert energised.drive.found == {"set_voltage_v": 9.0, "set_current_limit_a": 0.3, "output": "on"}
+    energised.supply.current_a = 0.3
+    energised.run(INTERVAL_S)
+    assert energised.active() == {"supply_limit"}, "the limit found counts"
+
+
+def test_a_supply_that_cannot_tell_what_is_set_is_read_all_the_same(energised):
+    def refuses(timeout_s):
+        energised.supply.calls.append("read_back")
+        raise LOST
+
+    energised.supply.read_back = refuses
+    energised.supply.error = LOST
+    energised.run(INTERVAL_S)
+    energised.supply.error = None
+    energised.supply.calls.clear()
+    energised.run(60.0)
+    assert energised.supply.calls.count("read") == 6
+    assert energised.drive.summary()["unknown_s"] == 0.0
+
+
+# Interlock -----------------------------------------------------------------------------------------
+
+
+def test_a_trip_switches_off_and_stays_until_a_person_orders(energised):
+    assert energised.drive.trip("hole at B") is True
+    assert not energised.supply.on
+    energised.run(600.0)
+    assert not any(call.startswith("energise") for call in energised.supply.calls[1:])
+    assert energised.active() == {"interlock_tripped"}
+    assert energised.message("interlock_tripped") == "hole at B"
+    assert energised.drive.summary()["supply_tripped"] == "hole at B"
+    energised.drive.energise("Ada")
+    energised.run(INTERVAL_S)
+    assert energised.active() == set()
+    assert energised.drive.tripped is None
+    assert energised.drive.output() == "on"
+
+
+def test_the_first_reason_stays(energised):
+    energised.drive.trip("hole at B")
+    energised.drive.trip("hole at C")
+    assert energised.drive.tripped == "hole at B"
+
+
+@pytest.mark.parametrize("author", ["", "  "])
+def test_nobody_is_no_author(energised, author):
+    energised.drive.trip("hole at B")
+    energised.supply.calls.clear()
+    with pytest.raises(ValueError, match="author"):
+        energised.drive.energise(author)
+    with pytest.raises(ValueError, match="author"):
+        energised.drive.switch_off(author)
+    assert energised.supply.calls == []
+    assert energised.drive.tripped == "hole at B"
+
+
+def test_an_order_that_fails_leaves_the_interlock_open(energised):
+    energised.drive.trip("hole at B")
+    energised.supply.error = ConfigurationError("its protection has tripped")
+    with pytest.raises(ConfigurationError):
+        energised.drive.energise("Ada")
+    energised.supply.error = None
+    energised.run(INTERVAL_S)
+    assert energised.drive.tripped == "hole at B"
+    assert not energised.supply.on
+
+
+def test_over_current_trips_after_some_readings_in_a_row(energised):
+    energised.supply.current_a = 0.95
+    energised.run(2 * INTERVAL_S)
+    assert energised.active() == set()
+    energised.supply.current_a = 0.2
+    energised.run(INTERVAL_S)
+    energised.supply.current_a = 0.95
+    energised.run(2 * INTERVAL_S)
+    assert energised.supply.on, "a reading below starts the count anew"
+    energised.run(INTERVAL_S)
+    assert not energised.supply.on
+    assert "0.95 A in 3 readings" in energised.message("interlock_tripped")
+
+
+def test_a_trip_without_a_link_is_owed_and_paid_when_the_supply_answers(energised):
+    energised.supply.error = LOST
+    assert energised.drive.trip("hole at B") is False
+    assert energised.drive.output() == "unknown"
+    assert "could not be switched off yet" in energised.message("interlock_tripped")
+    energised.run(60.0)
+    assert energised.supply.on, "nobody can reach it"
+    assert energised.drive.output() == "unknown"
+    energised.supply.error = None
+    energised.supply.calls.clear()
+    energised.run(INTERVAL_S)
+    assert energised.supply.calls[0] == "make_safe"
+    assert not energised.supply.on
+    assert energised.message("interlock_tripped") == "hole at B"
+
+
+def test_an_order_after_the_trip_cancels_the_switching_off_still_owed(energised):
+    energised.supply.error = LOST
+    energised.drive.trip("hole at B")
+    energised.supply.error = None
+    energised.drive.energise("Ada")
+    energised.run(60.0)
+    assert energised.supply.on
+    assert energised.active() == set()
+
+
+def test_an_order_that_fails_leaves_what_is_found(energised):
+    def fails(voltage_v, current_limit_a):
+        energised.supply.on = False
+        raise ConfigurationError("it did not keep what was set; the output is off")
+
+    energised.supply.energise = fails
+    with pytest.raises(ConfigurationError):
+        energised.drive.energise("Ada")
+    energised.supply.calls.clear()
+    energised.run(INTERVAL_S)
+    assert energised.active() == set(), "the person who ordered knows that it is off"
+    assert energised.supply.calls == ["read", "read_back"]
+
+
+def test_owed_switching_off_is_tried_once_an_interval(energised):
+    energised.supply.error = LOST
+    energised.drive.trip("hole at B")
+    energised.supply.calls.clear()
+    energised.run(60.0)
+    assert energised.supply.calls == ["make_safe"] * 6
+
+
+def test_silence_trips_it_after_its_time_and_it_is_off_when_it_answers(energised):
+    energised.supply.error = LOST
+    energised.run(280.0)
+    assert energised.drive.tripped is None
+    energised.run(20.0)
+    assert energised.drive.tripped.startswith("no answer from the supply for 30")
+    assert energised.active() == {"supply_lost", "interlock_tripped"}
+    energised.supply.error = None
+    energised.run(INTERVAL_S)
+    assert not energised.supply.on
+    assert energised.active() == {"interlock_tripped"}
+
+
+def test_silence_of_a_supply_that_was_switched_off_trips_nothing(energised):
+    energised.drive.switch_off("Ada")
+    energised.run(INTERVAL_S)
+    energised.supply.error = LOST
+    energised.run(1000.0)
+    assert energised.active() == {"supply_lost"}
+
+
+def test_silence_of_a_supply_that_was_found_off_trips_nothing():
+    bench = Bench()
+    bench.run(INTERVAL_S)
+    bench.supply.error = LOST
+    bench.run(1000.0)
+    assert bench.active() == {"supply_lost"}
+
+
+def test_an_output_switched_on_against_the_interlock_is_switched_off(energised):
+    energised.drive.trip("hole at B")
+    energised.supply.on = True
+    energised.run(INTERVAL_S)
+    assert not energised.supply.on
+
+
+# Conditions ----------------------------------------------------------------------------------------
+
+
+def test_off_without_an_order_is_told_with_its_cause_and_not_corrected(energised):
+    energised.supply.on = False
+    energised.supply.tripped_protections = ("VOLT:PROT:TRIP?",)
+    energised.supply.calls.clear()
+    energised.run(60.0)
+    assert energised.active() == {"supply_off_unexpectedly"}
+    assert "VOLT:PROT:TRIP?" in energised.message("supply_off_unexpectedly")
+    assert energised.supply.calls == ["read"] * 6
+
+
+def test_off_by_order_is_no_alarm(energised):
+    energised.drive.switch_off("Ada")
+    energised.run(60.0)
+    assert energised.active() == set()
+    assert energised.drive.output() == "off"
+
+
+def test_on_at_the_front_panel_is_taken_as_wanted(energised):
+    energised.drive.switch_off("Ada")
+    energised.run(INTERVAL_S)
+    energised.supply.on = True
+    energised.run(INTERVAL_S)
+    assert energised.active() == set()
+    energised.supply.on = False
+    energised.run(INTERVAL_S)
+    assert energised.active() == {"supply_off_unexpectedly"}
+
+
+def test_at_the_limit_it_says_so():
+    bench = Bench()
+    bench.drive.energise("Ada", voltage_v=8.0, current_limit_a=0.5)
+    assert bench.supply.calls == ["energise 8 V 0.5 A"]
+    bench.supply.set = {"set_voltage_v": 8.0, "set_current_limit_a": 0.5}
+    bench.supply.current_a = 0.47
+    bench.run(INTERVAL_S)
+    assert bench.active() == set()
+    bench.supply.current_a = 0.495
+    bench.run(INTERVAL_S)
+    assert bench.active() == {"supply_limit"}
+    assert "0.5 A" in bench.message("supply_limit")
+
+
+def test_a_supply_that_cannot_read_back_is_judged_by_the_order():
+    bench = Bench(kind=PlainSupply)
+    bench.drive.energise("Ada", current_limit_a=0.5)
+    bench.supply.current_a = 0.5
+    bench.run(INTERVAL_S)
+    assert bench.active() == {"supply_limit"}
+
+
+# Restart -------------------------------------------------------------------------------------------
+
+
+def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energised):
+    row = energised.drive.summary()
+    written_ns = energised.clock.utc_ns()
+    bench = Bench(restored_state(row, written_utc_ns=written_ns, parameters=PARAMETERS), on=True)
+    bench.clock.now_ns = written_ns
+    bench.clock.advance(1000.0)
+    bench.run(INTERVAL_S)
+    after = bench.drive.summary()
+    assert after["charge_coulomb"] == row["charge_coulomb"]
+    assert after["unknown_s"] == pytest.approx(row["unknown_s"] + 1000.0 + row["supply_age_s"], abs=1.0)
+    assert bench.supply.calls == ["read", "read_back"]
+    assert bench.active() == set()
+    bench.run(INTERVAL_S)
+    assert bench.drive.summary()["charge_coulomb"] == pytest.approx(row["charge_coulomb"] + 2.0, rel=1e-6)
+
+
+def test_a_supply_that_is_off_after_a_restart_is_told_and_stays_off():
+    bench = Bench(DriveState(output_on=True))
+    bench.run(60.0)
+    assert bench.active() == {"supply_off_unexpectedly"}
+    assert set(bench.supply.calls) == {"read", "read_back"}
+
+
+def test_a_trip_outlives_a_restart():
+    bench = Bench(DriveState(tripped="hole at B", output_on=False), on=True)
+    bench.run(INTERVAL_S)
+    assert not bench.supply.on
+    assert bench.active() == {"interlock_tripped"}
+    bench.drive.energise("Ada")
+    assert bench.supply.on
+
+
+def test_silence_from_the_start_trips_what_may_be_on():
+    bench = Bench(DriveState(charge=Charge(coulomb=1.0), output_on=None), error=LOST)
+    bench.run(350.0)
+    assert bench.active() == {"supply_lost", "interlock_tripped"}

@@ -1,0 +1,148 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from daq_service.errors import UsageError
+from daq_service.settings.file import config_file, load_settings, settings_schema
+from daq_service.settings.tree import Settings
+
+
+def write(folder: Path, text: str, name: str = "test.toml") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_the_shipped_file_spells_out_the_defaults() -> None:
+    assert load_settings(config_file("simulated.toml")) == Settings()
+
+
+def test_the_shipped_schema_is_current() -> None:
+    shipped = json.loads(config_file("settings.schema.json").read_text(encoding="utf-8"))
+    assert shipped == settings_schema(), (
+        "renew it: solimon check-config --schema > config/settings.schema.json"
+    )
+
+
+def test_every_key_is_described() -> None:
+    schema = settings_schema()
+    bare = [
+        f"{section}.{key}"
+        for section, table in schema["$defs"].items()
+        for key, value in table.get("properties", {}).items()
+        if "description" not in value
+    ]
+    assert bare == []
+
+
+def test_a_position_inherits_the_common_tables_and_may_differ(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        """
+        [chain]
+        drop_height_m = 4e-3
+        [positions.X]
+        method = "solitary_wave"
+        chain = { spheres_below = 6 }
+        """,
+    )
+    chain = load_settings(path).positions["X"].chain
+    assert (chain.drop_height_m, chain.spheres_below, chain.spheres_above) == (4e-3, 6, 4)
+
+
+def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
+    path = write(
+        tmp_path, "[[chain.spheres]]\nbody = 2\nlast_body = 3\nradius_m = 7e-3\n[[chain.spheres]]\nbody = 8\n"
+    )
+    pair, last = load_settings(path).chain.spheres
+    assert (list(pair.bodies), pair.radius_m, pair.mass_kg, list(last.bodies)) == ([2, 3], 7e-3, None, [8])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[[chain.spheres]]\nbody = 1\nradius_m = 0.0", ["chain.spheres", "radius_m", "greater than 0"]),
+        ("[[chain.spheres]]\nbody = 9", ["chain", "body 9", "bodies 0 to 8"]),
+        ("[corrosion]\nsize_mm = 25.4", ["corrosion.size_mm", "unknown key", "size_m"]),
+        ("[chain]\nmass_kg = -0.0282", ["chain.mass_kg", "-0.0282", "greater than 0"]),
+        ("[chain]\nmass_kg = 28.2", ["chain", "density", "units"]),
+        ('[chain]\ndrop_height_m = "5 mm"', ["chain.drop_height_m", "5 mm", "number"]),
+        ("[chain]\ndrop_height_m = 5", ["chain.drop_height_m", "5", "less than or equal to 1"]),
+        ("[plate]\nyoungs_modulus_pa = 200", ["plate.youngs_modulus_pa", "200", "100000"]),
+        ("[corrosion]\ndepth_fraction = 0.96", ["corrosion.depth_fraction", "0.96", "0.95"]),
+        ("[plate]\nelements_per_edge = 97", ["plate", "97", "even"]),
+        ('[web]\nhost = "0.0.0.0"', ["web.host", "0.0.0.0"]),
+        ("[web]\nport = 70000", ["web.port", "70000", "65535"]),
+        ("[alarms]\nk = 6", ["alarms", "k is 6", "n = 5"]),
+        ("[baseline]\nminimum_valid_shots = 11", ["minimum_valid_shots is 11", "shots_per_set = 10"]),
+        ('[clock]\nepoch = "2024-01-01T00:00:00"', ["clock.epoch", "UTC offset"]),
+        ('[positions."B/../x"]\nmethod = "solitary_wave"', ["positions", "letters and digits"]),
+        ("[schedule]\nphases = [{until_h=5, interval_h=1}, {until_h=5, interval_h=1}]", ["until_h is 5"]),
+        ("[chain", ["not valid toml"]),
+    ],
+)
+def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = write(tmp_path, text)
+    with pytest.raises(UsageError) as refusal:
+        load_settings(path)
+    for word in [str(path), *words]:
+        assert word in str(refusal.value)
+    assert refusal.value.exit_code == 2
+
+
+def test_an_inherited_mistake_is_told_once(tmp_path: Path) -> None:
+    with pytest.raises(UsageError) as refusal:
+        load_settings(write(tmp_path, "[chain]\nmass_kg = -1"))
+    assert str(refusal.value).count("mass_kg") == 1
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"absent\.toml"):
+        load_settings(tmp_path / "absent.toml")
+
+
+def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "test.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match="UTF-8"):
+        load_settings(path)
+
+
+def test_the_environment_overrides_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOLIMON_TWIN__SEED", "42")
+    settings = load_settings(write(tmp_path, "[twin]\nseed = 3\n[twin.scatter]\nscale = 2.0"))
+    assert (settings.twin.seed, settings.twin.scatter.scale) == (42, 2.0)
+
+
+def test_a_misspelt_variable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOLIMON_CHIAN__MASS_KG", "1")
+    with pytest.raises(UsageError, match=r"SOLIMON_CHIAN__MASS_KG.*did you mean SOLIMON_CHAIN\?"):
+        load_settings(None)
+
+
+def test_a_written_configuration_is_read_back_as_the_same(tmp_path: Path) -> None:
+    settings = load_settings(None, overrides={"twin": {"seed": 9}, "schedule": {"end_h": 30.0}})
+    path = write(tmp_path, settings.model_dump_json(), "configuration.json")
+    assert load_settings(path) == settings
+
+
+def test_the_hash_changes_with_what_the_data_depend_on_and_with_nothing_else() -> None:
+    same = load_settings(
+        None,
+        overrides={
+            "web": {"port": 1},
+            "clock": {"pace_h_per_s": 3.0},
+            "schedule": {"end_h": 9.0},
+            "storage": {"folder": "elsewhere"},
+        },
+    )
+    assert same.configuration_hash() == Settings().configuration_hash()
+    other = load_settings(None, overrides={"chain": {"drop_height_m": 5.1e-3}})
+    assert other.configuration_hash() != Settings().configuration_hash()
+
+
+@pytest.mark.parametrize("position", ["Z", "A"])
+def test_a_fault_of_a_position_that_strikes_nothing_is_refused(position):
+    with pytest.raises(ValueError, match=rf"twin\.faults\.{position}.*no solitary_wave position"):
+        Settings(twin={"faults": {position: {"missed": {"probability": 0.5}}}})

@@ -1,0 +1,76 @@
+"""The dashboard's files: served as they are, from here alone, under a strict policy."""
+
+import re
+
+import pytest
+from support.served_web import served
+
+from daq_service.settings.tree import Settings
+from daq_service.web.assets import FOLDER, assets
+
+TEXT = {name: asset.content.decode() for name, asset in assets().items()}
+OURS = [name for name in TEXT if not name.startswith("vendor/") and name != "LICENSE"]
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory):
+    with (
+        served(Settings(), tmp_path_factory.mktemp("empty")) as service,
+        service.client() as client,
+    ):
+        yield client
+
+
+def test_page_is_served_without_any_data(api):
+    page = api.get("/")
+    assert page.status_code == 200
+    assert page.headers["content-type"] == "text/html; charset=utf-8"
+    assert page.text == TEXT["index.html"]
+
+
+@pytest.mark.parametrize("name", sorted(TEXT))
+def test_every_file_is_served_with_its_type(api, name):
+    answer = api.get(f"/static/{name}")
+    assert answer.status_code == 200
+    assert answer.content == (FOLDER / name).read_bytes()
+    kind = {"js": "text/javascript", "css": "text/css", "html": "text/html", "svg": "image/svg+xml"}
+    assert answer.headers["content-type"].startswith(kind.get(name.rpartition(".")[2], "text/plain"))
+
+
+def test_browser_revalidates_by_etag(api):
+    first = api.get("/static/main.js")
+    assert first.headers["cache-control"] == "no-cache"
+    again = api.get("/static/main.js", headers={"If-None-Match": first.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+
+
+def test_page_has_nothing_that_its_policy_forbids():
+    page = TEXT["index.html"]
+    assert not re.search(r"<script(?![^>]*\bsrc=)", page)
+    assert not re.search(r"<style|\sstyle=|\son\w+=", page)
+    for name in OURS:
+        assert 'setAttribute("style"' not in TEXT[name]
+        assert "innerHTML" not in TEXT[name]
+
+
+def test_nothing_comes_from_elsewhere():
+    for name in OURS:
+        links = re.findall(r"https?://[^\s\"'`)]+", TEXT[name])
+        # The namespace of SVG is a name, not an address.
+        assert set(links) <= {"http://www.w3.org/2000/svg"}, name
+
+
+def test_every_reference_is_a_file():
+    for reference in re.findall(r'(?:href|src)="/static/([^"]+)"', TEXT["index.html"]):
+        assert reference in TEXT
+    for name in OURS:
+        if name.endswith(".js"):
+            for reference in re.findall(r'from "\./([^"]+)"', TEXT[name]):
+                assert reference in TEXT, (name, reference)
+
+
+def test_vendored_chart_library_carries_its_licence_and_version():
+    assert "uPlot.js" in TEXT["vendor/uplot/uPlot.esm.js"]
+    assert "v1.6.32" in TEXT["vendor/uplot/uPlot.esm.js"]
+    assert "MIT License" in TEXT["vendor/uplot/LICENSE"]
+    assert "sourceMappingURL" not in TEXT["vendor/uplot/uPlot.esm.js"]

@@ -1,0 +1,419 @@
+"""What the service refuses, and how it says so; what it writes."""
+
+import orjson
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import served, served_app
+
+from daq_service.catalogue.connection import FILE_NAME as CATALOGUE_FILE
+from daq_service.settings.tree import Settings
+from daq_service.web.answers import cursors
+from daq_service.web.answers.models import CommandRow
+from daq_service.web.answers.problem import TYPE_PREFIX, Problem, ProblemDetails, json_pointer
+from daq_service.web.app import create_app
+from daq_service.web.guards import LARGEST_BODY_BYTES
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(clock={"pace_h_per_s": 5.0}))
+    for index in range(4):
+        folder.add_set(index, stored=False)
+    folder.add_alarm("B", 2)
+    folder.add_alarm("C", 2, state="acknowledged")
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+@pytest.fixture
+def api(service):
+    with service.client() as client:
+        yield client
+
+
+def problem(answer, status, name):
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    body = ProblemDetails.model_validate_json(answer.content)
+    assert body.status == status
+    assert body.type == TYPE_PREFIX + name
+    assert body.hint
+    assert body.detail
+    assert body.request_id == answer.headers["x-request-id"] != ""
+    return answer.json()
+
+
+def n_commands(filled):
+    return len(filled.catalogue.pending_commands())
+
+
+# Reading
+
+
+@pytest.mark.parametrize(
+    ("query", "pointer"),
+    [
+        ("sets?limit=0", "/limit"),
+        ("sets?limit=1001", "/limit"),
+        ("sets?limit=many", "/limit"),
+        ("sets?state=lost", "/state"),
+        ("features?from_h=nan", "/from_h"),
+        ("features?to_h=1e9", "/to_h"),
+        ("features?scope=all", "/scope"),
+        ("fits/B", "/field"),
+        ("environment?from_h=nan", "/from_h"),
+        ("environment?position=B", "/position"),
+        ("sets?limits=5", "/limits"),
+        ("info?verbose=1", "/verbose"),
+        ("alarms/1?actve=true", "/actve"),
+        ("environment/latest?limit=1", "/limit"),
+    ],
+)
+def test_invalid_query_points_at_the_parameter(api, query, pointer):
+    body = problem(api.get(f"/api/v1/{query}"), 422, "invalid-request")
+    assert [(part["in"], part["pointer"]) for part in body["errors"]] == [("query", pointer)]
+
+
+@pytest.mark.parametrize(
+    ("query", "remedy"),
+    [
+        ("sets?limits=5", "did you mean limit?"),
+        ("environment?position=B", "there are cursor, from_h, limit, to_h"),
+        ("health?deep=1", "this resource has no parameters"),
+    ],
+)
+def test_unknown_parameter_is_refused_with_the_remedy(api, query, remedy):
+    (part,) = problem(api.get(f"/api/v1/{query}"), 422, "invalid-request")["errors"]
+    assert remedy in part["detail"]
+
+
+def test_order_with_an_unknown_parameter_is_not_written(api, filled):
+    before = n_commands(filled)
+    problem(api.post("/api/v1/commands?force=1", json={"kind": "stop"}), 422, "invalid-request")
+    assert n_commands(filled) == before
+
+
+@pytest.mark.parametrize(
+    "query",
+    [
+        "trends/B?fields=thickness_m",
+        "trends/A?fields=tof_pp_s",
+        "trends/B?fields=,",
+        "fits/B?field=tof_pp_s,tof_mf_s",
+        "fits/B?field=set_index",
+        "sets?from_h=5&to_h=4",
+        "environment?from_h=5&to_h=4",
+        "stream?topics=sets,gossip",
+        "stream?topics=",
+    ],
+)
+def test_request_that_contradicts_itself_is_422(api, query):
+    problem(api.get(f"/api/v1/{query}"), 422, "invalid-request")
+
+
+@pytest.mark.parametrize(
+    "path", ["/api/v1/alarms/0", "/api/v1/alarms/9999999999999999999999", "/api/v1/alarms/x"]
+)
+def test_invalid_path_points_at_the_part(api, path):
+    body = problem(api.get(path), 422, "invalid-request")
+    assert body["errors"][0]["in"] == "path"
+    assert body["errors"][0]["pointer"] == "/alarm_id"
+
+
+def test_cursor_belongs_to_its_listing_and_filters(api):
+    cursor = api.get("/api/v1/sets?limit=1&position=B").json()["next_cursor"]
+    assert api.get(f"/api/v1/sets?limit=1&position=B&cursor={cursor}").status_code == 200
+    problem(api.get(f"/api/v1/sets?limit=1&position=C&cursor={cursor}"), 422, "invalid-cursor")
+    problem(api.get(f"/api/v1/verdicts?limit=1&position=B&cursor={cursor}"), 422, "invalid-cursor")
+
+
+@pytest.mark.parametrize(
+    "cursor", ["", "x", "%F0%9F", "OTk5OTk5OTk", "====", cursors.encode("sets", 5)[:-1], "AA" * 90]
+)
+def test_invented_cursor_is_refused(api, cursor):
+    problem(api.get(f"/api/v1/sets?cursor={cursor}"), 422, "invalid-cursor")
+
+
+def test_cursor_carries_its_row():
+    assert cursors.decode("sets", cursors.encode("sets", 41)) == 41
+    assert cursors.decode("sets", None) is None
+    with pytest.raises(Problem):
+        cursors.decode("sets", cursors.encode("alarms", 41))
+
+
+def test_pointer_escapes():
+    assert json_pointer(["a/b", "c~d", 0]) == "/a~1b/c~0d/0"
+
+
+def test_unknown_method_is_405(api):
+    answer = api.delete("/api/v1/sets")
+    problem(answer, 405, "method-not-allowed")
+    assert "GET" in answer.headers["allow"]
+
+
+def test_before_the_first_record_there_is_no_data(tmp_path):
+    with served(Settings(), tmp_path) as service, service.client() as api:
+        for path in ("/readyz", "/api/v1/info", "/api/v1/transducers", "/api/v1/trends/B", "/api/v1/alarms"):
+            answer = api.get(path)
+            problem(answer, 503, "no-data-yet")
+            assert answer.headers["retry-after"] == "1"
+        assert api.get("/healthz").json() == {"status": "ok", "data": False}
+        # An experiment without a set is still no data; the same process sees the first set.
+        filled = FilledFolder(tmp_path, Settings())
+        problem(api.get("/api/v1/info"), 503, "no-data-yet")
+        filled.add_set(0, stored=False)
+        filled.close()
+        assert api.get("/readyz").status_code == 200
+        assert api.get("/api/v1/info").status_code == 200
+
+
+def test_damaged_catalogue_is_said_and_not_shown(tmp_path):
+    (tmp_path / CATALOGUE_FILE).write_bytes(b"no database at all" * 100)
+    with served(Settings(), tmp_path) as service, service.client() as api:
+        body = problem(api.get("/api/v1/info"), 503, "storage-unavailable")
+        assert CATALOGUE_FILE in body["detail"]
+        assert api.get("/healthz").json() == {"status": "ok", "data": False}
+
+
+def test_fault_of_the_service_hides_its_inside(tmp_path, caplog):
+    app = create_app(Settings(), tmp_path)
+
+    async def broken() -> None:
+        raise RuntimeError("secret detail")
+
+    app.add_api_route("/broken", broken)
+    with served_app(app) as service, service.client() as api:
+        body = problem(api.get("/broken"), 500, "internal-error")
+    assert "secret" not in body["detail"]
+    assert body["request_id"] in caplog.text
+    assert "secret detail" in caplog.text
+
+
+# Guards
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "evil.example:80", "[::2]", ""])
+def test_foreign_host_is_refused(api, host):
+    problem(api.get("/api/v1/info", headers={"Host": host}), 400, "foreign-host")
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "localhost:8750"])
+def test_own_names_are_served(api, host):
+    assert api.get("/healthz", headers={"Host": host}).status_code == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "http://127.0.0.1:1"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ],
+)
+def test_orders_of_other_origins_are_refused_and_not_written(api, filled, headers):
+    before = n_commands(filled)
+    for path, body in (("commands", {"kind": "stop"}), ("alarms/1/acknowledge", {})):
+        problem(api.post(f"/api/v1/{path}", json=body, headers=headers), 403, "foreign-origin")
+    assert n_commands(filled) == before
+
+
+def test_body_beyond_the_limit_is_refused(api):
+    big = orjson.dumps({"kind": "stop", "author": "x" * LARGEST_BODY_BYTES})
+    headers = {"Content-Type": "application/json"}
+    problem(api.post("/api/v1/commands", content=big, headers=headers), 413, "body-too-large")
+
+    def in_pieces():
+        for start in range(0, len(big), 8192):
+            yield big[start : start + 8192]
+
+    # Without Content-Length.
+    problem(api.post("/api/v1/commands", content=in_pieces(), headers=headers), 413, "body-too-large")
+
+
+def test_every_answer_has_its_headers(api):
+    for path in ("/", "/api/v1/info", "/api/v1/nothing", "/healthz", "/static/main.js"):
+        headers = api.get(path).headers
+        assert "script-src 'self'" in headers["content-security-policy"]
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert len(headers["x-request-id"]) == 32
+    assert api.get("/api/v1/info").headers["cache-control"] == "no-store"
+
+
+# Commands
+
+
+def test_order_becomes_a_row_and_is_followed(api, filled):
+    answer = api.post("/api/v1/commands", json={"kind": "finish_now", "author": "Ada"})
+    assert answer.status_code == 202
+    row = CommandRow.model_validate_json(answer.content, strict=True)
+    assert (row.kind, row.author, row.state, row.arguments) == ("finish_now", "Ada", "pending", {})
+    assert filled.catalogue.command(row.id)["kind"] == "finish_now"
+    filled.catalogue.finish_command(row.id, "done", "no pacing from here on")
+    followed = api.get(answer.headers["location"]).json()
+    assert (followed["state"], followed["result"]) == ("done", "no pacing from here on")
+
+
+def test_own_origin_may_order(api, service):
+    headers = {"Origin": f"http://{service.netloc}", "Sec-Fetch-Site": "same-origin"}
+    assert api.post("/api/v1/commands", json={"kind": "stop"}, headers=headers).status_code == 202
+
+
+@pytest.mark.parametrize("as_command", [True, False])
+def test_acknowledgement_becomes_a_row(api, filled, as_command):
+    if as_command:
+        body = {"kind": "acknowledge_alarm", "author": "Ada", "arguments": {"alarm_id": 1, "note": "seen"}}
+        answer = api.post("/api/v1/commands", json=body)
+    else:
+        answer = api.post("/api/v1/alarms/1/acknowledge", json={"author": "Ada", "note": "seen"})
+    assert answer.status_code == 202, answer.text
+    row = filled.catalogue.command(answer.json()["id"])
+    assert row["kind"] == "acknowledge_alarm"
+    assert row["arguments"] == {"alarm_id": 1, "note": "seen"}
+    # The service writes the order only: the recorder changes the alarm.
+    assert filled.catalogue.alarm(1)["state"] == "unacknowledged"
+
+
+def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
+    before = n_commands(filled)
+    problem(api.post("/api/v1/alarms/2/acknowledge", json={}), 409, "conflict")
+    problem(api.post("/api/v1/alarms/77/acknowledge", json={}), 404, "not-found")
+    assert n_commands(filled) == before
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer"),
+    [
+        ({"kind": "explode"}, ""),
+        ({}, ""),
+        ({"kind": "stop", "arguments": {"now": True}}, "/stop/arguments/now"),
+        ({"kind": "stop", "author": ""}, "/stop/author"),
+        ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
+        ({"kind": "hold", "arguments": {"position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "release", "arguments": {"note": "x" * 2001}}, "/release/arguments/note"),
+        ({"kind": "retire"}, "/retire/arguments"),
+        ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
+        ({"kind": "reinstate", "arguments": {"position": 1}}, "/reinstate/arguments/position"),
+        ({"kind": "supply_on"}, "/supply_on/author"),
+        (
+            {"kind": "supply_on", "author": "Ada", "arguments": {"voltage_v": 61}},
+            "/supply_on/arguments/voltage_v",
+        ),
+        (
+            {"kind": "acknowledge_alarm", "arguments": {"alarm_id": "one"}},
+            "/acknowledge_alarm/arguments/alarm_id",
+        ),
+    ],
+)
+def test_invalid_order_points_at_its_part(api, filled, body, pointer):
+    before = n_commands(filled)
+    errors = problem(api.post("/api/v1/commands", json=body), 422, "invalid-request")["errors"]
+    assert errors[0]["in"] == "body"
+    assert errors[0]["pointer"] == pointer
+    assert n_commands(filled) == before
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A folder of its own: these orders depend on what was ordered before."""
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        yield filled, api
+    filled.close()
+
+
+def ordered(api, kind, **arguments):
+    body = {"kind": kind, "author": "Ada", **({"arguments": arguments} if arguments else {})}
+    return api.post("/api/v1/commands", json=body)
+
+
+def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
+    filled, api = lab
+    problem(ordered(api, "release"), 409, "conflict")
+    assert ordered(api, "hold", note="door open").status_code == 202
+    (row,) = filled.catalogue.pending_commands()
+    assert (row["kind"], row["author"], row["arguments"]) == ("hold", "Ada", {"note": "door open"})
+    filled.say("hold", held="held by Ada: door open", author="Ada")
+    refusal = problem(ordered(api, "hold"), 409, "conflict")
+    assert "held by Ada: door open" in refusal["detail"]
+    assert ordered(api, "release").status_code == 202
+    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
+
+
+def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(lab):
+    filled, api = lab
+    for position in ("Z", "A"):
+        for kind in ("retire", "reinstate"):
+            refusal = problem(ordered(api, kind, position=position), 409, "conflict")
+            assert f"no solitary-wave transducer '{position}'" in refusal["detail"]
+    assert "not retired" in problem(ordered(api, "reinstate", position="B"), 409, "conflict")["detail"]
+    assert ordered(api, "retire", position="B", note="coil is hot").status_code == 202
+    filled.retire("B", 1)
+    refusal = problem(ordered(api, "retire", position="B"), 409, "conflict")
+    assert "10 sets running with nothing at B" in refusal["detail"]
+    assert ordered(api, "reinstate", position="B").status_code == 202
+    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    assert kinds == [
+        ("retire", {"position": "B", "note": "coil is hot"}),
+        ("reinstate", {"position": "B", "note": ""}),
+    ]
+
+
+SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL"}
+
+
+def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, lab):
+    _, api = lab
+    assert "no supply" in problem(ordered(api, "supply_on"), 409, "conflict")["detail"]
+    (tmp_path / "with").mkdir()
+    filled = FilledFolder(tmp_path / "with", Settings(rig={"supply": SUPPLY}))
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path / "with") as service, service.client() as api:
+        assert ordered(api, "supply_on", voltage_v=5.0).status_code == 202
+        assert ordered(api, "supply_off").status_code == 202
+        kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    filled.close()
+    assert kinds == [
+        ("supply_on", {"voltage_v": 5.0, "current_limit_a": None, "note": ""}),
+        ("supply_off", {"note": ""}),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [("hold", {}), ("release", {}), ("retire", {"position": "B"}), ("reinstate", {"position": "B"})],
+)
+def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
+    filled, api = lab
+    filled.say("recorder_stopped", filled.due[0].due_utc_ns)
+    assert "has stopped" in problem(ordered(api, kind, **arguments), 409, "conflict")["detail"]
+    assert filled.catalogue.pending_commands() == []
+
+
+def test_order_that_is_not_json_is_refused(api):
+    answer = api.post("/api/v1/commands", content=b"kind=stop", headers={"Content-Type": "text/plain"})
+    problem(answer, 422, "invalid-request")
+    answer = api.post("/api/v1/commands", content=b"{", headers={"Content-Type": "application/json"})
+    problem(answer, 422, "invalid-request")
+
+
+def test_orders_need_somebody_to_carry_them_out(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        # Not paced: there is nothing to finish sooner.
+        problem(api.post("/api/v1/commands", json={"kind": "finish_now"}), 409, "conflict")
+        filled.say("schedule_done", filled.due[0].due_utc_ns)
+        problem(api.post("/api/v1/commands", json={"kind": "stop"}), 409, "conflict")
+        assert filled.catalogue.pending_commands() == []
+    filled.close()

@@ -1,0 +1,394 @@
+"""Every reading route of the service against a folder filled through the real catalogue and archive."""
+
+import math
+from datetime import UTC, datetime, timedelta
+
+import httpx
+import numpy as np
+import pytest
+from support.filled_folder import LIMIT_F, FilledFolder
+from support.served_web import served
+
+from daq_service.processes.heartbeat import FILE_NAME
+from daq_service.settings.tree import Settings
+from daq_service.web.answers import models
+from daq_service.web.answers.json_answer import rfc3339, with_utc
+from daq_service.web.context import recorder_state
+from daq_service.web.routes.transducers import interval_at, state_word
+
+N_SETS = 60
+EPOCH = datetime(2024, 1, 1, tzinfo=UTC)
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
+    for index in range(N_SETS):
+        folder.add_set(index, stored=index in (0, N_SETS - 1), shown=index == N_SETS - 1)
+        if index > 1:  # the supply came later
+            folder.add_environment(index)
+    folder.add_alarm("B", 55)
+    folder.add_alarm("C", 50, state="acknowledged", severity="critical", kind="hole")
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def api(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        yield client
+
+
+def get(api, path):
+    answer = api.get(path)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+@pytest.mark.parametrize(
+    ("path", "model"),
+    [
+        ("/healthz", models.Liveness),
+        ("/readyz", models.Liveness),
+        ("/api/v1/info", models.Info),
+        ("/api/v1/health", models.ServiceHealth),
+        ("/api/v1/transducers", models.PositionList),
+        ("/api/v1/transducers/A", models.PositionState),
+        ("/api/v1/transducers/B", models.PositionState),
+        ("/api/v1/sets", models.SetPage),
+        ("/api/v1/sets/B/0/shots", models.ShotPage),
+        ("/api/v1/features", models.FeaturePage),
+        ("/api/v1/features?scope=shot&position=C&set_index=3", models.FeaturePage),
+        ("/api/v1/thickness", models.ThicknessPage),
+        ("/api/v1/verdicts", models.VerdictPage),
+        ("/api/v1/baselines", models.BaselineList),
+        ("/api/v1/trends/A", models.Trend),
+        ("/api/v1/trends/B", models.Trend),
+        ("/api/v1/fits/B?field=tof_pp_s", models.Fit),
+        ("/api/v1/environment", models.EnvironmentPage),
+        ("/api/v1/environment/latest", models.EnvironmentNow),
+        ("/api/v1/alarms", models.AlarmPage),
+        ("/api/v1/alarms/1", models.AlarmRow),
+        ("/api/v1/waveforms/B/0/1", models.WaveformAnswer),
+        ("/api/v1/waveforms/A/0/0?points=200", models.WaveformAnswer),
+    ],
+)
+def test_answer_holds_to_its_documented_shape(api, path, model):
+    answer = api.get(path)
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"] == "application/json"
+    # Models forbid what is not documented, so an extra key fails too.
+    model.model_validate_json(answer.content, strict=True)
+
+
+def test_info_names_experiment_rig_clock_and_plan(api, filled):
+    info = get(api, "/api/v1/info")
+    assert info["name"] == filled.settings.name
+    assert (info["rig"], info["rig_label"]) == ("simulated", "physics twin")
+    assert info["schedule"] == {"n_sets": 425, "end_h": 350.0, "baseline_h": 24.0, "shots_per_set": 10}
+    assert info["clock"]["can_finish_now"] is False
+    assert [place["position"] for place in info["positions"]] == ["A", "B", "C", "D"]
+    assert info["last_event_id"] == filled.catalogue.last_event_id()
+
+
+def test_finish_now_is_offered_only_while_a_paced_test_runs(tmp_path):
+    filled = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        assert get(api, "/api/v1/info")["clock"]["can_finish_now"] is True
+        filled.say("schedule_done", filled.due[0].due_utc_ns)
+        info = get(api, "/api/v1/info")
+        assert (info["clock"]["can_finish_now"], info["as_of"]["recorder"]) == (False, "finished")
+    filled.close()
+
+
+def test_ages_are_on_the_experiments_clock_and_since_the_last_write(api, filled):
+    last = filled.due[N_SETS - 1]
+    answer = get(api, "/api/v1/features?position=B&from_h=10&to_h=10.25")
+    (row,) = answer["items"]
+    assert answer["as_of"]["now_h"] == last.due_h
+    assert row["age_h"] == last.due_h - 10.0
+    assert datetime.fromisoformat(row["due_utc"]) == EPOCH + timedelta(hours=10)
+    assert 0.0 <= answer["as_of"]["wall_age_s"] < 600.0
+    assert row["quality"] == "good"
+
+
+def test_a_number_that_is_not_available_is_null(api):
+    (row,) = get(api, "/api/v1/features?position=B&limit=1")["items"]
+    assert row["ssw_amplitude_v"] is None
+
+
+def test_ranges_include_their_start_and_exclude_their_end(api):
+    rows = get(api, "/api/v1/features?position=B&from_h=5&to_h=7")["items"]
+    assert [row["due_h"] for row in rows] == [5.0, 5.5, 6.0, 6.5]
+    sets = get(api, "/api/v1/sets?position=B&from_h=5&to_h=7")["items"]
+    assert [row["due_h"] for row in sets] == [5.0, 5.5, 6.0, 6.5]
+    assert get(api, "/api/v1/trends/B?from_h=5&to_h=7")["columns"]["due_h"] == [5.0, 5.5, 6.0, 6.5]
+    assert get(api, "/api/v1/features?position=B&from_h=5&to_h=5")["items"] == []
+
+
+@pytest.mark.parametrize(
+    ("path", "total"),
+    [
+        ("/api/v1/sets", 4 * N_SETS),
+        ("/api/v1/features?scope=shot", 6 * N_SETS),
+        ("/api/v1/verdicts?position=D", N_SETS),
+        ("/api/v1/thickness", N_SETS),
+        ("/api/v1/environment", N_SETS - 2),
+        ("/api/v1/alarms", 2),
+    ],
+)
+def test_pages_together_are_the_whole_listing(api, path, total):
+    limit = 1 if total == 2 else 37
+    separator = "&" if "?" in path else "?"
+    ids, cursor = [], None
+    while True:
+        page = get(api, f"{path}{separator}limit={limit}" + (f"&cursor={cursor}" if cursor else ""))
+        assert len(page["items"]) <= limit
+        ids += [row["id"] for row in page["items"]]
+        cursor = page["next_cursor"]
+        if cursor is None:
+            break
+    assert len(ids) == total
+    assert ids == sorted(set(ids))
+
+
+def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
+    (row,) = get(api, "/api/v1/environment?from_h=10&to_h=10.25")["items"]
+    (stored,) = filled.catalogue.list_environment(first_h=10.0, last_h=10.0)
+    assert {name: row[name] for name in stored} == stored
+    assert (row["voltage_v"], row["charge_coulomb"]) == (10.0, 180.0)
+    assert (row["climate_quality"], row["temperature_c"], row["relative_humidity"]) == ("stale", 21.5, None)
+    assert (row["due_utc"], row["age_h"]) == ("2024-01-01T10:00:00Z", 20.0)
+    latest = get(api, "/api/v1/environment/latest")
+    assert (latest["latest"]["set_index"], latest["latest"]["age_h"]) == (N_SETS - 1, 0.0)
+    assert latest["as_of"]["now_h"] == 30.0
+
+
+def test_without_supply_and_probe_the_environment_is_empty(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        assert get(api, "/api/v1/environment")["items"] == []
+        assert get(api, "/api/v1/environment/latest")["latest"] is None
+    filled.close()
+
+
+def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+
+        def told():
+            info = get(api, "/api/v1/info")
+            return info["held"], info["dry_run"]
+
+        assert told() == (None, None), "a recorder of an older version does not say"
+        filled.say("recorder_started", dry_run=True)
+        filled.say("hold", held="held by ann: door open", author="ann")
+        assert told() == ("held by ann: door open", True)
+        filled.say("recorder_started", dry_run=False)
+        assert told() == ("held by ann: door open", False), "a restart ends no hold"
+        filled.say("release", held="", author="ann")
+        assert told() == (None, False)
+    filled.close()
+
+
+def test_trend_columns_are_the_catalogues_rows(api, filled):
+    trend = get(api, "/api/v1/trends/B")
+    rows = filled.catalogue.list_features("B")
+    verdicts = filled.catalogue.list_verdicts("B")
+    columns = trend["columns"]
+    assert {len(column) for column in columns.values()} == {N_SETS}
+    assert columns["tof_pp_s"] == [row["tof_pp_s"] for row in rows]
+    assert columns["distance_squared"] == [row["distance_squared"] for row in verdicts]
+    assert columns["outlier"] == [row["outlier"] for row in verdicts]
+    assert trend["units"]["tof_pp_s"] == "s"
+    assert trend["units"]["psw_area_v_s"] == "V s"
+    assert trend["units"]["amplitude_ratio"] == "1"
+
+
+def test_trend_gives_the_chosen_fields_only(api):
+    columns = get(api, "/api/v1/trends/A?fields=thickness_m")["columns"]
+    assert set(columns) == {"set_index", "due_h", "due_utc", "age_h", "quality", "thickness_m"}
+
+
+def test_fit_is_the_least_squares_parabola(api, filled):
+    fit = get(api, "/api/v1/fits/B?field=tof_pp_s")
+    rows = filled.catalogue.list_features("B")
+    hours, values = [row["due_h"] for row in rows], [row["tof_pp_s"] for row in rows]
+    expected = np.polynomial.Polynomial.fit(hours, values, 2).convert().coef
+    at = np.array([0.0, 15.0, 30.0])
+    # Two orthogonalisations of the same problem: their values differ by rounding only.
+    np.testing.assert_allclose(
+        np.polynomial.polynomial.polyval(at, fit["coefficients"]),
+        np.polynomial.polynomial.polyval(at, expected),
+        rtol=1e-10,
+    )
+    assert (fit["n"], fit["from_h"], fit["to_h"]) == (N_SETS, 0.5, 30.0)
+
+
+def test_fit_of_too_few_sets_says_why(api):
+    fit = get(api, "/api/v1/fits/B?field=tof_pp_s&to_h=1.6")
+    assert fit["coefficients"] is None
+    assert "3 points" in fit["reason"]
+
+
+def test_transducers_tell_their_state(api):
+    states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
+    assert {name: row["state"] for name, row in states.items()} == {
+        "A": "normal",
+        "B": "alarm",
+        "C": "retired",
+        "D": "normal",
+    }
+    assert states["C"]["highest_severity"] == "critical"
+    assert states["B"]["last_verdict"]["quality"] == "good"
+    assert states["B"]["last_verdict"]["limit_f"] == LIMIT_F
+    assert not any(row["stale"] for row in states.values())
+    assert states["B"]["last_set"]["set_index"] == N_SETS - 1
+
+
+def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    (tmp_path / FILE_NAME).unlink()
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        answer = get(api, "/api/v1/transducers")
+        assert answer["as_of"]["recorder"] == "absent"
+        assert all(row["stale"] for row in answer["items"])
+    filled.close()
+
+
+def test_data_of_a_retired_transducer_age_on(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    for index in range(2):
+        filled.add_set(index, stored=False)
+    filled.retire("C", 2)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
+    assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("retired", 1.5)
+    assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
+    assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
+    assert states["D"]["age_h"] == 0.5
+    assert states["C"]["retired_because"] == "10 sets running with nothing at C"
+    assert states["D"]["retired_because"] is None
+    filled.close()
+
+
+def test_health_counts_what_is_stored(api):
+    health = get(api, "/api/v1/health")
+    assert health["counts"]["sets"] == N_SETS
+    assert health["counts"]["pulse_echo_records"] == N_SETS
+    assert health["counts"]["active_alarms"] == 2
+    assert health["recorder"]["state"] == "running"
+    assert health["disk_free_bytes"] > 0
+
+
+def test_alarm_filter_by_activity(api):
+    assert len(get(api, "/api/v1/alarms?active=true")["items"]) == 2
+    assert get(api, "/api/v1/alarms?active=false")["items"] == []
+    assert get(api, "/api/v1/alarms/1")["proof"]["limit"] == LIMIT_F
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/api/v1/transducers/Z",
+        "/api/v1/trends/Z",
+        "/api/v1/fits/Z?field=tof_pp_s",
+        "/api/v1/sets?position=Z",
+        "/api/v1/features?position=..",
+        "/api/v1/waveforms/live/Z",
+        "/api/v1/waveforms/..%2Fcatalogue/0/0",
+        "/api/v1/waveforms/B/1/0",
+        "/api/v1/waveforms/B/0/99",
+        "/api/v1/sets/B/400/shots",
+        "/api/v1/alarms/99",
+        "/api/v1/commands/99",
+        "/api/v1/nothing",
+        "/static/../app.py",
+        "/static/%2e%2e/app.py",
+        "/static/nothing.js",
+    ],
+)
+def test_what_is_not_there_is_404(api, path):
+    # A raw request target: httpx would tidy the dots away.
+    answer = api.send(httpx.Request("GET", api.base_url.copy_with(raw_path=path.encode())))
+    assert answer.status_code == 404, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    models.ProblemDetails.model_validate_json(answer.content)
+
+
+# Pure parts
+
+
+@pytest.mark.parametrize(
+    ("utc_ns", "text"),
+    [
+        (0, "1970-01-01T00:00:00Z"),
+        (1_704_067_200_000_000_000, "2024-01-01T00:00:00Z"),
+        (1_704_067_200_250_000_000, "2024-01-01T00:00:00.250Z"),
+        (1_704_067_200_000_000_001, "2024-01-01T00:00:00.000000001Z"),
+        (None, None),
+    ],
+)
+def test_times_lose_no_nanosecond(utc_ns, text):
+    assert rfc3339(utc_ns) == text
+
+
+def test_hours_get_their_time_beside_them():
+    row = with_utc({"due_h": 1.5, "raised_h": None, "wall_utc_ns": 0}, 0)
+    assert row == {
+        "due_h": 1.5,
+        "due_utc": "1970-01-01T01:30:00Z",
+        "raised_h": None,
+        "raised_utc": None,
+        "wall_utc": "1970-01-01T00:00:00Z",
+    }
+
+
+SET = {"state": "done", "method": "solitary_wave"}
+ECHO_SET = {"state": "done", "method": "pulse_echo"}
+
+
+@pytest.mark.parametrize(
+    ("last_set", "verdict", "alarms", "word"),
+    [
+        (None, None, [], "no_data"),
+        # It was reinstated after this set: what it is now is told by its alarms.
+        ({"state": "retired", "method": "solitary_wave"}, {"outlier": False}, [], "normal"),
+        (SET, {"outlier": False}, [{}], "alarm"),
+        (SET, {"outlier": True}, [], "outlier"),
+        (SET, {"outlier": False}, [], "normal"),
+        (SET, {"outlier": None}, [], "learning"),
+        (SET, None, [], "learning"),
+        (ECHO_SET, None, [], "normal"),
+    ],
+)
+def test_word_for_a_position(last_set, verdict, alarms, word):
+    assert state_word(last_set, verdict, alarms) == word
+
+
+def test_interval_follows_the_phases():
+    schedule = Settings().schedule
+    assert [interval_at(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "word"),
+    [
+        (["recorder_started", "set_done", "schedule_done"], "finished"),
+        (["schedule_done", "alarm_acknowledged"], "finished"),
+        (["recorder_stopped"], "stopped"),
+        (["recorder_stopped", "recorder_started", "set_done"], "absent"),
+        ([], "absent"),
+    ],
+)
+def test_recorder_says_itself_how_it_ended(kinds, word):
+    assert recorder_state(None, kinds) == word
+
+
+def test_everything_the_twin_measures_is_a_number_or_null(api):
+    for column in get(api, "/api/v1/trends/B")["columns"].values():
+        assert all(not isinstance(value, float) or math.isfinite(value) for value in column)

@@ -1,0 +1,256 @@
+"""The event stream: resume, gaps, slow clients, heartbeat, and many clients at once."""
+
+import asyncio
+from contextlib import contextmanager
+
+import httpx
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import DEADLINE_S, served, stream_events, take
+
+from daq_service.settings.tree import Settings
+from daq_service.web.context import Context
+from daq_service.web.routes import stream
+from daq_service.web.routes.stream import frames, gap_frame
+from daq_service.web.streams.hub import EventHub, encode_event
+
+
+@pytest.fixture
+def filled(tmp_path):
+    folder = FilledFolder(tmp_path, Settings())
+    folder.add_set(0, stored=False)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+@contextmanager
+def connected(service, query="", **headers):
+    url = f"{service.url}api/v1/stream{query}"
+    with httpx.stream("GET", url, headers=headers, timeout=DEADLINE_S) as response:
+        assert response.status_code == 200
+        assert response.headers["content-type"].startswith("text/event-stream")
+        yield stream_events(response)
+
+
+def stored_ids(filled, topics=None):
+    return [row["id"] for row in filled.catalogue.events_after(0, topics, None)]
+
+
+def test_events_arrive_as_they_are_committed(filled, service):
+    with connected(service, "?after=0") as events:
+        history = stored_ids(filled)
+        assert [event.id for event in take(events, len(history))] == history
+        new = filled.add_set(1, stored=False)
+        arrived = take(events, len(new))
+    assert [event.id for event in arrived] == new
+    rows = filled.catalogue.events_after(history[-1], None, None)
+    assert [event.event for event in arrived] == [row["topic"] for row in rows]
+    assert arrived[0].data["position"] == "A"
+    assert arrived[0].data["kind"] == "set_done"
+    assert arrived[0].data["utc"] == "2024-01-01T01:00:00Z"
+
+
+def test_without_a_start_only_new_events_arrive(filled, service):
+    before = stored_ids(filled)
+    with connected(service) as events:
+        new = filled.add_set(1, stored=False)
+        # Whatever was committed while connecting may be among them, nothing older.
+        assert next(events).id in new
+    assert max(before) < min(new)
+
+
+def test_last_event_id_resumes_without_loss_or_repetition(filled, service):
+    with connected(service, "?after=0") as events:
+        seen = [event.id for event in take(events, 3)]
+    filled.add_set(1, stored=False)
+    # Last-Event-ID wins over the address, as when EventSource reconnects.
+    with connected(service, "?after=0", **{"Last-Event-ID": str(seen[-1])}) as events:
+        rest = stored_ids(filled)[3:]
+        assert [event.id for event in take(events, len(rest))] == rest
+
+
+def test_resume_works_across_a_restart_of_the_service(filled):
+    with served(filled.settings, filled.folder) as first, connected(first, "?after=0") as events:
+        last = take(events, 2)[-1].id
+    filled.add_set(1, stored=False)
+    with served(filled.settings, filled.folder) as second, connected(second, f"?after={last}") as events:
+        rest = stored_ids(filled)[2:]
+        assert [event.id for event in take(events, len(rest))] == rest
+
+
+def test_only_the_chosen_topics_arrive(filled, service):
+    with connected(service, "?topics=verdicts,thickness&after=0") as events:
+        filled.add_set(1, stored=False)
+        wanted = stored_ids(filled, ["verdicts", "thickness"])
+        arrived = take(events, len(wanted))
+    assert [event.id for event in arrived] == wanted
+    assert {event.event for event in arrived} == {"verdicts", "thickness"}
+
+
+def test_too_long_an_absence_is_a_gap(filled, monkeypatch):
+    monkeypatch.setattr(stream, "LONGEST_REPLAY_EVENTS", 5)
+    ids = stored_ids(filled)
+    assert len(ids) > 6
+    with served(filled.settings, filled.folder) as service, connected(service, "?after=1") as events:
+        gap, *rest = take(events, 6)
+    assert gap.event == "gap"
+    assert gap.data["after"] == 1
+    assert gap.id == gap.data["until"] == ids[-6]
+    assert [event.id for event in rest] == ids[-5:]
+
+
+def test_id_of_another_folder_is_a_gap(filled, service):
+    with connected(service, "?after=99999") as events:
+        gap = next(events)
+        assert gap.event == "gap"
+        assert gap.id == stored_ids(filled)[-1]
+        new = filled.add_set(1, stored=False)
+        assert next(events).id == new[0]
+
+
+def test_stream_may_be_opened_before_the_first_record(tmp_path):
+    with served(Settings(), tmp_path) as service, connected(service) as events:
+        filled = FilledFolder(tmp_path, Settings())
+        filled.add_set(0, stored=False)
+        ids = stored_ids(filled)
+        filled.close()
+        assert [event.id for event in take(events, len(ids))] == ids
+
+
+@pytest.mark.parametrize("value", ["x", "-1", "1e3", "9" * 30])
+def test_last_event_id_that_is_none_is_refused(service, value):
+    answer = httpx.get(f"{service.url}api/v1/stream", headers={"Last-Event-ID": value})
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+# The hub alone, with an invented catalogue
+
+
+class InventedEvents:
+    """Events that a test adds; stands for the catalogue."""
+
+    def __init__(self):
+        self.rows = []
+
+    def add(self, count, topic="sets"):
+        first = len(self.rows) + 1
+        self.rows += [{"id": first + k, "topic": topic} for k in range(count)]
+
+    def last_id(self):
+        return len(self.rows)
+
+    def after(self, event_id, topics, limit):
+        rows = [
+            row for row in self.rows if row["id"] > event_id and (topics is None or row["topic"] in topics)
+        ]
+        return rows[:limit]
+
+
+async def hub_reached(hub, event_id):
+    async with asyncio.timeout(DEADLINE_S):
+        while hub.last_id < event_id:
+            await hub.changed()
+
+
+def run_with_hub(tmp_path, body, *, poll_interval_s=0.001, **options):
+    async def run():
+        source = InventedEvents()
+        source.add(1)
+        context = Context(Settings(), tmp_path)
+        context.events = source
+        hub = EventHub(source, poll_interval_s=poll_interval_s, **options)
+        await hub.start()
+        try:
+            async with asyncio.timeout(DEADLINE_S):
+                await body(source, context, hub)
+        finally:
+            hub.close()
+            await hub.join()
+
+    asyncio.run(run())
+
+
+def test_slow_client_skips_with_a_gap_and_nothing_queues(tmp_path):
+    async def body(source, context, hub):
+        client = frames(context, hub, None, 1)
+        assert (await anext(client)).startswith(b"retry: ")
+        source.add(1)
+        assert await anext(client) == encode_event({"id": 2, "topic": "sets"}).frame
+        # The client does not read while 40 events pass through a ring of 8 (kept: 8 to 16).
+        source.add(40)
+        await hub_reached(hub, 42)
+        chunk = await anext(client)
+        kept = [event.id for event in hub.after(0)]
+        assert len(kept) <= 16
+        assert chunk.startswith(gap_frame(2, kept[0] - 1, "the client was too slow"))
+        assert chunk.count(b"event: sets\n") == len(kept)
+        assert kept[-1] == 42
+        await client.aclose()
+        assert hub.clients == 0
+
+    run_with_hub(tmp_path, body, ring_events=8)
+
+
+def test_quiet_stream_beats(tmp_path):
+    async def body(source, context, hub):
+        client = frames(context, hub, frozenset({"alarms"}), None)
+        await anext(client)
+        assert await anext(client) == b": heartbeat\n\n"
+        # Events of other topics do not keep it from beating.
+        source.add(3)
+        assert await anext(client) == b": heartbeat\n\n"
+        await client.aclose()
+
+    run_with_hub(tmp_path, body, heartbeat_interval_s=0.02)
+
+
+def test_id_that_only_the_catalogue_knows_yet_is_no_gap(tmp_path):
+    """REST reads the catalogue itself and may be ahead of the tail by one poll."""
+
+    async def body(source, context, hub):
+        while hub.complete_after is None:
+            await hub.changed()
+        source.add(3)
+        client = frames(context, hub, None, 4)
+        await anext(client)
+        # The tail sleeps for a minute: the first thing to hear is the heartbeat, not a gap.
+        assert await anext(client) == b": heartbeat\n\n"
+        await client.aclose()
+
+    run_with_hub(tmp_path, body, poll_interval_s=60.0, heartbeat_interval_s=0.02)
+
+
+def test_end_of_the_service_says_bye(tmp_path):
+    async def body(source, context, hub):
+        client = frames(context, hub, None, None)
+        await anext(client)
+        hub.close()
+        assert await anext(client) == b"event: bye\ndata: {}\n\n"
+        with pytest.raises(StopAsyncIteration):
+            await anext(client)
+
+    run_with_hub(tmp_path, body)
+
+
+def test_each_event_is_encoded_once_for_all_clients(tmp_path):
+    async def body(source, context, hub):
+        clients = [frames(context, hub, None, 1) for _ in range(50)]
+        for client in clients:
+            await anext(client)
+        source.add(1)
+        chunks = [await anext(client) for client in clients]
+        assert set(chunks) == {encode_event({"id": 2, "topic": "sets"}).frame}
+        assert hub.after(1)[0].frame is hub.after(1)[0].frame
+        assert hub.clients == 50
+        for client in clients:
+            await client.aclose()
+        assert hub.clients == 0
+
+    run_with_hub(tmp_path, body)

@@ -1,0 +1,182 @@
+"""Stored records in volts, the live picture by GET and by WebSocket."""
+
+import io
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from support.filled_folder import FilledFolder
+from support.served_web import DEADLINE_S, served
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from daq_service.archive import read_waveform, set_files
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.problem import Problem
+from daq_service.web.routes.waveforms import extremes_per_bin
+from daq_service.web.streams.live_pictures import decode_header
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
+    folder.add_set(0, shown=True)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+@pytest.fixture
+def api(service):
+    with service.client() as client:
+        yield client
+
+
+def stored(filled, position, shot_index):
+    return read_waveform(set_files(filled.folder)[0], position, shot_index)
+
+
+def live_record(content):
+    (length,) = struct.unpack_from("<I", content)
+    header = json.loads(content[4 : 4 + length])
+    assert (4 + length) % 8 == 0
+    return header, np.frombuffer(content[4 + length :], dtype=np.dtype(header["dtype"]).newbyteorder("<"))
+
+
+@pytest.mark.parametrize(("position", "shot_index"), [("B", 0), ("D", 1), ("A", 0)])
+def test_stored_record_comes_back_in_volts(api, filled, position, shot_index):
+    answer = api.get(f"/api/v1/waveforms/{position}/0/{shot_index}").json()
+    waveform = stored(filled, position, shot_index)
+    np.testing.assert_array_equal(answer["voltage_v"], waveform.volts())
+    np.testing.assert_array_equal(answer["time_s"], waveform.time_s())
+    assert answer["n_samples"] == waveform.counts.size
+    assert answer["downsampled"] is False
+    assert (answer["quality"], answer["valid"], answer["flags"]) == ("good", True, [])
+    assert answer["due_h"] == 0.5
+
+
+def test_npy_is_time_and_volts(api, filled):
+    answer = api.get("/api/v1/waveforms/C/0/1?format=npy")
+    assert answer.headers["content-type"] == "application/x-npy"
+    waveform = stored(filled, "C", 1)
+    np.testing.assert_array_equal(
+        np.load(io.BytesIO(answer.content)), np.stack([waveform.time_s(), waveform.volts()])
+    )
+
+
+def test_octets_are_the_counts_with_what_makes_them_volts(api, filled):
+    answer = api.get("/api/v1/waveforms/B/0/0?format=octets")
+    waveform = stored(filled, "B", 0)
+    counts = np.frombuffer(answer.content, dtype=answer.headers["x-dtype"])
+    np.testing.assert_array_equal(counts, waveform.counts)
+    coefficients = [float(text) for text in answer.headers["x-coefficients-v"].split(",")]
+    assert coefficients == waveform.calibration.coefficients_v.tolist()
+    assert float(answer.headers["x-sample-rate-hz"]) == waveform.sample_rate_hz
+    assert int(answer.headers["x-pretrigger-samples"]) == waveform.pretrigger_samples
+
+
+def test_downsampled_record_keeps_its_extremes(api, filled):
+    answer = api.get("/api/v1/waveforms/B/0/0?points=300").json()
+    volts = stored(filled, "B", 0).volts()
+    assert len(answer["voltage_v"]) <= 300
+    assert answer["downsampled"] is True
+    assert (min(answer["voltage_v"]), max(answer["voltage_v"])) == (volts.min(), volts.max())
+    assert answer["time_s"] == sorted(answer["time_s"])
+
+
+@given(
+    values=arrays.arrays(np.float64, st.integers(1, 200), elements=st.floats(-1e3, 1e3)),
+    points=st.integers(4, 60),
+)
+def test_extremes_of_each_bin_survive(values, points):
+    kept = extremes_per_bin(values, points)
+    assert kept.size <= points
+    assert np.all(np.diff(kept) > 0)
+    assert values[kept].min() == values.min()
+    assert values[kept].max() == values.max()
+
+
+# Live
+
+
+def test_live_picture_is_the_recorders_file(api, filled):
+    answer = api.get("/api/v1/waveforms/live/B")
+    assert answer.content == (filled.folder / "live" / "B.bin").read_bytes()
+    header, counts = live_record(answer.content)
+    assert (header["position"], header["set_index"]) == ("B", 0)
+    assert counts.size == 13_000
+    assert answer.headers["x-sequence"] == str(header["sequence"])
+
+
+def test_position_without_picture_is_404(tmp_path):
+    with served(Settings(), tmp_path) as service, service.client() as api:
+        assert api.get("/api/v1/waveforms/live/B").status_code == 404
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\xff\xff\xff\xff{}", b"\x02\0\0\0[]", struct.pack("<I", 400) + b"{}"]
+)
+def test_damaged_picture_is_a_problem(content):
+    with pytest.raises(Problem) as caught:
+        decode_header(content)
+    assert caught.value.status == 503
+
+
+def test_websocket_sends_the_newest_picture_of_each_position(filled, service):
+    with connect(f"ws://{service.netloc}/api/v1/waveforms/live") as socket:
+        first = {live_record(socket.recv(timeout=DEADLINE_S))[0]["position"] for _ in range(4)}
+        assert first == {"A", "B", "C", "D"}
+    with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=C") as socket:
+        assert live_record(socket.recv(timeout=DEADLINE_S))[0]["position"] == "C"
+        filled.show_set(1)
+        header, counts = live_record(socket.recv(timeout=DEADLINE_S))
+        if header["set_index"] == 0:  # the first set's second shot was read while it was replaced
+            header, counts = live_record(socket.recv(timeout=DEADLINE_S))
+        assert (header["position"], header["set_index"]) == ("C", 1)
+        assert counts.size == 13_000
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
+def test_websocket_of_another_origin_is_refused(service, origin):
+    with (
+        pytest.raises(InvalidStatus) as caught,
+        connect(f"ws://{service.netloc}/api/v1/waveforms/live", origin=origin),
+    ):
+        pass
+    assert caught.value.response.status_code == 403
+    assert caught.value.response.headers["content-type"] == "application/problem+json"
+
+
+def test_websocket_of_the_own_origin_is_welcome(service):
+    with connect(
+        f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin=f"http://{service.netloc}"
+    ) as socket:
+        assert socket.recv(timeout=DEADLINE_S)
+
+
+@pytest.mark.parametrize("positions", ["Z", "B,Z", "", "../secret"])
+def test_websocket_for_unknown_positions_is_refused(service, positions):
+    with (
+        pytest.raises((InvalidStatus, ConnectionClosed)),
+        connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions={positions}") as socket,
+    ):
+        socket.recv(timeout=DEADLINE_S)
+
+
+def test_client_that_left_is_forgotten(service, api):
+    with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B") as socket:
+        socket.recv(timeout=DEADLINE_S)
+        assert api.get("/api/v1/health").json()["waveform_clients"] >= 1
+    for _ in range(500):  # each turn is a request: no waiting by the clock
+        if api.get("/api/v1/health").json()["waveform_clients"] == 0:
+            return
+    pytest.fail("the client that left is still counted")

@@ -1,0 +1,103 @@
+"""Depth over time: slow, monotone, uneven by the seed, and the hole when it is due."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from simulator.experiment.corrosion import held_hour_h, wall_history
+from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters
+from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
+
+HOURS = np.arange(0.0, 350.0, 1.0 / 6.0)
+NS_PER_S = 1_000_000_000
+
+
+def depths(thinning, seed=1, position="B", hours=HOURS):
+    history = wall_history(thinning, seed=seed, position=position)
+    return np.array([history.at(float(hour)).depth_fraction for hour in hours])
+
+
+@pytest.mark.parametrize("position", ["A", "B", "C", "D"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_wall_never_grows_back_and_keeps_to_its_plan(position, seed):
+    thinning = PAPER_THINNING[position]
+    depth = depths(thinning, seed, position)
+    assert np.all(np.diff(depth) >= 0.0)
+    assert np.all(depth[thinning.onset_h >= HOURS] == 0.0)
+    history = wall_history(thinning, seed=seed, position=position)
+    # Rounding: the wobble's terms cancel at the reference hour but for a few ulp.
+    assert history.at(thinning.reference_h).depth_fraction == pytest.approx(
+        thinning.depth_fraction, rel=1e-12
+    )
+
+
+def test_position_a_follows_figure_15():
+    history = wall_history(PAPER_THINNING["A"], seed=1, position="A")
+    # The core taken at the end; the probe reads more.
+    assert 6.35e-3 * (1.0 - history.at(350.0).depth_fraction) == pytest.approx(3.8e-3, rel=1e-12)
+    assert history.at(175.0).depth_fraction == pytest.approx(
+        0.5 * history.at(350.0).depth_fraction, rel=1e-12
+    )
+
+
+def test_unevenness_is_seeded_per_position_and_bounded():
+    thinning = PAPER_THINNING["B"]
+    even = depths(replace(thinning, unevenness=0.0))
+    uneven = depths(thinning)
+    assert np.array_equal(uneven, depths(thinning))
+    assert np.max(np.abs(uneven - depths(thinning, seed=2))) > 1e-3
+    assert np.max(np.abs(uneven - depths(thinning, position="C"))) > 1e-3
+    assert np.max(np.abs(uneven - even)) > 1e-3
+    after = HOURS[:-1] > thinning.onset_h
+    rate = np.diff(uneven)[after] / np.diff(even)[after]
+    # The rate itself keeps within 1 +- unevenness; 1e-9 is the rounding of two nearly equal depths.
+    assert rate.min() >= 1.0 - thinning.unevenness - 1e-9
+    assert rate.max() <= 1.0 + thinning.unevenness + 1e-9
+
+
+@pytest.mark.parametrize(("position", "hole_h"), [("B", 270.0), ("C", 347.0)])
+@pytest.mark.parametrize("seed", range(1, 12))
+def test_the_hole_comes_when_it_is_due_and_not_an_interval_earlier(position, hole_h, seed):
+    history = wall_history(PAPER_THINNING[position], seed=seed, position=position)
+    pits = np.array([history.at(float(hour)).pit_depth_fraction for hour in HOURS])
+    assert np.all(np.diff(pits) >= 0.0)
+    assert np.all(pits >= depths(PAPER_THINNING[position], seed, position))
+    assert not history.at(hole_h - 1.0 / 6.0).is_hole
+    assert history.at(hole_h).is_hole
+    assert history.at(hole_h).depth_fraction < 0.6 < history.at(hole_h).pit_depth_fraction
+
+
+def test_a_position_without_hole_hour_ends_at_the_deepest_patch():
+    history = wall_history(ThinningParameters(reference_h=100.0, depth_fraction=0.9), seed=1, position="B")
+    assert history.at(1e5).depth_fraction == DEEPEST_PATCH_FRACTION
+    assert history.at(90.0).pit_depth_fraction == history.at(90.0).depth_fraction
+
+
+def test_a_table_of_depths_replaces_the_law():
+    thinning = ThinningParameters(history=((10.0, 0.1), (20.0, 0.1), (40.0, 0.5), (41.0, 0.95)))
+    hours = (-5.0, 0.0, 10.0, 15.0, 20.0, 30.0, 40.5, 41.0, 1e4)
+    expected = [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.725, 0.95, 0.95]
+    np.testing.assert_allclose(depths(thinning, hours=hours), expected, rtol=1e-14)  # rounding
+    # Whatever seed and position: nothing is drawn.
+    assert np.array_equal(depths(thinning, seed=7, position="C"), depths(thinning))
+    history = wall_history(thinning, seed=1, position="B")
+    assert not history.at(40.9).is_hole
+    assert history.at(41.0).is_hole
+
+
+def test_a_pit_grows_beside_a_table_of_depths():
+    thinning = ThinningParameters(history=((0.0, 0.0), (100.0, 0.2)), hole_h=90.0)
+    history = wall_history(thinning, seed=1, position="B")
+    assert history.at(45.0).pit_depth_fraction == pytest.approx(0.475, rel=1e-12)
+    assert history.at(90.0).is_hole
+    assert history.at(90.0).depth_fraction == pytest.approx(0.18, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "hour_h"),
+    [(0.0, 0.0), (599.9, 0.0), (600.0, 1 / 6), (1800.0, 0.5), (1920.0, 0.5), (-1.0, -1 / 6)],
+)
+def test_a_set_has_one_hour(elapsed_s, hour_h):
+    # A few ulp: seconds become hours by one division.
+    assert held_hour_h(round(elapsed_s * NS_PER_S), 600.0) == pytest.approx(hour_h, rel=1e-15)

@@ -1,0 +1,31 @@
+"""Krylov spaces of a plate: what they promise about their vectors."""
+
+import numpy as np
+import pytest
+
+from simulator.numerics.band_factor import band_factor, band_solve, lower_band
+from simulator.numerics.krylov import SHIFT_RAD_PER_S, lanczos
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.plate.mindlin.plate import build_plate
+
+PLATE = build_plate(PlateParameters(elements_per_edge=24, contact_element_m=1e-3), CorrosionParameters())
+
+
+@pytest.fixture(scope="module")
+def matrices():
+    return PLATE.at_depth(0.3)
+
+
+def test_lanczos_makes_the_operator_tridiagonal(matrices):
+    stiffness, mass = matrices
+    factor = band_factor(lower_band(stiffness + SHIFT_RAD_PER_S**2 * mass))
+    vectors = np.empty((40, len(PLATE.load)))
+    diagonal, beside = lanczos(lambda x: band_solve(factor, x), lambda x: mass @ x, PLATE.load, vectors)
+    # Rounding grows for a few steps between reorthogonalisations.
+    np.testing.assert_allclose(vectors @ (mass @ vectors.T), np.eye(40), atol=1e-8)
+    images = np.array([band_solve(factor, mass @ vector) for vector in vectors])
+    operator = images @ (mass @ vectors.T)
+    expected = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+    np.testing.assert_allclose(operator, expected, atol=1e-8 * diagonal.max())
+    first = band_solve(factor, PLATE.load)
+    np.testing.assert_allclose(vectors[0], first / np.sqrt(first @ (mass @ first)), rtol=1e-12)
