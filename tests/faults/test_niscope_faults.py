@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections import Counter
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,6 +28,8 @@ from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNE
 from simulator.doubles.brain import Brain
 from simulator.doubles.doors.control import running_doubles
 from simulator.doubles.doors.library import client_environment
+
+ROOT = Path(__file__).parents[2]
 
 pytestmark = rig.needs_niscope
 
@@ -266,7 +269,7 @@ HANGING = sorted({function for _, function, _ in ALL})
 def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, function):
     brain.faults.inject(function, "hang")
     command = [sys.executable, "-c", CLIENT, rig.RESOURCE, f"{rig.SERIAL:08X}"]
-    environment = os.environ | {"PYTHONPATH": str(rig.ROOT)}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as child:
         assert brain.faults.wait_until_hanging(30.0)
         child.kill()
