@@ -28,7 +28,15 @@ class BusyError(InstrumentError):
 
 
 class AcquisitionTimeoutError(InstrumentError):
-    """No record arrived within the deadline: the strike was missed."""
+    """No record arrived within the deadline: the strike was missed.
+
+    Attributes
+    ----------
+    last_attempt
+        The shot cannot be struck once more: a recording has no further attempt.
+    """
+
+    last_attempt = False
 
 
 class ConnectionLostError(InstrumentError):

@@ -45,11 +45,14 @@ class Acquired:
         What a simulated specimen knows of the record; empty on a real one.
     settings
         What the instrument says of the record, SI units in the names.
+    last_attempt
+        The shot cannot be struck once more: a recording has no further attempt.
     """
 
     waveform: Waveform
     truth: Mapping[str, float] = field(default_factory=dict)
     settings: Mapping[str, float | str] = field(default_factory=dict)
+    last_attempt: bool = False
 
 
 @runtime_checkable
@@ -211,8 +214,6 @@ class Rig:
         ``simulated``, ``daqmx``, ``playback``: what the reader of a number should know of its origin.
     dry_run
         A rehearsal: everything is set up, but no coil is ever energised and records show noise.
-    has_shot
-        Whether a recording holds a shot: only those are struck again. None: any shot can be taken.
     identity
         Serial numbers, driver versions and the like, stored with every set.
     """
@@ -226,7 +227,6 @@ class Rig:
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
     dry_run: bool = False
-    has_shot: Callable[[ShotKey], bool] | None = None
     identity: Mapping[str, str] = field(default_factory=dict)
 
     def __enter__(self) -> Rig:

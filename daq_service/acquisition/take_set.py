@@ -117,7 +117,7 @@ def take_set(
     Parameters
     ----------
     wants_restrike
-        Asked after each strike, when the caller has looked at it: strike once more?
+        Asked after each strike that can be repeated, when the caller has looked at it: strike once more?
     may_strike
         Asked before each strike: a position that an operator retires is not struck once more.
 
@@ -148,19 +148,25 @@ def take_set(
             key = ShotKey(
                 position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
             )
-            taken, error = _strike(rig, plan, key, sequence, boot_id)
+            taken, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
             yield taken
             lost = 0 if error is None else lost + 1
             if error is not None and lost >= LOST_IN_A_ROW:
                 raise error
-            if error is not None or not wants_restrike(taken):
+            if last_attempt or not wants_restrike(taken):
                 break
 
 
 def _strike(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
-) -> tuple[Shot | MissedShot, ConnectionLostError | None]:
-    """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards."""
+) -> tuple[Shot | MissedShot, ConnectionLostError | None, bool]:
+    """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards.
+
+    Returns
+    -------
+    tuple
+        What came, the connection's loss, and whether the shot cannot be struck once more.
+    """
     stamp = _stamp(rig, boot_id)
     try:
         rig.digitizer.arm(key)
@@ -168,10 +174,10 @@ def _strike(
         acquired = rig.digitizer.read(plan.read_timeout_s)
     except AcquisitionTimeoutError as error:
         rig.make_safe()
-        return MissedShot(key=key, cause=str(error)), None
+        return MissedShot(key=key, cause=str(error)), None, error.last_attempt
     except ConnectionLostError as error:
         _make_safe_as_far_as_reachable(rig, error)
-        return MissedShot(key=key, cause=str(error), reason="connection_lost"), error
+        return MissedShot(key=key, cause=str(error), reason="connection_lost"), error, True
     except BaseException:
         rig.make_safe()
         raise
@@ -183,7 +189,7 @@ def _strike(
         truth=acquired.truth,
         settings=acquired.settings,
     )
-    return shot, None
+    return shot, None, acquired.last_attempt
 
 
 def _make_safe_as_far_as_reachable(rig: Rig, error: ConnectionLostError) -> None:

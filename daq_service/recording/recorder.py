@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -179,7 +179,7 @@ class Recorder:
             first_sequence=self._next_sequence,
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
-            wants_restrike=lambda measurement: self._wants_restrike(taken, measurement),
+            wants_restrike=taken.wants_restrike,
             may_strike=lambda position: position not in self._ledger.retired(),
         )
         try:
@@ -194,15 +194,6 @@ class Recorder:
             taken.trouble = error
         taken.ended_ns = self._rig.clock.utc_ns()
         return taken
-
-    def _wants_restrike(self, taken: TakenSet, measurement: Shot | MissedShot) -> bool:
-        """Ask the quality gate, unless this is a recording that has no further attempt."""
-        has_shot = self._rig.has_shot
-        if has_shot is not None and not has_shot(
-            replace(measurement.key, attempt=measurement.key.attempt + 1)
-        ):
-            return False
-        return taken.wants_restrike(measurement)
 
     def _keep(self, measurement: Measurement, taken: TakenSet, due: DueSet) -> None:
         taken.keep(measurement)

@@ -89,10 +89,10 @@ class ArchivedShots:
             )
         return found
 
-    def was_missed(self, key: ShotKey) -> bool:
-        """Whether the shot was tried and left no record."""
-        self._shots.records_of_set(key.set_index)
-        return key in self._missed
+    def tried(self, key: ShotKey) -> bool:
+        """Whether it was recorded, or missed; what is left of a damaged set says only what was recorded."""
+        recorded = self._shots.tried(key)
+        return recorded or (key in self._missed and key.set_index not in self._damaged)
 
     def next_moment(self, after_utc_ns: int) -> int | None:
         """First recorded time after a time: the start of a set, or the stamp of a record."""
@@ -223,15 +223,5 @@ def playback_rig(
         striker=instruments.striker,
         digitizer=instruments.digitizer,
         pulse_echo=instruments.pulse_echo,
-        has_shot=lambda key: _was_tried(source, key),
         identity=identity,
     )
-
-
-def _was_tried(source: Recorded, key: ShotKey) -> bool:
-    """Whether the recording knows of a shot: its record, or in an archive that it was missed."""
-    try:
-        found = source.find(key) is not None
-    except AcquisitionTimeoutError:
-        return False  # damaged: what is left of its set does not say
-    return found or (isinstance(source, ArchivedShots) and source.was_missed(key))

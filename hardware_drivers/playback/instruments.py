@@ -1,15 +1,16 @@
 """Recorded shots as instruments: striker, digitizer and pulse-echo unit behind the Protocols of a rig.
 
 A recorded shot is played back when its key is struck while the digitizer is armed at its position. A
-shot, or an attempt at it, that was not recorded is a missed strike; a position that was not recorded is
-refused by name. Counts, calibration, settings and truth pass unchanged. No instrument waits.
+shot, or an attempt at it, that was not recorded is a missed strike; after the last attempt the recording
+says so (`last_attempt`), and nobody strikes again; a position that was not recorded is refused by name.
+Counts, calibration, settings and truth pass unchanged. No instrument waits.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo
@@ -65,7 +66,12 @@ class Recording:
             raise ConfigurationError("not armed; arm before the strike, then read")
         if struck is None:
             raise AcquisitionTimeoutError(f"no strike at {armed.position!r} since the digitizer was armed")
-        return self.find(struck)
+        last_attempt = not self._source.tried(replace(struck, attempt=struck.attempt + 1))
+        try:
+            return replace(self.find(struck), last_attempt=last_attempt)
+        except AcquisitionTimeoutError as error:
+            error.last_attempt = last_attempt
+            raise
 
     def find(self, key: ShotKey) -> Acquired:
         """Record of a shot; one that was not recorded is a missed strike."""

@@ -36,6 +36,10 @@ class ShotSource(Protocol):
         """
         ...
 
+    def tried(self, key: ShotKey) -> bool:
+        """Whether the recording knows of a shot: it has its record, or says that it was missed."""
+        ...
+
 
 def acquired_of(record: Record) -> Acquired:
     """Give a stored record the form in which its instrument handed it over; nothing in it changes."""
@@ -88,6 +92,10 @@ class ShotsInMemory:
         record = self._records.get(key)
         return None if record is None else acquired_of(record)
 
+    def tried(self, key: ShotKey) -> bool:
+        """Whether it was recorded."""
+        return key in self._records
+
 
 class ShotsBySet:
     """A long recording, read set by set when a shot of the set is asked for.
@@ -125,6 +133,10 @@ class ShotsBySet:
         """Record of a shot, None if it was not recorded."""
         record = self.records_of_set(key.set_index).get(key)
         return None if record is None else acquired_of(record)
+
+    def tried(self, key: ShotKey) -> bool:
+        """Whether it was recorded."""
+        return key in self.records_of_set(key.set_index)
 
     def records_of_set(self, set_index: int) -> Mapping[ShotKey, Record]:
         """Every record of a set, from memory if it was asked for lately."""

@@ -92,6 +92,10 @@ class TdmsShots:
         index = bisect_right(self._moments, after_utc_ns)
         return self._moments[index] if index < len(self._moments) else None
 
+    def tried(self, key: ShotKey) -> bool:
+        """Whether it was recorded."""
+        return key in self._places
+
     def find(self, key: ShotKey) -> Acquired | None:
         """Record of a shot, None if it was not recorded.
 
