@@ -35,7 +35,7 @@ from typing import Any
 
 from h5py import h5s
 
-from daq_service.archive import nexus
+from daq_service.archive import FolderSetReader, nexus
 from daq_service.catalogue import open_catalogue
 from daq_service.processes.data_folder import prepare_data_folder
 from daq_service.recording.cost import STAGES
@@ -110,7 +110,7 @@ def run_recorder(hours: float, *, obvious: bool) -> dict[str, Any]:
         with open_catalogue(Path(folder), writer=False) as catalogue:
             events = catalogue.events_after(0, {"service"}, limit=None)
             shots = catalogue.counts()["shots"]
-        stored = sum(path.stat().st_size for path in (Path(folder) / "sets").iterdir())
+        stored = FolderSetReader(Path(folder)).n_bytes()
     cost = next(row["payload"]["cost"] for row in reversed(events) if "cost" in row["payload"])
     return {"wall_s": wall_s, "processor_s": processor_s, "shots": shots, "stored_bytes": stored, **cost}
 

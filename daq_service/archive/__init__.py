@@ -1,7 +1,7 @@
 """The archive: every acknowledged shot, one NeXus HDF5 file a set; the only door to HDF5.
 
-`Archive.store_set` returns when a set is durable, never before. A later journal will make single
-shots durable in front of it and hand the same `SetRecord` to the same `layout.build_image`.
+`Archive.store_set` returns when a set is durable, never before. `protocol` says what an archive is, `writer`
+and `reader` keep it in a folder; whoever reads takes a `SetReader` and a set's reference.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from daq_service.archive.errors import (
     CorruptArchiveError,
     SetNotFoundError,
 )
-from daq_service.archive.reader import Damage, read_set, read_waveform, verify_set
+from daq_service.archive.protocol import Archive, SetReader
+from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
+    Damage,
     MissedRecord,
     PositionRecord,
     SetRecord,
+    SetReference,
     StoredSet,
     StoreTimings,
-    set_file_name,
-    set_files,
+    due_utc_ns,
     waveform_crc32,
 )
-from daq_service.archive.writer import Archive
+from daq_service.archive.writer import FolderArchive
 
 __all__ = [
     "Archive",
@@ -33,16 +35,16 @@ __all__ = [
     "ConflictingSetError",
     "CorruptArchiveError",
     "Damage",
+    "FolderArchive",
+    "FolderSetReader",
     "MissedRecord",
     "PositionRecord",
     "SetNotFoundError",
+    "SetReader",
     "SetRecord",
+    "SetReference",
     "StoreTimings",
     "StoredSet",
-    "read_set",
-    "read_waveform",
-    "set_file_name",
-    "set_files",
-    "verify_set",
+    "due_utc_ns",
     "waveform_crc32",
 ]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,16 @@ import h5py
 import numpy as np
 
 from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
-from daq_service.archive.records import MissedRecord, PositionRecord, SetRecord, waveform_crc32
+from daq_service.archive.records import (
+    SETS_FOLDER,
+    Damage,
+    MissedRecord,
+    PositionRecord,
+    SetRecord,
+    SetReference,
+    referenced_sets,
+    waveform_crc32,
+)
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
@@ -34,114 +42,95 @@ _READABLE_FORMAT = "1."
 _Columns = Mapping[str, list[Any]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Damage:
-    """What cannot be read any more; `position` None: not a shot but another part of the file."""
-
-    reason: str
-    sequence: int | None = None
-    position: str | None = None
-    shot_index: int | None = None
-
-    def __str__(self) -> str:
-        if self.position is None:
-            return self.reason
-        return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
-
-
-def read_set(path: Path, *, skip_damaged: bool = False) -> SetRecord:
-    """Read a set as it was stored.
+class FolderSetReader:
+    """The sets of a data folder, or of a copy of one; never writes there.
 
     Parameters
     ----------
-    skip_damaged
-        Leave damaged records out; `verify_set` names them.
-
-    Raises
-    ------
-    CorruptArchiveError
-        A record is damaged (all of them are named) or the file as a whole.
-    SetNotFoundError
-        There is no such file.
+    folder
+        Holds ``sets/``; one without it has no sets.
     """
-    with _opened(path) as entry:
-        records, damages = _read_records(entry)
-        if damages and not (skip_damaged and records):
-            raise CorruptArchiveError(
-                f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
-                "this file belongs back from a copy"
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @property
+    def name(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
+    def sets(self) -> dict[int, SetReference]:
+        """Complete sets: index to reference, in the order of the sets."""
+        return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
+
+    def n_bytes(self) -> int:
+        """Bytes of the complete files."""
+        return sum((self.folder / reference).stat().st_size for reference in self.sets().values())
+
+    def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
+        """Read a set as it was stored."""
+        path = self.folder / reference
+        with _opened(path) as entry:
+            records, damages = _read_records(entry)
+            if damages and not (skip_damaged and records):
+                raise CorruptArchiveError(
+                    f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
+                    "this file belongs back from a copy"
+                )
+            return SetRecord(
+                set_index=int(entry["set_index"][()]),
+                due_utc_ns=int(entry["due_utc_ns"][()]),
+                due_h=float(entry["due_h"][()]),
+                started_utc_ns=int(entry["started_utc_ns"][()]),
+                ended_utc_ns=int(entry["ended_utc_ns"][()]),
+                rig_kind=_text(entry["instrument/name"][()]),
+                positions=_read_positions(entry),
+                shots=[record for record in records if isinstance(record, Shot)],
+                echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+                missed=_read_missed(entry),
+                outcomes=_superseded(_read_table(entry), records),
+                trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
+                environment=_read_environment(entry),
+                provenance=json.loads(_text(entry["provenance/data"][0])),
             )
-        return SetRecord(
-            set_index=int(entry["set_index"][()]),
-            due_utc_ns=int(entry["due_utc_ns"][()]),
-            due_h=float(entry["due_h"][()]),
-            started_utc_ns=int(entry["started_utc_ns"][()]),
-            ended_utc_ns=int(entry["ended_utc_ns"][()]),
-            rig_kind=_text(entry["instrument/name"][()]),
-            positions=_read_positions(entry),
-            shots=[record for record in records if isinstance(record, Shot)],
-            echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
-            missed=_read_missed(entry),
-            outcomes=_superseded(_read_table(entry), records),
-            trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
-            environment=_read_environment(entry),
-            provenance=json.loads(_text(entry["provenance/data"][0])),
-        )
 
+    def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
+        """Read one record of a set; of attempts the accepted one."""
+        path = self.folder / reference
+        with _opened(path) as entry:
+            table = _read_table(entry)
+            rows = [
+                row
+                for row, name in enumerate(table["position"])
+                if name == position and table["shot_index"][row] == shot_index
+            ]
+            if not rows:
+                raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
+            row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
+            for name in _group_names(entry):
+                if _text(entry[name].attrs["position"]) != position:
+                    continue
+                group = _Group(entry, name)
+                if table["shot_id"][row] in group.sequences:
+                    found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
+                    if isinstance(found, Waveform):
+                        return found
+                    raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
+            raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
 
-def read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    """Read one record of a set, a shot's or (index 0) a pulse-echo record's; of attempts the accepted one.
-
-    Raises
-    ------
-    SetNotFoundError
-        There is no such file or record.
-    CorruptArchiveError
-        The record does not match its checksums.
-    """
-    with _opened(path) as entry:
-        table = _read_table(entry)
-        rows = [
-            row
-            for row, name in enumerate(table["position"])
-            if name == position and table["shot_index"][row] == shot_index
-        ]
-        if not rows:
-            raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
-        row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
-        for name in _group_names(entry):
-            if _text(entry[name].attrs["position"]) != position:
-                continue
-            group = _Group(entry, name)
-            if table["shot_id"][row] in group.sequences:
-                found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
-                if isinstance(found, Waveform):
-                    return found
-                raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
-        raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
-
-
-def verify_set(path: Path) -> list[Damage]:
-    """Read everything in a file and list what is damaged.
-
-    Raises
-    ------
-    CorruptArchiveError
-        The file as a whole cannot be read.
-    SetNotFoundError
-        There is no such file.
-    """
-    with _opened(path) as entry:
-        _, damages = _read_records(entry)
-        unreadable: list[Damage] = []
-        arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
-        _read_everything(entry, "", arrays, unreadable)
-        try:
-            # Looks into the free-space lists of the groups' names too, which no reading touches.
-            entry.visititems(lambda _name, _item: None)
-        except _HDF5_ERRORS as error:
-            unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
-        return damages + unreadable
+    def verify_set(self, reference: SetReference) -> list[Damage]:
+        """Read everything in a file and list what is damaged."""
+        with _opened(self.folder / reference) as entry:
+            _, damages = _read_records(entry)
+            unreadable: list[Damage] = []
+            arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
+            _read_everything(entry, "", arrays, unreadable)
+            try:
+                # Looks into the free-space lists of the groups' names too, which no reading touches.
+                entry.visititems(lambda _name, _item: None)
+            except _HDF5_ERRORS as error:
+                unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
+            return damages + unreadable
 
 
 class _Group:

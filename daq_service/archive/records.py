@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
-from pathlib import Path
-from typing import Any
+from typing import Any, NewType
 
+from daq_service.clock import parse_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform
 
 SETS_FOLDER = "sets"
 TEMPORARY_SUFFIX = ".tmp"
+SetReference = NewType("SetReference", str)
+"""What the catalogue's ``sets.file`` says: ``sets/`` and the set's name, in every archive."""
 _NAME = re.compile(r"set_(\d{6,})_\d{8}T\d{6}Z\.h5")
 
 
@@ -143,16 +145,30 @@ class StoredSet:
     Attributes
     ----------
     file
-        Relative to the data folder, with forward slashes: the catalogue's ``sets.file``.
+        Relative to the data folder, with forward slashes.
     crc32
         Sequence of each record to the CRC-32 of its counts: the catalogue's ``shots.crc32``.
     """
 
-    path: Path
-    file: str
+    file: SetReference
     n_bytes: int
     crc32: Mapping[int, int]
     timings: StoreTimings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Damage:
+    """What cannot be read any more; `position` None: not a shot but another part of the file."""
+
+    reason: str
+    sequence: int | None = None
+    position: str | None = None
+    shot_index: int | None = None
+
+    def __str__(self) -> str:
+        if self.position is None:
+            return self.reason
+        return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
 
 
 @lru_cache(maxsize=64)
@@ -165,17 +181,22 @@ def waveform_crc32(waveform: Waveform) -> int:
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), copy=False).tobytes())
 
 
-def set_file_name(set_index: int, due_utc_ns: int) -> str:
-    """Name of a set's file; names sort by time."""
+def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
+    """Make the reference of a set; references sort by time."""
     due = datetime.fromtimestamp(due_utc_ns // 1_000_000_000, tz=UTC)
-    return f"set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5"
+    return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5")
 
 
-def set_files(folder: Path) -> dict[int, Path]:
-    """Find the complete sets of a data folder: set index to file, in the order of the sets."""
-    found = {}
-    for path in (folder / SETS_FOLDER).glob("set_*.h5"):
-        match = _NAME.fullmatch(path.name)
-        if match is not None:
-            found[int(match[1])] = path
+def due_utc_ns(reference: SetReference) -> int:
+    """Due time of a set to the second."""
+    return parse_utc(reference.removesuffix(".h5").rpartition("_")[2])
+
+
+def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
+    """Set index to reference of the names that complete sets have, in the order of the sets."""
+    found = {
+        int(match[1]): SetReference(f"{SETS_FOLDER}/{match[0]}")
+        for match in map(_NAME.fullmatch, names)
+        if match
+    }
     return dict(sorted(found.items()))

@@ -10,14 +10,15 @@ from pathlib import Path
 from daq_service.archive.durable_file import remove_quietly, sync_folder, write_durably
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
 from daq_service.archive.layout import build_image
+from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
     SetRecord,
+    SetReference,
     StoredSet,
     StoreTimings,
-    set_file_name,
-    set_files,
+    set_reference,
     waveform_crc32,
 )
 
@@ -30,8 +31,8 @@ _REMEDY = {
 }
 
 
-class Archive:
-    """The sets of one data folder; the recorder's, who alone writes there.
+class FolderArchive(FolderSetReader):
+    """The sets of one data folder in the hands of the recorder, who alone writes there.
 
     Opening makes the folder and removes what a crash left unfinished.
 
@@ -47,7 +48,7 @@ class Archive:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        super().__init__(folder)
         self._sets_folder = folder / SETS_FOLDER
         try:
             self._sets_folder.mkdir(parents=True, exist_ok=True)
@@ -60,32 +61,24 @@ class Archive:
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
-        self._stored = set_files(folder)
+        self._stored = self.sets()
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; only when this returns is it acknowledged.
-
-        Raises
-        ------
-        ConflictingSetError
-            A file of this set with other content exists.
-        ArchiveWriteError
-            The disk refused; the set may be stored again.
-        """
+        """Make a set durable; only when this returns is it acknowledged."""
         start = time.perf_counter()
         image = build_image(record)
         built = time.perf_counter()
-        path = self._sets_folder / set_file_name(record.set_index, record.due_utc_ns)
+        reference = set_reference(record.set_index, record.due_utc_ns)
+        path = self.folder / reference
         temporary = path.with_suffix(TEMPORARY_SUFFIX)
         try:
-            self._check_free(path, record.set_index, image)
+            self._check_free(reference, record.set_index, image)
             write_s, fsync_s, directory_fsync_s = write_durably(path, image, temporary=temporary)
         except OSError as error:
             raise _refused(path, error) from error
-        self._stored[record.set_index] = path
+        self._stored[record.set_index] = reference
         return StoredSet(
-            path=path,
-            file=f"{SETS_FOLDER}/{path.name}",
+            file=reference,
             n_bytes=len(image),
             crc32={shot.sequence: waveform_crc32(shot.waveform) for shot in record.records},
             timings=StoreTimings(
@@ -93,13 +86,15 @@ class Archive:
             ),
         )
 
-    def _check_free(self, path: Path, set_index: int, image: bytes) -> None:
+    def _check_free(self, reference: SetReference, set_index: int, image: bytes) -> None:
         """Nothing of this set is stored yet, or the very same bytes are."""
-        stored = self._stored.get(set_index, path if path.exists() else None)
-        if stored is not None and (stored != path or stored.read_bytes() != image):
+        path = self.folder / reference
+        stored = self._stored.get(set_index, reference if path.exists() else None)
+        if stored is not None and (stored != reference or path.read_bytes() != image):
             raise ConflictingSetError(
-                f"set {set_index} is stored already in {stored} and differs; nothing stored is overwritten: "
-                "take that file over with read_set, or move it out of the folder"
+                f"set {set_index} is stored already in {self.folder / stored} and differs; "
+                "nothing stored is overwritten: take that file over with read_set, or move it out of "
+                "the folder"
             )
 
 

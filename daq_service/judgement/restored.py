@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
-from daq_service.archive import read_waveform
+from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
 from daq_service.judgement.pulse_echo import PulseEchoAssessor
 from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
@@ -19,7 +18,9 @@ Row = dict[str, Any]
 Assessor = SolitaryWaveAssessor | PulseEchoAssessor
 
 
-def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -> Mapping[str, Assessor]:
+def restored_assessors(
+    settings: Settings, catalogue: Catalogue, archive: SetReader
+) -> Mapping[str, Assessor]:
     """One assessor a position, judging as if the recorder had never been away."""
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
     last_baseline_set = (
@@ -28,7 +29,7 @@ def restored_assessors(settings: Settings, catalogue: Catalogue, folder: Path) -
     assessors: dict[str, Assessor] = {}
     for number, (position, place) in enumerate(settings.positions.items(), 1):
         if place.method == "pulse_echo":
-            assessors[position] = _pulse_echo(position, settings, catalogue, folder)
+            assessors[position] = _pulse_echo(position, settings, catalogue, archive)
         else:
             assessor = SolitaryWaveAssessor(
                 position, settings, last_baseline_set=last_baseline_set, baseline_id=number
@@ -77,7 +78,9 @@ def _last_flags(
     ]
 
 
-def _pulse_echo(position: str, settings: Settings, catalogue: Catalogue, folder: Path) -> PulseEchoAssessor:
+def _pulse_echo(
+    position: str, settings: Settings, catalogue: Catalogue, archive: SetReader
+) -> PulseEchoAssessor:
     assessor = PulseEchoAssessor(position, settings)
     rows = catalogue.list_thickness(position)
     read = [row for row in rows if row["travel_time_s"] is not None]
@@ -87,6 +90,6 @@ def _pulse_echo(position: str, settings: Settings, catalogue: Catalogue, folder:
         (file,) = [
             row["file"] for row in catalogue.list_sets(position, limit=None) if row["set_index"] == first
         ]
-        reference = read_waveform(folder / file, position, 0)
+        reference = archive.read_waveform(SetReference(file), position, 0)
     assessor.restore(reference=reference, thickness_rows=rows)
     return assessor

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
@@ -14,7 +13,7 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes, n_tried
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Condition, Moment, retired_positions, update
-from daq_service.archive import SetRecord
+from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.corrosion_drive.watch import drive_watch
 from daq_service.judgement.restored import restored_assessors
@@ -39,13 +38,13 @@ class Ledger:
     """
 
     def __init__(
-        self, settings: Settings, folder: Path, catalogue: RecorderCatalogue, rig: Rig, cost: Cost
+        self, settings: Settings, archive: SetReader, catalogue: RecorderCatalogue, rig: Rig, cost: Cost
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
         self._dry_run = rig.dry_run
         self._cost = cost
-        self._assessors = restored_assessors(settings, catalogue, folder)
+        self._assessors = restored_assessors(settings, catalogue, archive)
         self.alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
         self.drive = drive_watch(settings, rig, catalogue, self.alarms, self.commit)
 

@@ -12,7 +12,6 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from analysis.waves.quality_gate import RestrikeRule
@@ -23,7 +22,7 @@ from daq_service.acquisition.taken_set import (
     features_of,
     features_of_a_rehearsal,
 )
-from daq_service.archive import Archive, PositionRecord, SetRecord, read_set, set_files
+from daq_service.archive import Archive, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import NS_PER_H, boot_id
 from daq_service.errors import RigError
@@ -56,11 +55,12 @@ class Recorder:
     def __init__(
         self,
         settings: Settings,
-        folder: Path,
+        archive: Archive,
         catalogue: RecorderCatalogue,
         rig: Rig,
         epoch_ns: int,
         *,
+        live: LivePicture,
         heartbeat: Heartbeat,
         stop: threading.Event,
         tell: Teller,
@@ -75,8 +75,8 @@ class Recorder:
         self._doing = "starting"
         self._calibrated_ns: int | None = None
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
-        self._archive = Archive(folder)
-        self._live = LivePicture(folder, rig.kind)
+        self._archive = archive
+        self._live = live
         # Simulated time has one frame whatever machine it runs on.
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
@@ -84,8 +84,8 @@ class Recorder:
         self._next_sequence = catalogue.next_sequence()
         self._cost = Cost()
         done = catalogue.committed_sets()
-        self._orphans = {index: path for index, path in set_files(folder).items() if index not in done}
-        self._ledger = Ledger(settings, folder, catalogue, rig, self._cost)
+        self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
+        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
         self._operator = Operator(
             catalogue,
             rig.clock,
@@ -277,14 +277,14 @@ class Recorder:
 
     def _adopt(self, due: DueSet) -> bool:
         """Take over a file without rows: the last recorder died between rename and commit."""
-        path = self._orphans.get(due.set_index)
-        if path is None:
+        file = self._orphans.get(due.set_index)
+        if file is None:
             return False
-        record = read_set(path)
+        record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
-        self._ledger.judge(due, record, f"{path.parent.name}/{path.name}", features)
+        self._ledger.judge(due, record, file, features)
         self._next_sequence = self._catalogue.next_sequence()
-        log.warning("set %d: rows made again from %s", due.set_index, path)
+        log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
         self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
         return True

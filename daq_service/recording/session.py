@@ -11,10 +11,12 @@ from contextlib import AbstractContextManager, ExitStack
 from importlib.metadata import version
 from pathlib import Path
 
+from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
+from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
@@ -75,7 +77,15 @@ def record(
         if rig is None:
             return False
         recorder = Recorder(
-            settings, folder, catalogue, rig, epoch_ns, heartbeat=heartbeat, stop=stop, tell=tell
+            settings,
+            FolderArchive(folder),
+            catalogue,
+            rig,
+            epoch_ns,
+            live=LivePicture(folder, rig.kind),
+            heartbeat=heartbeat,
+            stop=stop,
+            tell=tell,
         )
         finished = recorder.run(not_running_because=cause)
         if finished:

@@ -1,7 +1,7 @@
 """A recording as the instruments of a rig: a data folder of our own, or LabVIEW TDMS files.
 
-`hardware_drivers.playback` plays back any source of shots and knows no archive; here the archive's reader
-is handed in.
+`hardware_drivers.playback` plays back any source of shots and knows no archive; here an archive becomes
+one.
 """
 
 from __future__ import annotations
@@ -13,9 +13,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Protocol
 
-from daq_service.archive import CorruptArchiveError, SetRecord, read_set, set_files, verify_set
+from daq_service.archive import (
+    CorruptArchiveError,
+    FolderSetReader,
+    SetReader,
+    SetRecord,
+    SetReference,
+    due_utc_ns,
+)
 from daq_service.archive.errors import ArchiveError
-from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.clock import NS_PER_H
 from daq_service.errors import UsageError
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Rig
@@ -35,14 +42,14 @@ class Recorded(ShotSource, Protocol):
 
 
 class ArchivedShots:
-    """The sets of a data folder as a source of shots, read set by set when they are asked for.
+    """The sets of an archive as a source of shots, read set by set when they are asked for.
 
     A damaged record is a missed strike whose cause names the damage; the others of its set are played.
 
     Parameters
     ----------
-    folder
-        A data folder, or a copy of one: only ``sets/`` is needed. It is never written to.
+    archive
+        Of a data folder, or of a copy of one: only ``sets/`` is needed.
 
     Raises
     ------
@@ -50,16 +57,17 @@ class ArchivedShots:
         No set there can be read.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._files = set_files(folder)
+    def __init__(self, archive: SetReader) -> None:
+        self._archive = archive
+        self._files = archive.sets()
         if not self._files:
             raise UsageError(
-                f"{folder} holds no sets; give the data folder of a test (the one that holds sets/)"
+                f"{archive.name} holds no sets; give the data folder of a test (the one that holds sets/)"
             )
-        self._due_utc_ns = [_due_utc_ns(path) for path in self._files.values()]
+        self._due_utc_ns = [due_utc_ns(file) for file in self._files.values()]
         self._damaged: dict[int, str] = {}
         self._missed: set[ShotKey] = set()
-        first = self._first_readable(folder)
+        first = self._first_readable()
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
@@ -109,20 +117,22 @@ class ArchivedShots:
             self._shots.records_of_set(set_index)
         return self._moments[set_index]
 
-    def _first_readable(self, folder: Path) -> SetRecord:
-        for path in self._files.values():
+    def _first_readable(self) -> SetRecord:
+        for file in self._files.values():
             try:
-                return read_set(path, skip_damaged=True)
+                return self._archive.read_set(file, skip_damaged=True)
             except ArchiveError:
                 continue
-        raise UsageError(f"none of the {len(self._files)} sets of {folder} can be read; see `solimon verify`")
+        raise UsageError(
+            f"none of the {len(self._files)} sets of {self._archive.name} can be read; see `solimon verify`"
+        )
 
     def _records(self, set_index: int) -> Iterable[Record]:
-        path = self._files.get(set_index)
-        if path is None:
+        file = self._files.get(set_index)
+        if file is None:
             return ()
         try:
-            record = self._whole_or_what_is_left(set_index, path)
+            record = self._whole_or_what_is_left(set_index, file)
         except CorruptArchiveError as error:
             self._damaged[set_index] = str(error)
             self._moments[set_index] = []
@@ -135,12 +145,13 @@ class ArchivedShots:
         )
         return record.records
 
-    def _whole_or_what_is_left(self, set_index: int, path: Path) -> SetRecord:
+    def _whole_or_what_is_left(self, set_index: int, file: SetReference) -> SetRecord:
         try:
-            return read_set(path)
+            return self._archive.read_set(file)
         except CorruptArchiveError:
-            left = read_set(path, skip_damaged=True)
-            self._damaged[set_index] = f"{path}: {'; '.join(map(str, verify_set(path)))}"
+            left = self._archive.read_set(file, skip_damaged=True)
+            damages = "; ".join(map(str, self._archive.verify_set(file)))
+            self._damaged[set_index] = f"{self._archive.name}/{file}: {damages}"
             return left
 
 
@@ -151,11 +162,6 @@ def _positions(record: SetRecord) -> dict[str, str]:
         **{name: place["method"] for name, place in configured.items()},
         **{place.position: place.method for place in record.positions},
     }
-
-
-def _due_utc_ns(path: Path) -> int:
-    """Due time of a set to the second, from its file's name."""
-    return parse_utc(path.stem.rpartition("_")[2])
 
 
 @contextmanager
@@ -169,7 +175,7 @@ def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Rec
     """
     source = folder / parameters.source
     if parameters.format == "archive":
-        yield ArchivedShots(source)
+        yield ArchivedShots(FolderSetReader(source))
         return
     from hardware_drivers.playback.tdms import open_tdms
 

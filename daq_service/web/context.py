@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from fastapi import Depends, FastAPI, Request, WebSocket
 
+from daq_service.archive import FolderSetReader
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
 from daq_service.processes.heartbeat import Beat, overdue_s, read_heartbeat
@@ -89,6 +90,7 @@ class Context:
     def __init__(self, settings: Settings, data_folder: Path) -> None:
         self.settings = settings
         self.data_folder = data_folder
+        self.archive = FolderSetReader(data_folder)
         self.catalogue_access = CatalogueAccess(data_folder)
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)

@@ -9,7 +9,7 @@ from striker_contract import StrikerContract
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 from support.labview_files import write_set
 
-from daq_service.archive import Archive
+from daq_service.archive import FolderArchive
 from daq_service.clock import SimulatedClock
 from daq_service.rig.playback import open_recording
 from hardware_drivers.measurement import ShotKey
@@ -32,7 +32,7 @@ def instruments(request, tmp_path):
         return
     parameters = PlaybackParameters(source=tmp_path)
     if request.param == "archive":
-        archive = Archive(tmp_path)
+        archive = FolderArchive(tmp_path)
         for one in recorded():
             archive.store_set(one)
     else:

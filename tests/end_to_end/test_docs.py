@@ -11,8 +11,8 @@ import click
 import pytest
 from click.testing import CliRunner
 from support.small_experiment import run, small_settings
+from support.stored_files import set_files
 
-from daq_service.archive import set_files
 from daq_service.cli.main import cli
 from daq_service.settings.file import load_settings
 

@@ -24,8 +24,8 @@ from support.daqmx_rig import (
     quick_description,
 )
 from support.small_experiment import run
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder

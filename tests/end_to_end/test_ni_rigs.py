@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.cli.run import child_plans
 from daq_service.errors import UsageError

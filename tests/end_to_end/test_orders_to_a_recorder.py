@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 from support.small_experiment import run, small_settings
+from support.stored_files import set_files
 
-from daq_service.archive import set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import UsageError

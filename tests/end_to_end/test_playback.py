@@ -12,8 +12,8 @@ import pytest
 from support.archived_sets import assert_same_records
 from support.labview_files import raw_properties, waveform_properties, write
 from support.small_experiment import disturbed_rig, rows_of, run, small_settings
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import read_set, set_files
 from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig

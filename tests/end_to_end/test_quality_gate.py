@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from support.served_web import served
 from support.small_experiment import RigOpener, disturbed_rig, rows_of, run, small_settings
+from support.stored_files import read_set, read_waveform, set_files
 
 import daq_service.orders.obey
 from analysis.waves.features import ALL_FEATURE_NAMES
-from daq_service.archive import read_set, read_waveform, set_files
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.cli.inspection import describe_status, print_status
 from daq_service.clock import NS_PER_H, parse_utc

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from support.small_experiment import BASELINE_SETS, SETS, disturbed_rig, rows_of, run, small_settings
+from support.stored_files import read_set, set_files
 
 import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
-from daq_service.archive import Archive, ArchiveWriteError, read_set, set_files
+from daq_service.archive import ArchiveWriteError, FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
@@ -173,9 +174,9 @@ class _KilledError(BaseException):
 def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boundary: str, killed_at: int
 ) -> None:
-    store_set, commit_set = Archive.store_set, RecorderCatalogue.commit_set
+    store_set, commit_set = FolderArchive.store_set, RecorderCatalogue.commit_set
 
-    def killing_store(self: Archive, record: Any) -> Any:
+    def killing_store(self: FolderArchive, record: Any) -> Any:
         if record.set_index != killed_at:
             return store_set(self, record)
         if boundary == "before the file":
@@ -193,7 +194,7 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         return committed
 
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "store_set", killing_store)
+        patch.setattr(FolderArchive, "store_set", killing_store)
         patch.setattr(RecorderCatalogue, "commit_set", killing_commit)
         with pytest.raises(_KilledError):
             run(small_settings(), tmp_path)
@@ -339,15 +340,15 @@ def test_a_shot_that_cannot_be_analysed_stops_nothing(
 def test_a_full_disk_stops_the_recorder_and_loses_no_earlier_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store_set = Archive.store_set
+    store_set = FolderArchive.store_set
 
-    def full(self: Archive, record: Any) -> Any:
+    def full(self: FolderArchive, record: Any) -> Any:
         if record.set_index == 3:
             raise ArchiveWriteError("No space left on device; free some space")
         return store_set(self, record)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Archive, "store_set", full)
+        patch.setattr(FolderArchive, "store_set", full)
         with pytest.raises(StorageError, match="free some space"):
             run(small_settings(), tmp_path)
     assert sorted(set_files(tmp_path)) == [0, 1, 2]

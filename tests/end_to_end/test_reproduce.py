@@ -19,8 +19,8 @@ from typing import Any
 
 import pytest
 from support.small_experiment import SETS, run, small_settings
+from support.stored_files import read_waveform, set_files
 
-from daq_service.archive import read_waveform, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.cli.reproduce.causes import cause_of
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 from support.small_experiment import small_settings
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import record

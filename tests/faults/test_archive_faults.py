@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 from support.archived_sets import SET_INDEX, assert_same_set, make_set
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import Archive, ArchiveWriteError, durable_file, read_set, set_files
+from daq_service.archive import ArchiveWriteError, FolderArchive, durable_file
 
 CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync", "close"]
 
@@ -73,7 +74,7 @@ class Disk:
 
 @pytest.fixture
 def archive(tmp_path):
-    return Archive(tmp_path)
+    return FolderArchive(tmp_path)
 
 
 def put(monkeypatch, disk: Disk) -> Disk:
@@ -112,14 +113,14 @@ def test_after_a_refusal_the_set_can_be_stored_again(monkeypatch, tmp_path, arch
     stored = archive.store_set(make_set())
     # A fsync that failed is never tried again on its file: everything is written anew.
     assert disk.calls == CALLS_OF_A_SET
-    assert_same_set(read_set(stored.path), make_set())
+    assert_same_set(archive.read_set(stored.file), make_set())
 
 
 def test_a_disk_that_takes_a_few_bytes_a_time_gets_all_of_them(monkeypatch, archive):
     disk = put(monkeypatch, Disk(longest_write=4096))
     stored = archive.store_set(make_set())
     assert disk.calls.count("write") == -(-stored.n_bytes // 4096)
-    assert_same_set(read_set(stored.path), make_set())
+    assert_same_set(archive.read_set(stored.file), make_set())
 
 
 @pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
@@ -129,8 +130,8 @@ def test_a_set_that_is_stored_already_survives_a_refused_repetition(monkeypatch,
     put(monkeypatch, Disk(fail_at=call, error=errno.EIO))
     with pytest.raises(ArchiveWriteError):
         archive.store_set(make_set())
-    assert names(tmp_path) == [stored.path.name]
-    assert_same_set(read_set(stored.path), make_set())
+    assert names(tmp_path) == [stored.file.removeprefix("sets/")]
+    assert_same_set(archive.read_set(stored.file), make_set())
 
 
 def test_a_disk_that_refuses_the_clean_up_too_is_cleaned_at_the_next_start(
@@ -144,7 +145,7 @@ def test_a_disk_that_refuses_the_clean_up_too_is_cleaned_at_the_next_start(
     assert left.endswith(".tmp")
     assert "cannot remove the unfinished" in caplog.text
     put(monkeypatch, Disk())
-    Archive(tmp_path)
+    FolderArchive(tmp_path)
     assert names(tmp_path) == []
 
 
@@ -160,7 +161,7 @@ def test_a_process_that_ends_between_two_calls_leaves_the_set_whole_or_absent(
     except Killed:
         pass
     put(monkeypatch, Disk())
-    Archive(tmp_path)
+    FolderArchive(tmp_path)
     found = set_files(tmp_path)
     assert [path for path in (tmp_path / "sets").iterdir() if path not in found.values()] == []
     if found:
@@ -225,8 +226,8 @@ def states_after_power_loss(log, folder):
 
 def test_a_power_cut_after_any_call_leaves_the_set_whole_or_absent(monkeypatch, tmp_path):
     disk = put(monkeypatch, RecordingDisk())
-    stored = Archive(tmp_path / "lived").store_set(make_set())
-    folder = os.fspath(stored.path.parent)
+    FolderArchive(tmp_path / "lived").store_set(make_set())
+    folder = os.fspath(tmp_path / "lived" / "sets")
     log = disk.log[2:]  # the first two sync the data folder and its parent at opening
     put(monkeypatch, Disk())
     seen = set()
@@ -236,7 +237,7 @@ def test_a_power_cut_after_any_call_leaves_the_set_whole_or_absent(monkeypatch, 
             (after / "sets").mkdir(parents=True)
             for name, content in state.items():
                 (after / "sets" / Path(name).name).write_bytes(content)
-            Archive(after)
+            FolderArchive(after)
             found = set_files(after)
             if found:
                 assert_same_set(read_set(found[SET_INDEX]), make_set())
@@ -248,12 +249,12 @@ def test_a_power_cut_after_any_call_leaves_the_set_whole_or_absent(monkeypatch, 
 def test_opening_a_folder_that_cannot_be_synced_is_a_storage_error(monkeypatch, tmp_path):
     put(monkeypatch, Disk(fail_at=0, error=errno.EROFS))
     with pytest.raises(ArchiveWriteError, match="make the disk writable again"):
-        Archive(tmp_path)
+        FolderArchive(tmp_path)
 
 
 def test_a_parent_folder_of_others_need_not_be_readable(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk(fail_at=3, error=errno.EACCES))
-    Archive(tmp_path)
+    FolderArchive(tmp_path)
     assert disk.calls == ["open", "fsync", "close", "open"]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.waves.features import extract_features
 from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Change, Moment, acknowledge, reset
-from daq_service.archive import Archive, PositionRecord, SetRecord
+from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.clock import NS_PER_H, parse_utc
 from daq_service.judgement.transaction import set_row, shot_row
@@ -48,7 +48,7 @@ class FilledFolder:
             clock=settings.clock.kind,
             solimon_version="0",
         )
-        self.archive = Archive(folder)
+        self.archive = FolderArchive(folder)
         self.live = LivePicture(folder, settings.rig.kind)
         self.beat()
         self.say("recorder_started", 0)

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from daq_service.archive import FolderSetReader
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.inspection import describe_plan
@@ -139,7 +140,7 @@ def _owner(settings: Settings, folder: Path) -> Check:
 
 def _space(settings: Settings, folder: Path) -> Check:
     facts = describe_plan(settings, folder)
-    stored = sum(path.stat().st_size for path in (folder / "sets").glob("*.h5"))
+    stored = FolderSetReader(folder).n_bytes()
     needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])
     enough = free >= needed
     return Check(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.archive import ArchiveError, SetRecord, read_set
+from daq_service.archive import ArchiveError, FolderSetReader, SetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import StorageError
@@ -188,7 +188,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
         ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
-    traces, trouble = _traces(folder, sets) if with_traces else ({}, ())
+    traces, trouble = _traces(FolderSetReader(folder), sets) if with_traces else ({}, ())
     rig, twin = configuration.get("rig", {}), configuration.get("twin", {})
     from_twin = rig.get("kind") == "simulated" or bool(rig.get("on_doubles"))
     return Evidence(
@@ -282,10 +282,10 @@ def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
 
 
 def _traces(
-    folder: Path, sets: Sequence[Mapping[str, Any]]
+    archive: SetReader, sets: Sequence[Mapping[str, Any]]
 ) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
     """Average records of sets evenly spread over the hours, first and last included."""
-    files = {row["set_index"]: row["file"] for row in sets if row["file"] is not None}
+    files = {row["set_index"]: SetReference(row["file"]) for row in sets if row["file"] is not None}
     hour_of = {row["set_index"]: row["due_h"] for row in sets}
     stored = sorted(files)
     hours = np.array([hour_of[index] for index in stored])
@@ -295,7 +295,7 @@ def _traces(
     trouble = []
     for index in chosen:
         try:
-            record = read_set(folder / files[index], skip_damaged=True)
+            record = archive.read_set(files[index], skip_damaged=True)
         except ArchiveError as error:
             trouble.append(f"set {index} is left out of the waveforms: {error}")
             continue

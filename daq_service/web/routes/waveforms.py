@@ -13,7 +13,7 @@ from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
-from daq_service.archive import SetNotFoundError, read_waveform
+from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
@@ -93,7 +93,7 @@ def get_waveform(
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
     try:
-        waveform = read_waveform(context.data_folder / its_set["file"], position, shot_index)
+        waveform = context.archive.read_waveform(SetReference(its_set["file"]), position, shot_index)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'

@@ -12,7 +12,6 @@ from support.archived_sets import (
     DUE_UTC_NS,
     LINEAR,
     SET_INDEX,
-    assert_same_records,
     assert_same_set,
     assert_same_waveform,
     make_echo,
@@ -20,20 +19,15 @@ from support.archived_sets import (
     make_shot,
     other_set,
 )
+from support.stored_files import read_set, read_waveform, set_files, verify_set
 
 from daq_service.archive import (
-    Archive,
     ArchiveWriteError,
     ConflictingSetError,
     CorruptArchiveError,
+    FolderArchive,
     PositionRecord,
-    SetNotFoundError,
     SetRecord,
-    read_set,
-    read_waveform,
-    set_file_name,
-    set_files,
-    verify_set,
     waveform_crc32,
 )
 from daq_service.archive.layout import build_image
@@ -42,27 +36,19 @@ from daq_service.archive.units import unit_of
 from daq_service.errors import StorageError
 
 
+def store(folder, record):
+    """Path of the set's file."""
+    return folder / FolderArchive(folder).store_set(record).file
+
+
 @pytest.fixture
 def stored(tmp_path):
-    return Archive(tmp_path).store_set(make_set())
+    return store(tmp_path, make_set())
 
 
-def test_a_set_comes_back_bit_for_bit(stored):
-    assert_same_set(read_set(stored.path), make_set())
-
-
-def test_a_sound_file_has_no_damage(stored):
-    assert verify_set(stored.path) == []
-
-
-def test_the_acknowledgement_names_file_size_and_checksums(tmp_path, stored):
-    assert stored.file == "sets/set_000007_20240101T040000Z.h5"
-    assert stored.path == tmp_path / stored.file
-    assert stored.n_bytes == stored.path.stat().st_size
-    assert stored.crc32 == {item.sequence: waveform_crc32(item.waveform) for item in make_set().records}
-
-
-def test_the_parts_of_the_time_add_up(stored):
+def test_the_acknowledgement_tells_the_size_and_the_parts_of_the_time(tmp_path):
+    stored = FolderArchive(tmp_path).store_set(make_set())
+    assert stored.n_bytes == (tmp_path / stored.file).stat().st_size
     timings = stored.timings
     assert timings.total_s == timings.image_s + timings.write_s + timings.fsync_s + timings.directory_fsync_s
     assert min(timings.image_s, timings.write_s, timings.fsync_s, timings.directory_fsync_s) > 0.0
@@ -97,68 +83,32 @@ def test_no_object_remembers_when_it_was_written():
     assert not any(flag & 0x20 for flag in flags)
 
 
-def test_storing_the_same_set_again_changes_nothing(tmp_path, stored):
-    before = stored.path.read_bytes()
-    again = Archive(tmp_path).store_set(make_set())
-    assert again.path == stored.path
-    assert stored.path.read_bytes() == before
-
-
-def test_a_different_set_never_replaces_a_stored_one(tmp_path, stored):
-    before = stored.path.read_bytes()
+def test_storing_a_set_again_or_another_one_changes_no_byte(tmp_path, stored):
+    before = stored.read_bytes()
+    assert store(tmp_path, make_set()) == stored
+    assert stored.read_bytes() == before
     with pytest.raises(ConflictingSetError, match="set 7 is stored already"):
-        Archive(tmp_path).store_set(replace(make_set(), due_h=4.5))
-    assert stored.path.read_bytes() == before
-    assert [path.name for path in stored.path.parent.iterdir()] == [stored.path.name]
-
-
-def test_a_set_cannot_be_stored_under_a_second_due_time(tmp_path):
-    archive = Archive(tmp_path)
-    archive.store_set(make_set())
-    with pytest.raises(ConflictingSetError, match="set 7"):
-        archive.store_set(replace(make_set(), due_utc_ns=DUE_UTC_NS + 3_600_000_000_000))
-    assert list(set_files(tmp_path)) == [SET_INDEX]
+        store(tmp_path, replace(make_set(), due_h=4.5))
+    assert stored.read_bytes() == before
+    assert list(stored.parent.iterdir()) == [stored]
 
 
 def test_opening_removes_what_a_crash_left(tmp_path):
     folder = tmp_path / "sets"
     folder.mkdir()
     (folder / "set_000007_20240101T040000Z.tmp").write_bytes(b"half a set")
-    Archive(tmp_path)
+    FolderArchive(tmp_path)
     assert list(folder.iterdir()) == []
 
 
 def test_sets_are_listed_in_their_order_and_strangers_left_out(tmp_path):
-    archive = Archive(tmp_path)
+    archive = FolderArchive(tmp_path)
     for index in (12, 7, 1_000_001, 999_999):
         archive.store_set(other_set(make_set(), index))
     (tmp_path / "sets" / "set_7.h5").write_bytes(b"")
     (tmp_path / "sets" / "set_000008_20240101T040000Z.h5.tmp").write_bytes(b"")
     assert list(set_files(tmp_path)) == [7, 12, 999_999, 1_000_001]
     assert read_set(set_files(tmp_path)[12]).set_index == 12
-
-
-def test_a_folder_without_sets_lists_none(tmp_path):
-    assert set_files(tmp_path) == {}
-
-
-def test_the_name_says_when_the_set_was_due():
-    assert set_file_name(123, 1_704_288_600_000_000_000) == "set_000123_20240103T133000Z.h5"
-
-
-def test_one_record_can_be_read_alone(stored):
-    shots = {item.sequence: item for item in make_set().records}
-    assert_same_waveform(read_waveform(stored.path, "B", 0), shots[41].waveform)
-    assert_same_waveform(read_waveform(stored.path, "C", 0), shots[44].waveform)
-    assert_same_waveform(read_waveform(stored.path, "A", 0), shots[40].waveform)
-
-
-@pytest.mark.parametrize(("superseded", "accepted"), [(42, 43), (43, 42)])
-def test_of_several_attempts_the_accepted_one_is_the_shot(tmp_path, superseded, accepted):
-    record = replace(make_set(), outcomes={superseded: "superseded"})
-    stored = Archive(tmp_path).store_set(record)
-    shots = {item.sequence: item for item in record.shots}
-    assert_same_waveform(read_waveform(stored.path, "B", 1), shots[accepted].waveform)
 
 
 def as_format_1_0(path):
@@ -171,7 +121,7 @@ def as_format_1_0(path):
 
 
 def test_a_file_of_format_1_0_is_read(stored):
-    as_format_1_0(stored.path)
+    as_format_1_0(stored)
     record = make_set()
     without_settings = [replace(shot, settings={}, truth=dict(shot.truth)) for shot in record.shots]
     echo = replace(record.echoes[0], settings={}, truth=dict(record.echoes[0].truth))
@@ -184,21 +134,10 @@ def test_a_file_of_format_1_0_is_read(stored):
         trouble="",
         environment={},
     )
-    assert_same_set(read_set(stored.path), before)
-    assert verify_set(stored.path) == []
+    assert_same_set(read_set(stored), before)
+    assert verify_set(stored) == []
     # Every record counted then; the last one was the shot.
-    assert_same_waveform(read_waveform(stored.path, "B", 1), record.shots[2].waveform)
-
-
-@pytest.mark.parametrize(("position", "shot_index"), [("B", 2), ("D", 0), ("X", 0)])
-def test_a_record_that_was_never_taken_is_not_found(stored, position, shot_index):
-    with pytest.raises(SetNotFoundError, match=f"no shot {shot_index} of position '{position}'"):
-        read_waveform(stored.path, position, shot_index)
-
-
-def test_a_missing_file_is_not_found(tmp_path):
-    with pytest.raises(SetNotFoundError, match=r"there is no file .*set\.h5"):
-        read_set(tmp_path / "set.h5")
+    assert_same_waveform(read_waveform(stored, "B", 1), record.shots[2].waveform)
 
 
 def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_file(tmp_path):
@@ -219,27 +158,9 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
         echoes=[],
         outcomes={},
     )
-    stored = Archive(tmp_path).store_set(record)
-    assert_same_set(read_set(stored.path), record)
-    assert_same_waveform(read_waveform(stored.path, "B", 3), record.shots[3].waveform)
-
-
-def test_a_set_of_pulse_echo_alone_is_a_set(tmp_path):
-    record = replace(make_set(), shots=[], outcomes={})
-    assert_same_set(read_set(Archive(tmp_path).store_set(record).path), record)
-
-
-def test_a_truth_that_is_not_a_number_is_not_a_missing_truth(tmp_path):
-    shots = [make_shot("B", 0, 1, truth={"depth_m": float("nan")}), make_shot("B", 1, 2)]
-    stored = Archive(tmp_path).store_set(replace(make_set(), shots=shots))
-    first, second = read_set(stored.path).shots
-    assert np.isnan(first.truth["depth_m"])
-    assert dict(second.truth) == {}
-
-
-def test_provenance_that_json_cannot_hold_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="JSON"):
-        Archive(tmp_path).store_set(replace(make_set(), provenance={"limit": float("inf")}))
+    stored = store(tmp_path, record)
+    assert_same_set(read_set(stored), record)
+    assert_same_waveform(read_waveform(stored, "B", 3), record.shots[3].waveform)
 
 
 @pytest.mark.parametrize(
@@ -271,54 +192,36 @@ def chunk_offset(path, name, row):
         return file[name].id.get_chunk_info(row).byte_offset
 
 
-def test_damage_costs_one_shot_and_names_it(stored):
-    flip(stored.path, chunk_offset(stored.path, "entry/B_waveforms/waveform", 1) + 40)
-    with pytest.raises(CorruptArchiveError, match=r"shot 1 of B \(sequence 42\)"):
-        read_set(stored.path)
-    rest = read_set(stored.path, skip_damaged=True)
-    whole = make_set()
-    assert_same_records(rest, replace(whole, shots=[shot for shot in whole.shots if shot.sequence != 42]))
-    damages = verify_set(stored.path)
-    assert [(item.position, item.shot_index, item.sequence) for item in damages] == [("B", 1, 42)]
-
-
-def test_a_damaged_record_cannot_be_read_alone_but_its_neighbours_can(stored):
-    flip(stored.path, chunk_offset(stored.path, "entry/B_waveforms/waveform", 0) + 40)
-    with pytest.raises(CorruptArchiveError, match=r"shot 0 of B \(sequence 41\)"):
-        read_waveform(stored.path, "B", 0)
-    assert_same_waveform(read_waveform(stored.path, "B", 1), make_set().shots[2].waveform)
-
-
 def test_counts_that_were_changed_with_valid_hdf5_checksums_are_found_by_their_crc(stored):
-    with h5py.File(stored.path, "r+") as file:
+    with h5py.File(stored, "r+") as file:
         file["entry/B_waveforms/waveform"][2, 150] += 1
-    (damage,) = verify_set(stored.path)
+    (damage,) = verify_set(stored)
     assert (damage.sequence, damage.position, damage.shot_index) == (43, "B", 1)
     assert "CRC-32" in damage.reason
 
 
 def test_damage_outside_the_shots_is_found(stored):
-    with h5py.File(stored.path) as file:
+    with h5py.File(stored) as file:
         offset = file["entry/provenance/data"].id.get_chunk_info(0).byte_offset
-    flip(stored.path, offset + 20)
-    (damage,) = verify_set(stored.path)
+    flip(stored, offset + 20)
+    (damage,) = verify_set(stored)
     assert damage.position is None
     assert "provenance/data" in str(damage)
 
 
 def test_a_damaged_group_costs_its_own_shots_only(stored):
-    with h5py.File(stored.path, "r+") as file:
+    with h5py.File(stored, "r+") as file:
         del file["entry/C_waveforms/time"]
         del file["entry/C_waveforms/shot_id"]
-    rest = read_set(stored.path, skip_damaged=True)
+    rest = read_set(stored, skip_damaged=True)
     assert [item.sequence for item in rest.records] == [40, 41, 42, 43]
-    assert [item.sequence for item in verify_set(stored.path)] == [44]
+    assert [item.sequence for item in verify_set(stored)] == [44]
 
 
 def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
     """Either an error names the damage, or all that can be read is what was stored."""
-    whole = stored.path.read_bytes()
-    intact = everything(stored.path)
+    whole = stored.read_bytes()
+    intact = everything(stored)
     path = tmp_path / "flipped.h5"
     found = 0
     # A bit of every 1000 bytes on average: headers, indexes, chunks and gaps are all met.
@@ -359,23 +262,23 @@ def test_what_is_no_hdf5_file_is_damaged(tmp_path, content):
 
 
 def test_a_truncated_file_is_damaged(stored):
-    stored.path.write_bytes(stored.path.read_bytes()[:-100])
+    stored.write_bytes(stored.read_bytes()[:-100])
     with pytest.raises(CorruptArchiveError, match="damaged"):
-        read_set(stored.path)
+        read_set(stored)
 
 
 @pytest.mark.parametrize("version", ["", "2.0"])
 def test_a_file_of_another_format_is_refused(stored, version):
-    with h5py.File(stored.path, "r+") as file:
+    with h5py.File(stored, "r+") as file:
         file.attrs["solimon_format_version"] = version
     with pytest.raises(CorruptArchiveError, match=f"format {version or 'unknown'}"):
-        read_set(stored.path)
+        read_set(stored)
 
 
 def test_a_file_in_the_way_of_the_folder_is_a_storage_error(tmp_path):
     (tmp_path / "sets").write_bytes(b"")
     with pytest.raises(ArchiveWriteError, match="sets cannot be written"):
-        Archive(tmp_path)
+        FolderArchive(tmp_path)
 
 
 def test_archive_errors_end_with_the_storage_exit_code():
@@ -388,10 +291,11 @@ def test_clipped_records_are_flagged_in_the_file(tmp_path):
     counts = shot.waveform.counts.copy()
     counts[7] = 32767
     clipped = replace(shot, waveform=replace(shot.waveform, counts=counts), truth={})
-    stored = Archive(tmp_path).store_set(
-        replace(make_set(), shots=[clipped, make_shot("B", 1, 2)], echoes=[make_echo(3)], outcomes={})
+    stored = store(
+        tmp_path,
+        replace(make_set(), shots=[clipped, make_shot("B", 1, 2)], echoes=[make_echo(3)], outcomes={}),
     )
-    with h5py.File(stored.path) as file:
+    with h5py.File(stored) as file:
         flags = file["entry/shots/flags"]
         assert flags[()].tolist() == [1, 0, 0]
         assert (flags.attrs["flag_masks"], flags.attrs["flag_meanings"]) == (1, b"clipped")

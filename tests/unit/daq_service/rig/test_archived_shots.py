@@ -7,7 +7,7 @@ import pytest
 from support.archived_sets import DUE_UTC_NS, SET_INDEX, assert_same_waveform, make_set, make_shot, other_set
 from support.labview_files import write_set
 
-from daq_service.archive import Archive, PositionRecord, SetRecord
+from daq_service.archive import FolderArchive, FolderSetReader, PositionRecord, SetRecord
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.rig.playback import ArchivedShots, open_recording, playback_rig
@@ -19,7 +19,7 @@ HOUR_NS = 3_600_000_000_000
 
 
 def stored(folder, *sets):
-    archive = Archive(folder)
+    archive = FolderArchive(folder)
     for record in sets:
         archive.store_set(record)
     return sorted((folder / "sets").iterdir())
@@ -28,7 +28,7 @@ def stored(folder, *sets):
 def test_every_record_is_found_to_the_last_bit(tmp_path):
     sets = [make_set(), other_set(make_set(), SET_INDEX + 1)]
     stored(tmp_path, *sets)
-    source = ArchivedShots(tmp_path)
+    source = ArchivedShots(FolderSetReader(tmp_path))
     assert source.positions == {
         "A": "pulse_echo",
         "B": "solitary_wave",
@@ -69,7 +69,7 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
     # Set 8 was not recorded; it is asked for past its time too.
     later = hours_later(other_set(first, SET_INDEX + 2), 2)
     stored(tmp_path, first, later)
-    source = ArchivedShots(tmp_path)
+    source = ArchivedShots(FolderSetReader(tmp_path))
     wanted = sorted(
         {one.started_utc_ns for one in (first, later)}
         | {record.stamp.utc_ns for one in (first, later) for record in one.records}
@@ -80,7 +80,7 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
         moment = source.next_moment(moment)
     assert found == wanted
     # Asked anew from the middle, nothing before is needed.
-    again = ArchivedShots(tmp_path)
+    again = ArchivedShots(FolderSetReader(tmp_path))
     assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
 
@@ -89,7 +89,7 @@ def test_a_position_that_was_retired_at_first_is_known_from_the_configuration(tm
         "configuration": {"positions": {"B": {"method": "solitary_wave"}, "E": {"method": "pulse_echo"}}}
     }
     stored(tmp_path, replace(make_set(), provenance=configured))
-    assert ArchivedShots(tmp_path).positions["E"] == "pulse_echo"
+    assert ArchivedShots(FolderSetReader(tmp_path)).positions["E"] == "pulse_echo"
 
 
 def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tmp_path):
@@ -110,7 +110,7 @@ def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tm
     place = second_chunk(path)
     image[place] ^= 0xFF
     path.write_bytes(image)
-    source = ArchivedShots(tmp_path)
+    source = ArchivedShots(FolderSetReader(tmp_path))
     assert source.find(shots[0].key) is not None
     assert source.find(shots[2].key) is not None
     with pytest.raises(
@@ -130,19 +130,19 @@ def second_chunk(path):
 def test_a_destroyed_file_costs_its_set_only(tmp_path):
     first, second = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     first.write_bytes(b"no HDF5 at all")
-    source = ArchivedShots(tmp_path)
+    source = ArchivedShots(FolderSetReader(tmp_path))
     key = ShotKey(position="B", set_index=SET_INDEX, shot_index=0)
     with pytest.raises(AcquisitionTimeoutError, match="is damaged"):
         source.find(key)
     assert source.find(replace(key, set_index=SET_INDEX + 1)) is not None
     second.write_bytes(b"nor this")
     with pytest.raises(UsageError, match=r"none of the 2 sets of .* can be read"):
-        ArchivedShots(tmp_path)
+        ArchivedShots(FolderSetReader(tmp_path))
 
 
 def test_a_file_that_vanished_is_a_fault_of_the_recording(tmp_path):
     first, second = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
-    source = ArchivedShots(tmp_path)
+    source = ArchivedShots(FolderSetReader(tmp_path))
     assert first.exists()
     second.unlink()
     with pytest.raises(ConfigurationError, match="the recording cannot be read: there is no file"):

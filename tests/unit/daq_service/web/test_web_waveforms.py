@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from support.filled_folder import FilledFolder
 from support.served_web import DEADLINE_S, served
+from support.stored_files import read_waveform, set_files
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from daq_service.archive import read_waveform, set_files
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin

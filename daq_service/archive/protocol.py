@@ -1,0 +1,90 @@
+"""What an archive is: a folder today; a journal or an object store keep the same promises.
+
+`tests/contract/archive_contract.py` is what each of them must pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
+
+from daq_service.archive.records import Damage, SetRecord, SetReference, StoredSet
+from hardware_drivers.measurement import Waveform
+
+
+@runtime_checkable
+class SetReader(Protocol):
+    """Reads what is stored, changes nothing; any number of them beside the one who writes."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it: where the sets lie."""
+        ...
+
+    def sets(self) -> Mapping[int, SetReference]:
+        """Every complete set: index to reference, in the order of the sets."""
+        ...
+
+    def n_bytes(self) -> int:
+        """Bytes that the complete sets take."""
+        ...
+
+    def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
+        """Read a set as it was stored.
+
+        Parameters
+        ----------
+        skip_damaged
+            Leave damaged records out; `verify_set` names them.
+
+        Raises
+        ------
+        CorruptArchiveError
+            A record is damaged (all of them are named) or the set as a whole.
+        SetNotFoundError
+            There is no such set.
+        """
+        ...
+
+    def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
+        """Read one record, a shot's or (index 0) a pulse-echo record's; of attempts the accepted one.
+
+        Raises
+        ------
+        SetNotFoundError
+            There is no such set or record.
+        CorruptArchiveError
+            The record does not match its checksums.
+        """
+        ...
+
+    def verify_set(self, reference: SetReference) -> list[Damage]:
+        """Read everything of a set and list what is damaged.
+
+        Raises
+        ------
+        CorruptArchiveError
+            The set as a whole cannot be read.
+        SetNotFoundError
+            There is no such set.
+        """
+        ...
+
+
+@runtime_checkable
+class Archive(SetReader, Protocol):
+    """Stores sets too; the recorder's, who alone writes."""
+
+    def store_set(self, record: SetRecord) -> StoredSet:
+        """Make a set durable; only when this returns is it acknowledged.
+
+        Raises
+        ------
+        ConflictingSetError
+            This set is stored with other content, which stays.
+        ArchiveWriteError
+            The set is not stored; it may be stored again.
+        ValueError
+            JSON cannot hold the provenance.
+        """
+        ...

@@ -1,0 +1,89 @@
+"""The folder and the archive of the unit tests keep the same promises."""
+
+import h5py
+import pytest
+from archive_contract import ArchiveContract
+from support.archived_sets import make_set
+from support.memory_archive import MemoryArchive
+
+from daq_service.archive import FolderArchive, FolderSetReader, durable_file
+
+
+class TestFolderArchive(ArchiveContract):
+    @pytest.fixture
+    def archive(self, tmp_path):
+        return FolderArchive(tmp_path)
+
+    @pytest.fixture
+    def reopened(self, tmp_path):
+        return lambda: FolderArchive(tmp_path)
+
+    @pytest.fixture
+    def reader(self, tmp_path):
+        return FolderSetReader(tmp_path)
+
+    @pytest.fixture
+    def damage(self, tmp_path):
+        def flip(file, sequence):
+            with h5py.File(tmp_path / file) as content:
+                names = [name for name in content["entry/instrument"] if name != "name"]
+                groups = [content["entry"][name] for name in names]
+                (group,) = [group for group in groups if sequence in group["shot_id"][()]]
+                row = group["shot_id"][()].tolist().index(sequence)
+                offset = group[group.attrs["signal"]].id.get_chunk_info(row).byte_offset
+            image = bytearray((tmp_path / file).read_bytes())
+            image[offset + 40] ^= 0x10
+            (tmp_path / file).write_bytes(image)
+
+        return flip
+
+    @pytest.fixture
+    def lose(self, tmp_path):
+        return lambda file: (tmp_path / file).unlink()
+
+    @pytest.fixture
+    def crash_while_storing(self, archive, monkeypatch):
+        def crash(record):
+            def killed(*_):
+                raise KeyboardInterrupt
+
+            with monkeypatch.context() as patch:
+                patch.setattr(durable_file.os, "replace", killed)
+                with pytest.raises(KeyboardInterrupt):
+                    archive.store_set(record)
+
+        return crash
+
+    def test_a_reader_makes_and_removes_nothing(self, archive, tmp_path, crash_while_storing):
+        crash_while_storing(make_set())
+        before = sorted(path.name for path in (tmp_path / "sets").iterdir())
+        assert FolderSetReader(tmp_path).sets() == {}
+        assert sorted(path.name for path in (tmp_path / "sets").iterdir()) == before != []
+        assert FolderSetReader(tmp_path / "nowhere").sets() == {}
+        assert not (tmp_path / "nowhere").exists()
+
+
+class TestMemoryArchive(ArchiveContract):
+    @pytest.fixture
+    def archive(self):
+        return MemoryArchive()
+
+    @pytest.fixture
+    def reopened(self, archive):
+        return lambda: MemoryArchive(archive.shelf)
+
+    @pytest.fixture
+    def reader(self, archive):
+        return MemoryArchive(archive.shelf)
+
+    @pytest.fixture
+    def damage(self, archive):
+        return lambda file, sequence: archive.shelf.damaged.add((file, sequence))
+
+    @pytest.fixture
+    def lose(self, archive):
+        return archive.shelf.sets.pop
+
+    @pytest.fixture
+    def crash_while_storing(self):
+        return lambda record: None

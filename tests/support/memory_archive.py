@@ -1,0 +1,132 @@
+"""An archive in memory, for tests of what writes to one and reads from one: neither disk nor HDF5."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from daq_service.archive import (
+    ConflictingSetError,
+    CorruptArchiveError,
+    Damage,
+    SetNotFoundError,
+    SetRecord,
+    SetReference,
+    StoredSet,
+    StoreTimings,
+    waveform_crc32,
+)
+from daq_service.archive.records import set_reference
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+NO_TIME = StoreTimings(image_s=0.0, write_s=0.0, fsync_s=0.0, directory_fsync_s=0.0)
+
+
+@dataclass(slots=True)
+class Shelf:
+    """What outlives an archive's process: its stored sets, and what of them is damaged."""
+
+    sets: dict[SetReference, SetRecord] = field(default_factory=dict)
+    damaged: set[tuple[SetReference, int]] = field(default_factory=set)
+
+
+class MemoryArchive:
+    """Keeps `Archive`'s promises, but for surviving the process.
+
+    Parameters
+    ----------
+    shelf
+        Another archive's, to go on with its sets as after a restart.
+    """
+
+    name = "memory"
+
+    def __init__(self, shelf: Shelf | None = None) -> None:
+        self.shelf = Shelf() if shelf is None else shelf
+
+    def store_set(self, record: SetRecord) -> StoredSet:
+        reference = set_reference(record.set_index, record.due_utc_ns)
+        stored = self.sets().get(record.set_index)
+        record = replace(
+            record,
+            provenance=json.loads(json.dumps(record.provenance, allow_nan=False)),
+            environment={name: value for name, value in record.environment.items() if value is not None},
+            outcomes={sequence: told for sequence, told in record.outcomes.items() if told != "accepted"},
+        )
+        if stored is not None and bits(self.shelf.sets[stored]) != bits(record):
+            raise ConflictingSetError(f"set {record.set_index} is stored already in {stored} and differs")
+        self.shelf.sets[reference] = record
+        crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
+        return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
+
+    def sets(self) -> dict[int, SetReference]:
+        return dict(sorted((record.set_index, file) for file, record in self.shelf.sets.items()))
+
+    def n_bytes(self) -> int:
+        return sum(map(_n_bytes, self.shelf.sets.values()))
+
+    def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
+        record, damages = self._found(reference), self.verify_set(reference)
+        lost = {damage.sequence for damage in damages}
+        if not damages:
+            return record
+        if not skip_damaged or len(lost) == len(record.records):
+            raise CorruptArchiveError(f"{self.name}/{reference}: {'; '.join(map(str, damages))}")
+        return replace(
+            record,
+            shots=[shot for shot in record.shots if shot.sequence not in lost],
+            echoes=[echo for echo in record.echoes if echo.sequence not in lost],
+            outcomes={sequence: told for sequence, told in record.outcomes.items() if sequence not in lost},
+        )
+
+    def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
+        record = self._found(reference)
+        attempts = [
+            item
+            for item in record.records
+            if (item.key.position, item.key.shot_index) == (position, shot_index)
+        ]
+        if not attempts:
+            raise SetNotFoundError(
+                f"{self.name}/{reference} has no shot {shot_index} of position {position!r}"
+            )
+        one = max(attempts, key=lambda item: (item.sequence not in record.outcomes, item.key.attempt))
+        if (reference, one.sequence) in self.shelf.damaged:
+            raise CorruptArchiveError(f"{self.name}/{reference}: {_damage(one)}")
+        return one.waveform
+
+    def verify_set(self, reference: SetReference) -> list[Damage]:
+        records = self._found(reference).records
+        return [_damage(item) for item in records if (reference, item.sequence) in self.shelf.damaged]
+
+    def _found(self, reference: SetReference) -> SetRecord:
+        try:
+            return self.shelf.sets[reference]
+        except KeyError:
+            raise SetNotFoundError(f"there is no file {self.name}/{reference}") from None
+
+
+def bits(value: Any) -> Any:
+    """Everything of a record as plain values that are equal if every bit is."""
+    if is_dataclass(value):
+        return (type(value).__name__, *(bits(getattr(value, item.name)) for item in fields(value)))
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if isinstance(value, Mapping):
+        return {key: bits(item) for key, item in value.items()}
+    if isinstance(value, tuple | list):
+        return [bits(item) for item in value]
+    return value.hex() if isinstance(value, float) else value
+
+
+def _n_bytes(record: SetRecord) -> int:
+    return sum(item.waveform.counts.nbytes for item in record.records)
+
+
+def _damage(item: Shot | PulseEchoRecord) -> Damage:
+    key = item.key
+    return Damage(reason="CRC-32", sequence=item.sequence, position=key.position, shot_index=key.shot_index)
