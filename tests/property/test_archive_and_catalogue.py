@@ -1,0 +1,231 @@
+"""However sets are stored, committed and cut short: what was acknowledged is there, and rows fit it.
+
+The model is a dictionary of sets and a list of events. A crash comes before the rename of a file, between
+rename and acknowledgement, or between acknowledgement and commit; the next recorder takes over what lies
+in the archive without rows.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from support.archived_sets import SET_INDEX, make_set, other_set
+from support.memory_archive import MemoryArchive, bits
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.archive import (
+    ConflictingSetError,
+    FolderArchive,
+    FolderSetReader,
+    SetReference,
+    durable_file,
+)
+from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
+from daq_service.catalogue.errors import CatalogueError
+from daq_service.judgement.transaction import set_row, shot_row
+
+INDICES = range(SET_INDEX, SET_INDEX + 5)
+RECORDS = {index: other_set(make_set(), index) for index in INDICES}
+BITS = {index: bits(record) for index, record in RECORDS.items()}
+sets = st.sampled_from(INDICES)
+
+
+class Killed(BaseException):
+    """The process ends here."""
+
+
+# Rows of the catalogue: the only lines that know their form.
+
+
+def column(row, name):
+    return row[name]
+
+
+def event(kind, set_index):
+    return {"utc_ns": 0, "topic": "sets", "kind": kind, "set_index": set_index, "payload": {}}
+
+
+def commit_of(record, file):
+    due = DueSet(set_index=record.set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
+    planned = {"state": "done", "cause": None, "n_planned": 2}
+    return SetCommit(
+        sets=[
+            set_row(due, place.position, method=place.method, file=file, **planned)
+            for place in record.positions
+        ],
+        shots=[shot_row(item, valid=True, flags=()) for item in record.records],
+        events=[event("set_done", record.set_index)],
+    )
+
+
+def impossible():
+    """Return what no commit can hold: a change of an alarm that was never raised."""
+    return {"alarms": [{"id": 999, "state": "cleared"}]}
+
+
+class ArchiveAndCatalogue(RuleBasedStateMachine):
+    """A recorder's folder, a reader that stays open beside it, and what both must show."""
+
+    @initialize()
+    def begin(self):
+        self.cleaning = ExitStack()
+        self.folder = Path(self.cleaning.enter_context(tempfile.TemporaryDirectory()))
+        self.stored: dict[int, SetReference] = {}
+        self.committed: list[int] = []
+        self.events: list[tuple[int, str, int | None]] = []
+        self.catalogue: RecorderCatalogue | None = None
+        self.reopen()
+        self.catalogue.create_experiment(
+            name="", configuration_hash="", configuration={}, epoch_utc_ns=0, clock="simulated",
+            solimon_version="",
+        )  # fmt: skip
+        self.reading = self.cleaning.enter_context(open_catalogue(self.folder))
+        self.reader = FolderSetReader(self.folder)
+
+    @rule()
+    def reopen(self):
+        """Come back after the end of the process."""
+        if self.catalogue is not None:
+            self.catalogue.close()
+        self.catalogue = open_catalogue(self.folder, writer=True)
+        self.archive = FolderArchive(self.folder)
+
+    @rule(index=sets)
+    def store(self, index):
+        """Store a set; its rows never come if the process ends now."""
+        stored = self.archive.store_set(RECORDS[index])
+        expected = MemoryArchive().store_set(RECORDS[index])
+        assert (stored.file, stored.crc32) == (expected.file, expected.crc32)
+        assert self.stored.setdefault(index, stored.file) == stored.file
+
+    @rule(index=sets)
+    def store_and_commit(self, index):
+        self.store(index)
+        self.commit(index)
+
+    @rule(index=sets, call=st.sampled_from(["os.open", "os.fsync", "os.replace", "sync_folder"]))
+    def crash_while_storing(self, index, call):
+        """End the process before a call: only after the rename is the set there, though not acknowledged."""
+        killed = mock.patch.object(durable_file, call.removeprefix("os."), side_effect=Killed)
+        if call.startswith("os."):
+            killed = mock.patch.object(durable_file.os, call.removeprefix("os."), side_effect=Killed)
+        with killed, pytest.raises(Killed):
+            self.archive.store_set(RECORDS[index])
+        if call == "sync_folder":
+            self.stored.setdefault(index, MemoryArchive().store_set(RECORDS[index]).file)
+        assert self.reader.sets() == dict(sorted(self.stored.items()))
+        self.reopen()
+
+    @precondition(lambda self: self.stored)
+    @rule(data=st.data())
+    def store_other_content(self, data):
+        index = data.draw(st.sampled_from(sorted(self.stored)))
+        with pytest.raises(ConflictingSetError):
+            self.archive.store_set(replace(RECORDS[index], due_h=-1.0))
+
+    @precondition(lambda self: self.stored)
+    @rule(data=st.data())
+    def fail_to_commit(self, data):
+        """Whatever part of a commit is refused, none of it is stored."""
+        index = data.draw(st.sampled_from(sorted(self.stored)))
+        with pytest.raises(CatalogueError):
+            self.catalogue.commit_set(replace(commit_of(RECORDS[index], self.stored[index]), **impossible()))
+
+    @rule()
+    def tell(self):
+        """Something that belongs to no set."""
+        told = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
+        self.events.append((told, "told", None))
+
+    @rule()
+    def adopt(self):
+        """Make the rows of every set that has none, as a recorder does that starts again."""
+        done = self.catalogue.committed_sets()
+        for index, file in self.archive.sets().items():
+            if index not in done:
+                assert bits(self.archive.read_set(file)) == BITS[index]
+                self.commit(index)
+        assert self.catalogue.committed_sets() == set(self.archive.sets())
+
+    @precondition(lambda self: self.stored)
+    @rule(data=st.data())
+    def read_back(self, data):
+        index = data.draw(st.sampled_from(sorted(self.stored)))
+        assert bits(self.reader.read_set(self.stored[index])) == BITS[index]
+        assert self.reader.verify_set(self.stored[index]) == []
+
+    def commit(self, index):
+        rows = commit_of(RECORDS[index], self.stored[index])
+        if index in self.committed:
+            with pytest.raises(CatalogueError):
+                self.catalogue.commit_set(rows)
+            return
+        (event_id,) = self.catalogue.commit_set(rows).event_ids
+        self.committed.append(index)
+        self.events.append((event_id, "set_done", index))
+
+    @invariant()
+    def the_archive_lists_whole_sets_in_order(self):
+        assert list(self.reader.sets().items()) == sorted(self.stored.items())
+        assert self.archive.sets() == self.reader.sets()
+
+    @invariant()
+    def rows_and_files_belong_together(self):
+        """In the order of the commits, for the recorder and for whoever reads beside it."""
+        for catalogue in (self.catalogue, self.reading):
+            rows = catalogue.list_sets(limit=None)
+            per_set = len(RECORDS[SET_INDEX].positions)
+            found = [(column(row, "set_index"), column(row, "file")) for row in rows[::per_set]]
+            assert found == [(index, self.stored[index]) for index in self.committed]
+            assert len(rows) == per_set * len(self.committed)
+            ids = [column(row, "id") for row in rows]
+            assert ids == sorted(set(ids))
+        assert self.catalogue.committed_sets() == set(self.committed)
+        sequences = [item.sequence for index in self.committed for item in RECORDS[index].records]
+        assert self.catalogue.next_sequence() == max(sequences, default=0) + 1
+
+    @invariant()
+    def events_are_those_that_were_told_in_their_order(self):
+        ids = [event_id for event_id, *_ in self.events]
+        assert ids == sorted(set(ids))
+        for catalogue in (self.catalogue, self.reading):
+            rows = catalogue.events_after(0, limit=None)
+            found = [tuple(column(row, name) for name in ("id", "kind", "set_index")) for row in rows]
+            assert found == self.events
+            half = ids[len(ids) // 2] if ids else 0
+            assert [column(row, "id") for row in catalogue.events_after(half)] == [
+                one for one in ids if one > half
+            ]
+
+    def teardown(self):
+        """Everything that was acknowledged is there to the last bit, and its rows name the same counts."""
+        with self.cleaning:
+            for index, file in self.stored.items():
+                assert bits(self.reader.read_set(file)) == BITS[index]
+            for index in self.committed:
+                crc32 = self.archive.store_set(RECORDS[index]).crc32
+                for place in RECORDS[index].positions:
+                    for row in self.reading.list_shots(place.position, index):
+                        assert column(row, "crc32") == crc32[column(row, "sequence")]
+            self.catalogue.close()
+
+
+ArchiveAndCatalogue.TestCase.settings = settings(
+    max_examples=10,
+    stateful_step_count=15,
+    # The same runs every time: the default suite tells a changed program from a lucky draw.
+    derandomize=True,
+    database=None,
+    # A step waits for fsync, which takes as long as the disk pleases.
+    deadline=None,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+TestArchiveAndCatalogue = ArchiveAndCatalogue.TestCase
