@@ -14,7 +14,7 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from support.archived_sets import SET_INDEX, make_set, other_set
@@ -224,6 +224,8 @@ ArchiveAndCatalogue.TestCase.settings = settings(
     # The same runs every time: the default suite tells a changed program from a lucky draw.
     derandomize=True,
     database=None,
+    # No shrinking: it would take minutes of fsyncs, and fifteen steps can be read as they are.
+    phases=[Phase.generate],
     # A step waits for fsync, which takes as long as the disk pleases.
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],

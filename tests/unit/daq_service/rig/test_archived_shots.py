@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import pytest
 from support.archived_sets import DUE_UTC_NS, SET_INDEX, assert_same_waveform, make_set, make_shot, other_set
 from support.labview_files import write_set
@@ -120,8 +121,6 @@ def test_a_damaged_record_is_a_missed_strike_that_says_so_and_the_others_play(tm
 
 
 def second_chunk(path):
-    import h5py
-
     with h5py.File(path, "r") as file:
         chunk = file["entry/B_waveforms/waveform"].id.get_chunk_info(1)
         return chunk.byte_offset + chunk.size // 2
@@ -155,6 +154,22 @@ def test_a_folder_without_sets_is_refused(tmp_path):
         open_recording(PlaybackParameters(source=tmp_path / "nowhere"), tmp_path),
     ):
         raise AssertionError("opened")
+
+
+def test_what_was_missed_was_tried_but_a_damaged_set_does_not_say(tmp_path):
+    first, _ = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
+    key = ShotKey(position="D", set_index=SET_INDEX + 1, shot_index=0, attempt=1)
+    source = ArchivedShots(FolderSetReader(tmp_path))
+    assert source.tried(key)
+    assert source.tried(replace(key, position="B", shot_index=1))
+    assert not source.tried(replace(key, shot_index=1))
+    image = bytearray(first.read_bytes())
+    with h5py.File(first) as file:
+        image[file["entry/B_waveforms/waveform"].id.get_chunk_info(0).byte_offset + 40] ^= 0x10
+    first.write_bytes(image)
+    source = ArchivedShots(FolderSetReader(tmp_path))
+    assert not source.tried(replace(key, set_index=SET_INDEX))
+    assert source.tried(ShotKey(position="B", set_index=SET_INDEX, shot_index=1, attempt=1))
 
 
 def test_a_relative_source_counts_from_the_configuration(tmp_path):

@@ -64,6 +64,22 @@ def test_an_attempt_that_was_not_recorded_is_a_missed_strike_and_the_next_one_is
     assert play(instruments, shot.key).waveform is shot.waveform
 
 
+def test_the_recording_says_which_attempt_was_the_last_one():
+    instruments = build_instruments(ShotsInMemory([make_shot("B", 0, 1), make_shot("B", 1, 2, attempt=1)]))
+
+    def key(shot_index, attempt):
+        return ShotKey(position="B", set_index=SET_INDEX, shot_index=shot_index, attempt=attempt)
+
+    assert play(instruments, key(0, 0)).last_attempt
+    with pytest.raises(AcquisitionTimeoutError) as missed:
+        play(instruments, key(1, 0))
+    assert not missed.value.last_attempt
+    assert play(instruments, key(1, 1)).last_attempt
+    with pytest.raises(AcquisitionTimeoutError) as missed:
+        play(instruments, key(2, 0))
+    assert missed.value.last_attempt
+
+
 def test_a_strike_elsewhere_or_a_second_one_plays_nothing_else():
     shots = [make_shot("B", 0, 1), make_shot("B", 1, 2), make_shot("C", 0, 3)]
     instruments = build_instruments(ShotsInMemory(shots))
