@@ -14,12 +14,15 @@ from hardware_drivers.measurement import Waveform
 
 @runtime_checkable
 class SetReader(Protocol):
-    """Reads what is stored, changes nothing; any number of them beside the one who writes."""
+    """Reads what is stored, changes nothing; any number of them beside the one who writes.
 
-    @property
-    def name(self) -> str:
-        """What messages call it: where the sets lie."""
-        ...
+    Attributes
+    ----------
+    name
+        What messages call it: where the sets lie.
+    """
+
+    name: str
 
     def sets(self) -> Mapping[int, SetReference]:
         """Every complete set: index to reference, in the order of the sets."""

@@ -52,12 +52,7 @@ class FolderSetReader:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    @property
-    def name(self) -> str:
-        """The folder."""
-        return str(self.folder)
+        self.folder, self.name = folder, str(folder)
 
     def sets(self) -> dict[int, SetReference]:
         """Complete sets: index to reference, in the order of the sets."""

@@ -76,16 +76,9 @@ def record(
         )
         if rig is None:
             return False
+        archive, live = FolderArchive(folder), LivePicture(folder, rig.kind)
         recorder = Recorder(
-            settings,
-            FolderArchive(folder),
-            catalogue,
-            rig,
-            epoch_ns,
-            live=LivePicture(folder, rig.kind),
-            heartbeat=heartbeat,
-            stop=stop,
-            tell=tell,
+            settings, archive, catalogue, rig, epoch_ns, live=live, heartbeat=heartbeat, stop=stop, tell=tell
         )
         finished = recorder.run(not_running_because=cause)
         if finished:
