@@ -36,6 +36,7 @@ from support.daqmx_rig import (
     take,
     why_no,
 )
+from support.waiting import happened
 
 from hardware_drivers.daqmx import DaqmxParameters, WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
@@ -307,7 +308,7 @@ def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
     control.release_hangs()
     # A striker that the fault left in the air would ring in the new rig's record: a person's restart takes
     # longer than its fall.
-    assert control.wait_until_quiet(5.0)
+    happened(control.wait_until_quiet, "the striker landed")
     control.clear_record()
     outcome = line(laboratory)
     if outcome.errors:
@@ -441,15 +442,11 @@ def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
     control = laboratory.brain.control
     control.clear_record()
     client = in_a_process(hang, laboratory.brain.wire, control.address, laboratory.parameters, call)
-    if not control.wait_until_hanging(10.0):
-        yield "the call did not hang"
+    happened(control.wait_until_hanging, f"{call.name} hung")
     client.kill()
     client.join()
     # The double learns of the death as NI's driver does, from the system: a moment later.
-    for _ in range(10_000):
-        record = control.record()
-        if not record["tasks"] and not record["reservations"]:
-            break
+    happened(control.wait_until_no_tasks, "the double learned of the client's death")
     yield from left_wrongly(laboratory, call)
     yield from next_run_is_sound(laboratory, call)
 

@@ -28,6 +28,7 @@ from support.daqmx_rig import (
     why_no,
     wired,
 )
+from support.waiting import happened
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
@@ -588,7 +589,7 @@ def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remo
     started = context.Event()
     victim = context.Process(target=arm_and_wait, args=(remote, started))
     victim.start()
-    assert started.wait(30.0)
+    happened(started.wait, "the victim armed its digitizer")
     victim.kill()
     victim.join()
     channel = Channel(remote.grpc_address, call_timeout_s=2.0, record_samples=1)

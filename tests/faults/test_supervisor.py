@@ -5,7 +5,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -128,11 +127,9 @@ tell("ready")
 wait_for_pipe()
 starts(sys.argv[1])
 """
-    started = time.monotonic()
     code, _ = supervise(tmp_path, script, stop=stop, on_message=lambda name, message: stop.set())
     assert code == 0
-    assert (tmp_path / "starts").read_text() == "x", "the child must see the end of its pipe"
-    assert time.monotonic() - started < 5.0, "everything ends within 5 s"
+    assert (tmp_path / "starts").read_text() == "x", "it sees the end of its pipe and is not killed"
 
 
 def test_a_child_that_does_not_leave_is_killed_within_five_seconds(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from simulator.doubles.chassis.description import Description, to_json
 from simulator.doubles.doors.control import DoublesControl
+from support.waiting import MachineTooSlowError, happened
 
-READY_TIMEOUT_S = 60.0
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 
 
@@ -85,9 +85,11 @@ def running_brain(description: Description) -> Iterator[RunningBrain]:
         process = context().Process(target=serve, args=(str(file), there), daemon=True)
         process.start()
         there.close()
-        if not here.poll(READY_TIMEOUT_S):
+        try:
+            happened(here.poll, "the double was ready")
+        except MachineTooSlowError:
             process.kill()
-            raise TimeoutError(f"the double was not ready within {READY_TIMEOUT_S} s")
+            raise
         ready = json.loads(here.recv())
     try:
         with DoublesControl(ready["control"]) as control:

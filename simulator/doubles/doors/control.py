@@ -35,6 +35,7 @@ class DoublesControl:
     def __init__(self, address: str, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         host, _, port = address.rpartition(":")
         self.address = address
+        self._timeout_s = timeout_s
         self._socket = socket.create_connection((host, int(port)), timeout=timeout_s)
         self._file = self._socket.makefile("rb")
 
@@ -52,6 +53,8 @@ class DoublesControl:
         self._socket.close()
 
     def _ask(self, command: str, **arguments: Any) -> Any:
+        # A question that waits is answered only then.
+        self._socket.settimeout(self._timeout_s + arguments.get("timeout_s", 0.0))
         try:
             self._socket.sendall(json.dumps({"command": command} | arguments).encode() + b"\n")
             line = self._file.readline()

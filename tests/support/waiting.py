@@ -1,0 +1,59 @@
+"""Waits of tests that have other processes and threads to wait for: bounded, and never part of the answer.
+
+A wait that runs out says "machine too slow", which is about the machine; an answer that came and is wrong
+fails the test's own assertion.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from subprocess import Popen, TimeoutExpired
+from typing import Any, TypeVar
+
+WAIT_S = 60.0
+"""Deadline of what takes milliseconds: reached on a machine that hangs, not on one that is busy."""
+POLL_S = 0.005
+
+T = TypeVar("T")
+
+
+class MachineTooSlowError(Exception):
+    """What a test waits for did not happen in time; whether it would have been right is not known."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"machine too slow: {what} did not happen within {WAIT_S:g} s")
+
+
+def happened(wait: Callable[[float], bool], what: str) -> None:
+    """Wait with whatever takes a timeout and returns whether it happened."""
+    if not wait(WAIT_S):
+        raise MachineTooSlowError(what)
+
+
+def until(found: Callable[[], T | None], what: str) -> T:
+    """Ask again and again until something other than None, False or empty is found."""
+    deadline_s = time.monotonic() + WAIT_S
+    pause = threading.Event()
+    while not (answer := found()):
+        if time.monotonic() > deadline_s:
+            raise MachineTooSlowError(what)
+        pause.wait(POLL_S)
+    return answer
+
+
+def ended(running: threading.Thread | Popen[Any], what: str) -> None:
+    """Wait for the end of a thread or a process."""
+    if isinstance(running, threading.Thread):
+        running.join(WAIT_S)
+        still = running.is_alive()
+    else:
+        try:
+            running.wait(WAIT_S)
+        except TimeoutExpired:
+            still = True
+        else:
+            still = False
+    if still:
+        raise MachineTooSlowError(what)
