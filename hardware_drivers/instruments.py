@@ -11,7 +11,20 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Protocol, runtime_checkable
 
+from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading, Waveform
+
+
+def require_timeout(timeout_s: float) -> None:
+    """Refuse a deadline that is none.
+
+    Raises
+    ------
+    ConfigurationError
+        It is not positive, or no number.
+    """
+    if not timeout_s > 0.0:
+        raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
 
 
 @runtime_checkable

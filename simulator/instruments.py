@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import groupby, islice
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
-from hardware_drivers.instruments import Acquired, Clock, Echo
+from hardware_drivers.instruments import Acquired, Clock, Echo, require_timeout
 from hardware_drivers.measurement import ShotKey
 from simulator.errors import SimulatorError
 from simulator.parameters.experiment import TwinParameters
@@ -295,7 +295,7 @@ class SimulatedDigitizer:
 
     def read(self, timeout_s: float) -> Acquired:
         """Hand over the record; how fast this machine computes it never makes a strike a missed one."""
-        _require_timeout(timeout_s)
+        require_timeout(timeout_s)
         return self._bench.read()
 
     def disarm(self) -> None:
@@ -311,14 +311,9 @@ class SimulatedPulseEchoUnit:
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Averaged record of the wall at this hour."""
-        _require_timeout(timeout_s)
+        require_timeout(timeout_s)
         _require_position(key, self._bench.specimen.probed_thickness_m, "ultrasonic probe")
         return self._bench.specimen.echo(key, self._bench.hour_h(self._bench.clock.utc_ns()))
-
-
-def _require_timeout(timeout_s: float) -> None:
-    if not timeout_s > 0.0:
-        raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

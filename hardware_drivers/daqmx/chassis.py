@@ -252,9 +252,7 @@ class Chassis:
         self._connection = Connection(self.parameters)
         self._connection.clear_leftovers(ROLES)
         self._boards = find_boards(self._connection, self._serials())
-        with vendor_call("reading the driver's version"):
-            driver = self._connection.system().driver_version
-        self.driver_version = ".".join(str(part) for part in driver)
+        self.driver_version = self._connection.driver_version()
 
     def _serials(self) -> list[str]:
         wirings = self.parameters.transducers.values()

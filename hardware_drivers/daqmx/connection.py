@@ -72,6 +72,11 @@ class Connection:
         with vendor_call("reaching NI-DAQmx"):
             return System() if self._channel is None else System.remote(self._options("", attach=False))
 
+    def driver_version(self) -> str:
+        """Version of NI-DAQmx, as in ``24.8.0``."""
+        with vendor_call("reading the driver's version"):
+            return ".".join(str(part) for part in self.system().driver_version)
+
     def task(self, role: str) -> Any:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
         from nidaqmx import Task

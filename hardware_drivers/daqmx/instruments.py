@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from hardware_drivers.daqmx.chassis import Chassis
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError, InstrumentError
-from hardware_drivers.instruments import Acquired
+from hardware_drivers.instruments import Acquired, require_timeout
 from hardware_drivers.measurement import ShotKey
 
 log = logging.getLogger(__name__)
@@ -63,8 +63,7 @@ class DaqmxDigitizer:
         """Wait for the record and disarm; an error leaves nothing running."""
         bench, chassis = self._bench, self._bench.chassis
         chassis.check_thread()
-        if not timeout_s > 0.0:
-            raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
+        require_timeout(timeout_s)
         key, bench.armed = bench.armed, None
         if key is None:
             raise ConfigurationError("not armed; arm before the strike, then read")

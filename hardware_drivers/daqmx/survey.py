@@ -1,7 +1,4 @@
-"""What `solimon doctor` asks of the boards: nothing strikes, nothing is changed, each answer has a state.
-
-`trial_strike` is the only thing here that moves a striker, and it goes the way of every shot.
-"""
+"""What `solimon doctor` asks of the boards: nothing strikes, nothing is changed, each answer has a state."""
 
 from __future__ import annotations
 
@@ -20,12 +17,9 @@ from hardware_drivers.daqmx.chassis import ROLES
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name
-from hardware_drivers.daqmx.instruments import opened
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
-from hardware_drivers.instruments import Acquired
-from hardware_drivers.measurement import ShotKey
 
 log = logging.getLogger(__name__)
 
@@ -113,21 +107,6 @@ def survey(parameters: DaqmxParameters) -> Survey:
     return look.result()
 
 
-def trial_strike(parameters: DaqmxParameters, position: str, timeout_s: float = READ_TIMEOUT_S) -> Acquired:
-    """Arm, strike once, read: the very way of a shot.
-
-    Raises
-    ------
-    InstrumentError
-        As for a shot.
-    """
-    key = ShotKey(position=position, set_index=0, shot_index=0)
-    with opened(parameters) as instruments:
-        instruments.digitizer.arm(key)
-        instruments.striker.strike(key)
-        return instruments.digitizer.read(timeout_s)
-
-
 class _Look:
     """Findings as they come in."""
 
@@ -152,9 +131,7 @@ class _Look:
             connection = Connection(parameters)
             connections.append(connection)
             connection.clear_leftovers(ROLES)
-            with vendor_call("reading the driver's version"):
-                driver = connection.system().driver_version
-            self._driver_version = ".".join(str(part) for part in driver)
+            self._driver_version = connection.driver_version()
             return f"NI-DAQmx {self._driver_version} by {parameters.transport}"
 
         if self._checked("driver", "reachable", reach):

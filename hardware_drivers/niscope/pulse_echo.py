@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.instruments import Echo
+from hardware_drivers.instruments import Echo, require_timeout
 from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.niscope.averaging import AveragedRecord, average
 from hardware_drivers.niscope.connection import BoardConnection
@@ -54,8 +54,7 @@ class NiscopePulseEchoUnit:
         ConnectionLostError
             The board does not answer; the next call climbs a rung of the recovery ladder.
         """
-        if not timeout_s > 0.0:
-            raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
+        require_timeout(timeout_s)
         wiring = self._parameters.probes.get(key.position)
         if wiring is None:
             raise ConfigurationError(

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
-from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.instruments import Acquired, Echo, require_timeout
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.source import ShotSource
 
@@ -118,7 +118,7 @@ class RecordedDigitizer:
 
     def read(self, timeout_s: float) -> Acquired:
         """Hand over the recorded shot; how fast it is read from a disk never makes it a missed one."""
-        _require_timeout(timeout_s)
+        require_timeout(timeout_s)
         return self._recording.read()
 
     def disarm(self) -> None:
@@ -134,7 +134,7 @@ class RecordedPulseEchoUnit:
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Hand over the recorded echo."""
-        _require_timeout(timeout_s)
+        require_timeout(timeout_s)
         self._recording.require(key, "pulse_echo")
         echo = self._recording.find(key)
         if not isinstance(echo, Echo):
@@ -143,11 +143,6 @@ class RecordedPulseEchoUnit:
                 "correct the method of this position"
             )
         return echo
-
-
-def _require_timeout(timeout_s: float) -> None:
-    if not timeout_s > 0.0:
-        raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

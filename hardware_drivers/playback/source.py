@@ -55,48 +55,6 @@ def acquired_of(record: Record) -> Acquired:
     return Acquired(waveform=record.waveform, truth=record.truth, settings=record.settings)
 
 
-def method_of(record: Record) -> str:
-    """Name the method that makes records of this kind."""
-    return "pulse_echo" if isinstance(record, PulseEchoRecord) else "solitary_wave"
-
-
-class ShotsInMemory:
-    """A short recording as a whole.
-
-    Parameters
-    ----------
-    records
-        Consumed at once; of two records with one key the later one counts.
-
-    Raises
-    ------
-    ValueError
-        A position has shots and pulse-echo records.
-    """
-
-    def __init__(self, records: Iterable[Record]) -> None:
-        self._records = {record.key: record for record in records}
-        self._positions: dict[str, str] = {}
-        for key, record in self._records.items():
-            method = self._positions.setdefault(key.position, method_of(record))
-            if method != method_of(record):
-                raise ValueError(f"position {key.position!r} has both shots and pulse-echo records")
-
-    @property
-    def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method."""
-        return self._positions
-
-    def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot, None if it was not recorded."""
-        record = self._records.get(key)
-        return None if record is None else acquired_of(record)
-
-    def tried(self, key: ShotKey) -> bool:
-        """Whether it was recorded."""
-        return key in self._records
-
-
 class ShotsBySet:
     """A long recording, read set by set when a shot of the set is asked for.
 

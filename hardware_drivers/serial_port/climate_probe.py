@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 
-from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.instruments import require_timeout
 from hardware_drivers.measurement import ClimateReading, Stamp
 from hardware_drivers.serial_port.line import SerialLine, name_parts
 from hardware_drivers.serial_port.parameters import ClimateParameters
@@ -69,8 +69,7 @@ class ScpiClimateProbe:
         ConnectionLostError
             The probe does not answer in time, or tells what air cannot have.
         """
-        if not timeout_s > 0.0:
-            raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
+        require_timeout(timeout_s)
         deadline_s = self._line.monotonic_s() + timeout_s
         parameters = self._parameters
         self._line.connect(deadline_s)

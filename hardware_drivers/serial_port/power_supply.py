@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
+from hardware_drivers.instruments import require_timeout
 from hardware_drivers.measurement import Stamp, SupplyReading
 from hardware_drivers.serial_port.line import SerialLine, name_parts
 from hardware_drivers.serial_port.parameters import SupplyParameters
@@ -258,6 +259,5 @@ class ScpiPowerSupply:
         return entries
 
     def _deadline_s(self, timeout_s: float) -> float:
-        if not timeout_s > 0.0:
-            raise ConfigurationError(f"timeout_s is {timeout_s}; it must be positive")
+        require_timeout(timeout_s)
         return self._line.monotonic_s() + timeout_s

@@ -8,6 +8,7 @@ from pulse_echo_unit_contract import PulseEchoUnitContract
 from striker_contract import StrikerContract
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 from support.labview_files import write_set
+from support.shots_in_memory import shots_in_memory
 
 from daq_service.archive import FolderArchive
 from daq_service.clock import SimulatedClock
@@ -16,7 +17,6 @@ from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
 from hardware_drivers.playback.parameters import PlaybackParameters, TdmsMapping
-from hardware_drivers.playback.source import ShotsInMemory
 
 
 def recorded():
@@ -28,7 +28,7 @@ def recorded():
 @pytest.fixture(params=["memory", "archive", "tdms"])
 def instruments(request, tmp_path):
     if request.param == "memory":
-        yield build_instruments(ShotsInMemory(record for one in recorded() for record in one.records))
+        yield build_instruments(shots_in_memory(record for one in recorded() for record in one.records))
         return
     parameters = PlaybackParameters(source=tmp_path)
     if request.param == "archive":

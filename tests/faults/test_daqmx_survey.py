@@ -8,7 +8,6 @@ import pytest
 from support.daqmx_rig import (
     QUICK_TWIN,
     board,
-    coil_pulses_s,
     functions_of,
     meet,
     parameters_of,
@@ -16,8 +15,7 @@ from support.daqmx_rig import (
     why_no,
 )
 
-from hardware_drivers.daqmx.survey import survey, trial_strike
-from hardware_drivers.errors import BusyError
+from hardware_drivers.daqmx.survey import survey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
 from simulator.doubles.doors.control import running_doubles
 from simulator.parameters.electronics import NoiseParameters
@@ -140,16 +138,3 @@ def test_a_driver_that_does_not_answer_is_a_finding(doubles, parameters):
     (finding,) = found.findings
     assert (finding.subject, finding.check) == ("driver", "reachable")
     assert "-88907" in finding.detail
-
-
-def test_a_trial_strike_goes_the_way_of_a_shot(doubles, parameters):
-    acquired = trial_strike(parameters, "D")
-    assert acquired.waveform.pretrigger_samples == parameters.pretrigger_samples
-    assert acquired.settings["input"] == "ai1"
-    assert coil_pulses_s(doubles.control.record()) == [parameters.pulse_s]
-    doubles.control.occupy(f"{SERIAL}/ctr1", "LabVIEW on BENCH-7")
-    try:
-        with pytest.raises(BusyError, match="LabVIEW"):
-            trial_strike(parameters, "D")
-    finally:
-        doubles.control.vacate("LabVIEW on BENCH-7")

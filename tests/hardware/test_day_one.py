@@ -20,7 +20,7 @@ from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.survey import survey, trial_strike
+from hardware_drivers.daqmx.survey import survey
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import ShotKey, Waveform
 
@@ -108,17 +108,26 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
 # Strikers move --------------------------------------------------------------------------------------
 
 
+def one_shot(parameters: DaqmxParameters, position: str) -> Waveform:
+    """Record of one strike, through the driver's own instruments: arm, strike, read."""
+    key = ShotKey(position=position, set_index=0, shot_index=0)
+    with open_daqmx(parameters) as rig:
+        rig.digitizer.arm(key)
+        rig.striker.strike(key)
+        return rig.digitizer.read(READ_TIMEOUT_S).waveform
+
+
 @pytest.mark.usefixtures("may_strike")
 def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: DaqmxParameters) -> None:
     """The comparator's level against the ADC's: the driver refuses a record that does not pass it there."""
     for position, wiring in parameters.transducers.items():
-        acquired = trial_strike(parameters, position, READ_TIMEOUT_S)
-        volts = acquired.waveform.volts()
-        before = volts[: acquired.waveform.pretrigger_samples // 2]
+        waveform = one_shot(parameters, position)
+        volts = waveform.volts()
+        before = volts[: waveform.pretrigger_samples // 2]
         level_v = abs(parameters.trigger_level_v)
         assert np.abs(before).max() < level_v, f"{position}: quiet before the wave"
         assert np.abs(volts).max() > 2.0 * level_v, f"{position}: a wave, not noise at the level"
-        assert not acquired.waveform.clipped, f"{position}: within +-{wiring.range_v} V"
+        assert not waveform.clipped, f"{position}: within +-{wiring.range_v} V"
 
 
 # A wire from a coil's output to an input ------------------------------------------------------------
@@ -132,17 +141,8 @@ def high_s(waveform: Waveform) -> float:
     return float(high.size / waveform.sample_rate_hz)
 
 
-def pulsed(loopback: Loopback, parameters: DaqmxParameters) -> Waveform:
-    """Record of one pulse of the looped coil, through the driver's own instruments."""
-    with open_daqmx(parameters) as rig:
-        key = ShotKey(position=loopback.position, set_index=0, shot_index=0)
-        rig.digitizer.arm(key)
-        rig.striker.strike(key)
-        return rig.digitizer.read(READ_TIMEOUT_S).waveform
-
-
 def test_the_coil_is_on_for_exactly_its_pulse(loopback: Loopback) -> None:
-    waveform = pulsed(loopback, loopback.parameters)
+    waveform = one_shot(loopback.parameters, loopback.position)
     volts = waveform.volts()
     # Both ends fall between two samples; the counter runs on the clock that times the samples.
     assert high_s(waveform) == pytest.approx(loopback.parameters.pulse_s, abs=2.0 / LOOPBACK_RATE_HZ)
@@ -153,13 +153,13 @@ def test_the_coil_is_on_for_exactly_its_pulse(loopback: Loopback) -> None:
 
 @pytest.mark.parametrize("level_v", [0.5, 1.0, 2.0])
 def test_the_comparator_triggers_at_levels_within_the_pulse(loopback: Loopback, level_v: float) -> None:
-    volts = pulsed(loopback, loopback.at_level(level_v)).volts()
+    volts = one_shot(loopback.at_level(level_v), loopback.position).volts()
     assert volts[LOOPBACK_PRETRIGGER - 3] < level_v < volts[LOOPBACK_PRETRIGGER + 3]
 
 
 def test_the_comparator_does_not_trigger_above_the_pulse(loopback: Loopback) -> None:
     with pytest.raises(AcquisitionTimeoutError):
-        pulsed(loopback, loopback.at_level(8.0))
+        one_shot(loopback.at_level(8.0), loopback.position)
 
 
 def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxParameters) -> None:
@@ -172,7 +172,7 @@ def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxPar
     ]
     if not others:
         pytest.skip("no other coil is driven by this board")
-    pulsed(loopback, loopback.parameters)  # the route under suspicion was used, then given up
+    one_shot(loopback.parameters, loopback.position)  # the route under suspicion was used, then given up
     for other in others:
         alone = replace(parameters, watchdog=None)
         coil = commit_coil(loopback.connection, alone, other, loopback.board)

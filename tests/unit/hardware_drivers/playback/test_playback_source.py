@@ -2,6 +2,7 @@
 
 import pytest
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
+from support.shots_in_memory import shots_in_memory
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
@@ -9,7 +10,7 @@ from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
-from hardware_drivers.playback.source import ShotsBySet, ShotsInMemory, ShotSource, acquired_of
+from hardware_drivers.playback.source import ShotsBySet, ShotSource, acquired_of
 
 S = 1_000_000_000
 START_NS = 1_704_067_200 * S
@@ -36,7 +37,7 @@ def play(instruments, key):
 
 def test_nothing_of_a_record_changes():
     shot = make_shot("B", 0, 41, truth={"depth_fraction": 0.1 + 0.2})
-    acquired = play(build_instruments(ShotsInMemory([shot])), shot.key)
+    acquired = play(build_instruments(shots_in_memory([shot])), shot.key)
     assert type(acquired) is Acquired
     assert acquired.waveform is shot.waveform
     assert acquired.truth == {"depth_fraction": 0.1 + 0.2}
@@ -45,7 +46,7 @@ def test_nothing_of_a_record_changes():
 
 def test_nothing_of_an_echo_changes():
     record = make_echo(40)
-    echo = build_instruments(ShotsInMemory([record])).pulse_echo.acquire(record.key, 1.0)
+    echo = build_instruments(shots_in_memory([record])).pulse_echo.acquire(record.key, 1.0)
     assert type(echo) is Echo
     assert echo.waveform is record.waveform
     assert (echo.gain_db, echo.offset_v, echo.averages) == (31.5, -0.25, 64)
@@ -55,7 +56,7 @@ def test_nothing_of_an_echo_changes():
 
 def test_an_attempt_that_was_not_recorded_is_a_missed_strike_and_the_next_one_is_played():
     shot = make_shot("B", 1, 43, attempt=1)
-    instruments = build_instruments(ShotsInMemory([shot]))
+    instruments = build_instruments(shots_in_memory([shot]))
     first = ShotKey(position="B", set_index=SET_INDEX, shot_index=1)
     with pytest.raises(
         AcquisitionTimeoutError, match="the recording has no attempt 0 at shot 1 of set 7 at 'B'"
@@ -65,7 +66,7 @@ def test_an_attempt_that_was_not_recorded_is_a_missed_strike_and_the_next_one_is
 
 
 def test_the_recording_says_which_attempt_was_the_last_one():
-    instruments = build_instruments(ShotsInMemory([make_shot("B", 0, 1), make_shot("B", 1, 2, attempt=1)]))
+    instruments = build_instruments(shots_in_memory([make_shot("B", 0, 1), make_shot("B", 1, 2, attempt=1)]))
 
     def key(shot_index, attempt):
         return ShotKey(position="B", set_index=SET_INDEX, shot_index=shot_index, attempt=attempt)
@@ -82,7 +83,7 @@ def test_the_recording_says_which_attempt_was_the_last_one():
 
 def test_a_strike_elsewhere_or_a_second_one_plays_nothing_else():
     shots = [make_shot("B", 0, 1), make_shot("B", 1, 2), make_shot("C", 0, 3)]
-    instruments = build_instruments(ShotsInMemory(shots))
+    instruments = build_instruments(shots_in_memory(shots))
     instruments.digitizer.arm(shots[0].key)
     instruments.striker.strike(shots[2].key)
     with pytest.raises(AcquisitionTimeoutError, match="no strike at 'B'"):
@@ -95,14 +96,14 @@ def test_a_strike_elsewhere_or_a_second_one_plays_nothing_else():
 
 def test_it_is_the_strike_that_says_which_shot_comes():
     shots = [make_shot("B", 0, 1), make_shot("B", 1, 2)]
-    instruments = build_instruments(ShotsInMemory(shots))
+    instruments = build_instruments(shots_in_memory(shots))
     instruments.digitizer.arm(shots[0].key)
     instruments.striker.strike(shots[1].key)
     assert instruments.digitizer.read(1.0).waveform is shots[1].waveform
 
 
 def test_wanted_positions_are_looked_for_at_once_by_name_and_method():
-    source = ShotsInMemory([make_shot("B", 0, 1), make_shot("C", 0, 2), make_echo(40)])
+    source = shots_in_memory([make_shot("B", 0, 1), make_shot("C", 0, 2), make_echo(40)])
     assert isinstance(source, ShotSource)
     build_instruments(source, wanted={"A": "pulse_echo", "B": "solitary_wave"})
     with pytest.raises(ConfigurationError, match="no solitary_wave position 'D'; it has: B, C; take"):
@@ -110,11 +111,11 @@ def test_wanted_positions_are_looked_for_at_once_by_name_and_method():
     with pytest.raises(ConfigurationError, match="no pulse_echo position 'B'; it has: A; take"):
         build_instruments(source, wanted={"B": "pulse_echo"})
     with pytest.raises(ConfigurationError, match="no pulse_echo position 'A'; it has: none"):
-        build_instruments(ShotsInMemory([]), wanted={"A": "pulse_echo"})
+        build_instruments(shots_in_memory([]), wanted={"A": "pulse_echo"})
 
 
 def test_a_timeout_must_be_positive():
-    instruments = build_instruments(ShotsInMemory([make_shot("B", 0, 1), make_echo(40)]))
+    instruments = build_instruments(shots_in_memory([make_shot("B", 0, 1), make_echo(40)]))
     for call in (
         lambda: instruments.digitizer.read(0.0),
         lambda: instruments.pulse_echo.acquire(make_echo(40).key, -1.0),
@@ -128,11 +129,6 @@ def test_a_shot_where_an_echo_was_promised_is_said():
     source = ShotsBySet({"A": "pulse_echo"}, lambda set_index: [shot])
     with pytest.raises(ConfigurationError, match="has a Acquired at the pulse_echo position 'A'"):
         build_instruments(source).pulse_echo.acquire(shot.key, 1.0)
-
-
-def test_a_position_of_two_methods_is_refused():
-    with pytest.raises(ValueError, match="position 'A' has both"):
-        ShotsInMemory([make_echo(40), make_shot("A", 1, 41)])
 
 
 def test_sets_are_read_when_asked_for_and_few_are_kept():
