@@ -26,7 +26,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run until standard input closes."""
     parser = argparse.ArgumentParser(prog="python -m simulator.doubles", description=__doc__)
     parser.add_argument("--description", type=Path, help="JSON file; absent: the four default boards")
-    parser.add_argument("--ready-file", type=Path, help="write the ready line here too")
     parser.add_argument("--no-warm-up", action="store_true", help="be ready before the physics is")
     chosen = parser.parse_args(arguments)
     logging.basicConfig(level=logging.WARNING, stream=sys.stderr)
@@ -48,10 +47,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 "grpc": "" if front is None else front.address,
             }
         )
-        if chosen.ready_file is not None:
-            written = chosen.ready_file.with_suffix(".writing")
-            written.write_text(ready + "\n", encoding="utf-8")
-            written.replace(chosen.ready_file)
         print(ready, flush=True)
         sys.stdin.buffer.read()
         # Calls may hang on order; their threads must not keep the process.

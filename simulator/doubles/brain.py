@@ -34,16 +34,15 @@ from simulator.doubles.daqmx.devices import Devices
 from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Reservations
 from simulator.doubles.daqmx.strikes import Strikes
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Clock, WallClock
+from simulator.doubles.daqmx.tasks import Arguments, Bench, Clock, Handler, TaskHandler, WallClock
 from simulator.doubles.faults import Faults, lie
 from simulator.doubles.niscope.brain import NiscopeBrain
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
 from simulator.doubles.vendor_api.entry_points import EntryPoint
-from simulator.doubles.vendor_api.statuses import Status
+from simulator.doubles.vendor_api.statuses import TRANSFER_ABORTED, Status
 from simulator.doubles.vendor_api.table import TABLE
 
 ClientKind = Literal["library", "grpc"]
-Handler = Callable[[Bench, str, Arguments], Answer]
 
 CALLS_KEPT = 200_000
 """The record of calls is a ring."""
@@ -58,17 +57,25 @@ EXIT_ON_DEATH = 70
 HANDLERS: Mapping[str, Handler] = MappingProxyType(
     {
         **task_calls.HANDLERS,
-        **analog_calls.HANDLERS,
-        **counter_output.HANDLERS,
         **routing.HANDLERS,
         **device_calls.HANDLERS,
         **watchdog.HANDLERS,
         **device_attributes.HANDLERS,
-        **channel_attributes.HANDLERS,
-        **task_attributes.HANDLERS,
     }
 )
 """Of NI-DAQmx, by C name."""
+TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
+    {
+        **task_calls.TASK_HANDLERS,
+        **analog_calls.TASK_HANDLERS,
+        **counter_output.TASK_HANDLERS,
+        **routing.TASK_HANDLERS,
+        **watchdog.TASK_HANDLERS,
+        **channel_attributes.TASK_HANDLERS,
+        **task_attributes.TASK_HANDLERS,
+    }
+)
+"""Those that are about one task."""
 
 
 def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
@@ -238,7 +245,7 @@ class Brain:
         if fault is not None and fault.kind == "hang":
             self.faults.hang(fault.seconds)
             if not self.is_open(client):
-                raise Status(-50405, "The caller went away while its call hung.")
+                raise Status(TRANSFER_ABORTED, "The caller went away while its call hung.")
         if fault is not None and fault.kind == "error":
             raise Status(fault.code, "Ordered by a test.")
         if fault is not None and fault.kind == "lie":
@@ -249,7 +256,10 @@ class Brain:
         if entry.library == "niScope":
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
-            return HANDLERS[entry.name](self.bench, client, arguments)
+            if entry.name in TASK_HANDLERS:
+                task = tasks.find(self.bench, client, arguments["task"])
+                return dict(TASK_HANDLERS[entry.name](self.bench, task, arguments) or {})
+            return dict(HANDLERS[entry.name](self.bench, client, arguments) or {})
 
     # Control
 

@@ -15,9 +15,32 @@ from typing import Any
 import pytest
 
 from simulator.doubles.brain import Brain
-from simulator.doubles.chassis.description import Description
+from simulator.doubles.chassis.description import (
+    SIMULTANEOUS_16_BIT,
+    Description,
+    ProbeWiring,
+    TransducerWiring,
+)
 from simulator.doubles.doors.control import RunningDoubles, running_doubles
 from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, Status
+from simulator.parameters.experiment import TwinParameters
+
+
+def one_board_description(twin: TwinParameters | None = None) -> Description:
+    """One 16-bit board that serves B, C and D: inputs 0..2, counters 0..2."""
+    serial = SIMULTANEOUS_16_BIT.serial_number
+    return Description(
+        boards=(SIMULTANEOUS_16_BIT,),
+        transducers={
+            position: TransducerWiring(
+                ai_serial=serial, ai_channel=index, counter_serial=serial, counter=index
+            )
+            for index, position in enumerate("BCD")
+        },
+        probes={"A": ProbeWiring(resource="PXI1Slot5")},
+        twin=twin or TwinParameters(),
+    )
 
 
 class SteppedClock:
@@ -63,6 +86,7 @@ class Caller:
         "ReadBinaryI16": {"num_samps_per_chan": -1, "fill_mode": 0, "array_size_in_samps": 1 << 20},
         "ReadBinaryI32": {"num_samps_per_chan": -1, "fill_mode": 0, "array_size_in_samps": 1 << 20},
         "GetChanAttribute": {"channel": ""},
+        "SetChanAttribute": {"channel": ""},
         "GetWatchdogAttribute": {"lines": ""},
     }
 
@@ -105,6 +129,16 @@ class Caller:
         task: int = self("CreateTask", session_name=name)["task"]
         self("CreateCOPulseChanTime", task, counter=counter, **times)
         return task
+
+    def is_done(self, task: int) -> bool:
+        """Tell whether a task would not have to be waited for."""
+        try:
+            self("WaitUntilTaskDone", task, time_to_wait=0.0)
+        except Status as status:
+            if status.code != NOT_DONE_IN_TIME:
+                raise
+            return False
+        return True
 
     def control(self, task: int, action: int) -> None:
         """`DAQmxTaskControl`."""

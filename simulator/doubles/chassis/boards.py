@@ -7,7 +7,7 @@ What differs from one board to the next of a kind (serial number, slot, errors o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hardware_drivers.measurement import Calibration
@@ -26,7 +26,7 @@ class BoardType:
     timebase_hz
         The sample clock is this divided by a whole number.
     max_rate_hz
-        Of one channel; of all together where they share one ADC.
+        Of one channel.
     counter_terminals
         Where each counter's pulse leaves the board.
     digital_lines
@@ -34,9 +34,6 @@ class BoardType:
     """
 
     product: str
-    number: int
-    category: int
-    bus: int
     analog_inputs: int
     resolution_bits: int
     ranges_v: tuple[float, ...]
@@ -52,10 +49,6 @@ class BoardType:
     def raw_sample_bits(self) -> int:
         """Width of a sample as the board delivers it."""
         return 16 if self.resolution_bits <= 16 else 32
-
-    def rate_limit_hz(self, channels: int) -> float:
-        """Highest rate for a task with so many channels."""
-        return self.max_rate_hz if self.simultaneous else self.max_rate_hz / max(channels, 1)
 
     def coerced_rate_hz(self, rate_hz: float) -> float:
         """Next rate at or above the one asked for that divides the timebase."""
@@ -73,44 +66,24 @@ _PFI = tuple(f"PFI{number}" for number in range(16))
 _PORTS = tuple(f"port{1 + line // 8}/line{line % 8}" for line in range(16))
 _PFI_OF_LINE = MappingProxyType(dict(zip(_PORTS, _PFI, strict=True)))
 
+_X_SERIES = BoardType(
+    product="PXIe-6386",
+    analog_inputs=8,
+    resolution_bits=16,
+    ranges_v=(1.0, 2.0, 5.0, 10.0),
+    timebase_hz=100e6,
+    max_rate_hz=100e6 / 7,
+    simultaneous=True,
+    terminal_configuration=DIFFERENTIAL,
+    counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
+    digital_lines=_PORTS,
+    watchdog=True,
+)
 _TYPES = (
-    BoardType(
-        product="PXIe-6396",
-        number=0x7AC3,
-        category=15858,
-        bus=14706,
-        analog_inputs=8,
-        resolution_bits=18,
-        ranges_v=(1.0, 2.0, 5.0, 10.0),
-        timebase_hz=100e6,
-        max_rate_hz=100e6 / 7,
-        simultaneous=True,
-        terminal_configuration=DIFFERENTIAL,
-        counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
-        digital_lines=_PORTS,
-        watchdog=True,
-    ),
-    BoardType(
-        product="PXIe-6386",
-        number=0x7AC2,
-        category=15858,
-        bus=14706,
-        analog_inputs=8,
-        resolution_bits=16,
-        ranges_v=(1.0, 2.0, 5.0, 10.0),
-        timebase_hz=100e6,
-        max_rate_hz=100e6 / 7,
-        simultaneous=True,
-        terminal_configuration=DIFFERENTIAL,
-        counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
-        digital_lines=_PORTS,
-        watchdog=True,
-    ),
+    _X_SERIES,
+    replace(_X_SERIES, product="PXIe-6396", resolution_bits=18),
     BoardType(
         product="PXI-6115",
-        number=0x2EC0,
-        category=14644,
-        bus=12583,
         analog_inputs=4,
         resolution_bits=12,
         ranges_v=(0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 42.0),
@@ -124,9 +97,6 @@ _TYPES = (
     ),
     BoardType(
         product="PCI-6221",
-        number=0x70A9,
-        category=14643,
-        bus=12582,
         analog_inputs=16,
         resolution_bits=16,
         ranges_v=(0.2, 1.0, 5.0, 10.0),

@@ -33,10 +33,6 @@ class BoardParameters:
     """One of `boards.BOARD_TYPES`."""
     name: str
     """Name given by NI MAX; another one after a replug."""
-    chassis: Annotated[int, Ge(0), Le(255)] = 1
-    """PXI chassis."""
-    slot: Annotated[int, Ge(0), Le(18)] = 2
-    """PXI slot."""
     over_range_fraction: Annotated[float, Ge(0.0), Le(0.1)] = 0.02
     """The codes reach this far beyond the range."""
     offset_v: Annotated[float, Ge(-1.0), Le(1.0)] = 1.2e-3
@@ -238,10 +234,10 @@ def read_description(path: Path) -> Description:
     return from_json(path.read_text(encoding="utf-8"))
 
 
-SIMULTANEOUS_18_BIT = BoardParameters(serial_number=0x01E18096, product="PXIe-6396", name="PXI1Slot2", slot=2)
-SIMULTANEOUS_16_BIT = BoardParameters(serial_number=0x01E16086, product="PXIe-6386", name="PXI1Slot3", slot=3)
-SIMULTANEOUS_12_BIT = BoardParameters(serial_number=0x00F12015, product="PXI-6115", name="PXI1Slot4", slot=4)
-SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1", chassis=0, slot=0)
+SIMULTANEOUS_18_BIT = BoardParameters(serial_number=0x01E18096, product="PXIe-6396", name="PXI1Slot2")
+SIMULTANEOUS_16_BIT = BoardParameters(serial_number=0x01E16086, product="PXIe-6386", name="PXI1Slot3")
+SIMULTANEOUS_12_BIT = BoardParameters(serial_number=0x00F12015, product="PXI-6115", name="PXI1Slot4")
+SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1")
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
@@ -258,27 +254,6 @@ def default_description(twin: TwinParameters | None = None) -> Description:
             "B": TransducerWiring(ai_serial=wide, counter_serial=wide, corrosion=_footprint(25.4e-3)),
             "C": TransducerWiring(ai_serial=usual, counter_serial=usual, corrosion=_footprint(50.8e-3)),
             "D": TransducerWiring(ai_serial=narrow, counter_serial=narrow, corrosion=_footprint(25.4e-3)),
-        },
-        probes={"A": ProbeWiring(resource="PXI1Slot5")},
-        twin=twin or TwinParameters(),
-    )
-
-
-def one_board_description(twin: TwinParameters | None = None) -> Description:
-    """One 16-bit board that serves B, C and D: inputs 0..2, counters 0..2."""
-    serial = SIMULTANEOUS_16_BIT.serial_number
-    sizes_m = {"B": 25.4e-3, "C": 50.8e-3, "D": 25.4e-3}
-    return Description(
-        boards=(SIMULTANEOUS_16_BIT,),
-        transducers={
-            position: TransducerWiring(
-                ai_serial=serial,
-                ai_channel=index,
-                counter_serial=serial,
-                counter=index,
-                corrosion=_footprint(size_m),
-            )
-            for index, (position, size_m) in enumerate(sizes_m.items())
         },
         probes={"A": ProbeWiring(resource="PXI1Slot5")},
         twin=twin or TwinParameters(),

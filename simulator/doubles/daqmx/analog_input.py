@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from hardware_drivers.measurement import Calibration, Counts, ShotKey
-from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import fire, waits_for
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
 from simulator.doubles.vendor_api.statuses import (
-    DEVICES_CANNOT_BE_SYNCHRONISED,
     INVALID_TRIGGER_SOURCE,
     INVALID_VALUE,
     SOFTWARE_FAULT,
@@ -30,14 +24,8 @@ RISING_SLOPE = 10280
 FINITE = 10178
 SAMPLE_CLOCK = 10388
 ANALOG_EDGE = 10099
-DIGITAL_EDGE = 10150
 NO_TRIGGER = 10230
-VOLTAGE = 10322
-VOLTS = 10348
-BITS = 10109
-ANALOG_INPUT = 10100
 DEFAULT_CONFIGURATION = -1
-GROUP_BY_CHANNEL = 0
 SMALLEST_RECORD = 2
 LONGEST_TRAVEL_NS = 1_000_000_000
 """No wave triggers later than this after the striker's contact: older strikes need no look."""
@@ -94,7 +82,7 @@ class Acquisition:
     done_ns
         When the record is complete; None until a strike is known that triggers it.
     codes
-        One row a channel, once known.
+        Shape (samples,), once known.
     read_samples
         How many were handed out.
     strike
@@ -105,7 +93,7 @@ class Acquisition:
 
     begin_ns: int | None
     done_ns: int | None = None
-    codes: NDArray[Any] | None = None
+    codes: Counts | None = None
     read_samples: int = 0
     ended: bool = False
     seen: set[Strike] = field(default_factory=set)
@@ -117,12 +105,7 @@ class AnalogInput:
 
     def verify(self, bench: Bench, task: Task) -> None:
         """Check limits, rate, record and trigger against the board."""
-        if len(tasks.serials(task)) > 1:
-            raise Status(
-                DEVICES_CANNOT_BE_SYNCHRONISED, "The double has no task over boards.", task=task.name
-            )
-        for channel in task.channels:
-            _ = channel.range_v
+        _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
             raise Status(
@@ -134,7 +117,7 @@ class AnalogInput:
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """One timing engine a board: its analog input belongs to one task at a time."""
-        return (resource(task.channels[0].device.serial_number, "ai"),)
+        return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Nothing drives a line here."""
@@ -149,7 +132,7 @@ class AnalogInput:
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
         """Begin sampling and tell whoever waits for this board's start trigger."""
         task.run.begin_ns = at_ns
-        fire(bench, f"/{task.channels[0].device.name}/ai/StartTrigger", at_ns)
+        fire(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
         """Drop what was acquired."""
@@ -175,9 +158,9 @@ def rate_hz(task: Task) -> float:
     Status
         Too fast for the board, or not positive.
     """
-    kind = task.channels[0].device.kind
+    kind = task.device.kind
     asked_hz = float(task.settings.get("SampClk.Rate", 1000.0))
-    limit_hz = kind.rate_limit_hz(len(task.channels))
+    limit_hz = kind.max_rate_hz
     # The timebase divided by a whole number may exceed the limit by a rounding error.
     if not 0.0 < asked_hz <= limit_hz * (1.0 + 1e-9):
         raise Status(
@@ -224,7 +207,10 @@ def _verify_record(task: Task) -> None:
             f"Minimum Value: 2\nMaximum Value: {record_samples(task) - 2}",
             task=task.name,
         )
-    channel = trigger_channel(task)
+    channel: InputChannel = task.channel
+    source = str(settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
+    if source not in (channel.name.casefold(), channel.physical_name.casefold()):
+        raise Status(INVALID_TRIGGER_SOURCE, f"Requested Value: {source}", task=task.name)
     level_v = float(settings["AnlgEdge.RefTrig.Lvl"])
     if not 0.0 < level_v < channel.range_v or settings["AnlgEdge.RefTrig.Slope"] != RISING_SLOPE:
         raise Status(
@@ -235,33 +221,19 @@ def _verify_record(task: Task) -> None:
         )
 
 
-def trigger_channel(task: Task) -> InputChannel:
-    """Channel whose edge triggers.
-
-    Raises
-    ------
-    Status
-        The source is no channel of the task.
-    """
-    source = str(task.settings["AnlgEdge.RefTrig.Src"]).strip().strip("/").casefold()
-    for channel in task.channels:
-        if source in (channel.name.casefold(), channel.physical_name.casefold()):
-            found: InputChannel = channel
-            return found
-    raise Status(INVALID_TRIGGER_SOURCE, f"Requested Value: {source}", task=task.name)
-
-
-def _adc(task: Task, channel: InputChannel, **trigger: Any) -> AdcParameters:
-    chosen = {"pretrigger_samples": 2, "trigger_level_v": 0.5 * channel.range_v} | trigger
-    return channel.device.parameters.adc(
-        range_v=channel.range_v, sample_rate_hz=rate_hz(task), record_samples=record_samples(task), **chosen
+def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
+    return task.device.parameters.adc(
+        range_v=task.channel.range_v,
+        sample_rate_hz=rate_hz(task),
+        record_samples=record_samples(task),
+        pretrigger_samples=pretrigger_samples,
+        trigger_level_v=trigger_level_v,
     )
 
 
 def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
     """Find the first strike that triggers: hardware ignores what comes before the pre-trigger is full."""
-    channel = trigger_channel(task)
-    position = _position(bench, channel)
+    position = _position(bench, task.channel)
     pretrigger = int(task.settings["RefTrig.PretrigSamples"])
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(pretrigger / rate_hz(task) * 1e9)
@@ -270,14 +242,9 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
             continue
         if strike.contact_ns < run.begin_ns - LONGEST_TRAVEL_NS:
             continue
-        adc = _adc(
-            task,
-            channel,
-            pretrigger_samples=pretrigger,
-            trigger_level_v=float(task.settings["AnlgEdge.RefTrig.Lvl"]),
-        )
+        adc = _adc(task, pretrigger, float(task.settings["AnlgEdge.RefTrig.Lvl"]))
         try:
-            acquired = bench.strikes.record(strike, adc, channel.calibration)
+            acquired = bench.strikes.record(strike, adc, task.channel.calibration)
         except (SimulatorError, ValueError) as error:
             raise Status(SOFTWARE_FAULT, f"The twin cannot compute this: {error}", task=task.name) from error
         trigger_ns = (
@@ -286,7 +253,7 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
         if acquired is None or trigger_ns is None or trigger_ns < filled_ns:
             run.seen.add(strike)
             continue
-        run.codes = _all_channels(bench, task, channel, acquired.waveform.counts, strike)
+        run.codes = acquired.waveform.counts
         run.done_ns = trigger_ns + round((record_samples(task) - pretrigger) / rate_hz(task) * 1e9)
         run.strike = strike
         return
@@ -295,26 +262,12 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
 def _record_freely(bench: Bench, task: Task, run: Acquisition) -> None:
     """Without a trigger the record is what nobody struck: the noise floor."""
     assert run.begin_ns is not None
-    run.codes = _all_channels(bench, task, None, None, None)
+    channel: InputChannel = task.channel
+    place = _position(bench, channel) or channel.physical_name
+    key = ShotKey(position=place, set_index=0, shot_index=task.begun)
+    adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
+    run.codes = bench.strikes.quiet(key, adc, channel.calibration)
     run.done_ns = run.begin_ns + round(record_samples(task) / rate_hz(task) * 1e9)
-
-
-def _all_channels(
-    bench: Bench, task: Task, struck: InputChannel | None, counts: Counts | None, strike: Strike | None
-) -> NDArray[Any]:
-    """Codes of every channel, shape (channels, samples); only the struck one sees the wave."""
-    rows = []
-    for channel in task.channels:
-        if channel is struck:
-            rows.append(counts)
-            continue
-        place = _position(bench, channel) or channel.physical_name
-        shot = strike.key if strike is not None else ShotKey(position="", set_index=0, shot_index=task.begun)
-        key = ShotKey(
-            position=place, set_index=shot.set_index, shot_index=shot.shot_index, attempt=shot.attempt
-        )
-        rows.append(bench.strikes.quiet(key, _adc(task, channel), channel.calibration))
-    return np.array(rows)
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TypeVar
 
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Task, TaskState
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES, Attribute
@@ -15,23 +15,25 @@ from simulator.doubles.vendor_api.statuses import (
     Status,
 )
 
-Values = Mapping[str, Callable[..., Any]]
-"""By attribute name: how its value is found."""
+Subject = TypeVar("Subject")
 
 
-def attribute_of(arguments: Arguments, family: str) -> Attribute:
-    """Attribute a call names; Status if it is none of this family."""
+def _attribute_of(arguments: Arguments, family: str) -> Attribute:
+    """Attribute a call names; Status if the double answers none such."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
-        raise Status(NO_SUCH_ATTRIBUTE, f"{family} attribute {arguments['attribute']:#x}")
+        raise Status(NO_SUCH_ATTRIBUTE, f"The double has no {family} attribute {arguments['attribute']:#x}.")
     return found
 
 
-def look_up(values: Values, attribute: Attribute, *subject: Any) -> Answer:
+def look_up(
+    values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
+) -> Answer:
     """Answer with a value; Status if this kind of subject has none."""
-    if attribute.name not in values:
-        raise Status(ATTRIBUTE_NOT_SUPPORTED, f"Property: {attribute.name}")
-    return {"value": values[attribute.name](*subject)}
+    name = _attribute_of(arguments, family).name
+    if name not in values:
+        raise Status(ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
+    return {"value": values[name](subject)}
 
 
 def listed(items: Iterable[str]) -> str:
@@ -39,11 +41,11 @@ def listed(items: Iterable[str]) -> str:
     return ", ".join(items)
 
 
-def settable(task: Task, arguments: Arguments, family: str) -> Attribute:
-    """Attribute a call may set now."""
-    attribute = attribute_of(arguments, family)
+def settable(task: Task, arguments: Arguments, family: str) -> str:
+    """Name of the attribute that a call may set now."""
+    attribute = _attribute_of(arguments, family)
     if not attribute.settable:
         raise Status(ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)
-    if task.state is TaskState.RUNNING and family not in ("Read", "Watchdog"):
+    if task.state is TaskState.RUNNING:
         raise Status(PROPERTY_WHILE_RUNNING, f"Property: {attribute.name}", task=task.name)
-    return attribute
+    return attribute.name

@@ -1,15 +1,15 @@
-"""Entry points that name a board: reset, self-test, calibration, power-up states."""
+"""Entry points that name a board: reset, calibration, power-up states."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminal_of_line
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.devices import Device
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler
 from simulator.doubles.vendor_api.statuses import (
     DEVICE_ABORTED,
     DEVICE_ABSENT,
@@ -22,9 +22,7 @@ from simulator.doubles.vendor_api.statuses import (
 )
 from simulator.doubles.vendor_api.wire import names_of
 
-POWER_UP_HIGH = 10192
-POWER_UP_LOW = 10214
-POWER_UP_TRISTATE = 10310
+POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
 def _present(bench: Bench, name: str) -> Device:
@@ -37,15 +35,12 @@ def _present(bench: Bench, name: str) -> Device:
         raise Status(DEVICE_ABSENT, f"Device Specified: {name}") from status
 
 
-def _require_free(bench: Bench, device: Device) -> None:
-    for holder in bench.reservations.holders_of_board(device.serial_number):
-        raise Status(
-            RESERVED_BY_OTHER_PROCESS,
-            f"Device: {device.name} is reserved by task {holder.task} of {holder.client}.",
-        )
-
-
-def _lines_low(bench: Bench, device: Device, cause: str) -> None:
+def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
+    """Whoever used the board loses it, and its lines go low."""
+    for task in tuple(bench.tasks.values()):
+        if task.is_on(device.serial_number) and not task.lost:
+            tasks.lose(bench, task, status, cause)
+    bench.reservations.release_board(device.serial_number)
     now_ns = bench.settle()
     pins = (*device.kind.counter_terminals, *map(terminal_of_line, device.kind.digital_lines))
     for terminal in dict.fromkeys(pins):
@@ -55,55 +50,28 @@ def _lines_low(bench: Bench, device: Device, cause: str) -> None:
 def reset(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """`DAQmxResetDevice`: whoever used the board loses it, its lines go low, its routes are gone."""
     device = _present(bench, arguments["device_name"])
-    for task in tuple(bench.tasks.values()):
-        if device.serial_number in tasks.serials(task) and not task.lost:
-            tasks.lose(bench, task, DEVICE_ABORTED, "reset")
-    bench.reservations.release_board(device.serial_number)
-    _lines_low(bench, device, "reset")
+    _taken_away(bench, device, DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
-    return {}
-
-
-def self_test(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxSelfTestDevice`."""
-    _require_free(bench, _present(bench, arguments["device_name"]))
-    return {}
+    return None
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """`DAQmxSelfCal`: only while no task holds the board."""
     device = _present(bench, arguments["device_name"])
-    _require_free(bench, device)
+    for holder in bench.reservations.holders_of_board(device.serial_number):
+        raise Status(
+            RESERVED_BY_OTHER_PROCESS,
+            f"Device: {device.name} is reserved by task {holder.task} of {holder.client}.",
+        )
     device.self_calibrate(datetime.now(UTC))
-    return {}
-
-
-def supports_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxDeviceSupportsCal`."""
-    bench.devices.find(arguments["device_name"])
-    return {"cal_supported": 1}
+    return None
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """`DAQmxGetSelfCalLastDateAndTime`."""
-    return _date(bench.devices.find(arguments["device_name"]).calibrated)
-
-
-def last_external_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetExtCalLastDateAndTime`: by the maker, before the double started."""
-    device = bench.devices.find(arguments["device_name"])
-    return _date(datetime.fromisoformat(device.parameters.calibrated))
-
-
-def _date(when: datetime) -> Answer:
-    return {
-        "year": when.year,
-        "month": when.month,
-        "day": when.day,
-        "hour": when.hour,
-        "minute": when.minute,
-    }
+    when = bench.devices.find(arguments["device_name"]).calibrated
+    return {part: getattr(when, part) for part in ("year", "month", "day", "hour", "minute")}
 
 
 def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
@@ -125,7 +93,7 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
         if state not in (POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE):
             raise Status(INVALID_VALUE, f"Power-up state {state}.")
     device.power_up_states |= dict(zip(lines, states, strict=True))
-    return {}
+    return None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -137,24 +105,16 @@ def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
 
 def unplug(bench: Bench, serial_number: int) -> None:
     """Take a board out: its tasks are lost, its lines go low."""
-    device = bench.devices.by_serial(serial_number)
-    for task in tuple(bench.tasks.values()):
-        if serial_number in tasks.serials(task) and not task.lost:
-            tasks.lose(bench, task, DEVICE_REMOVED, "unplug")
-    bench.reservations.release_board(serial_number)
-    _lines_low(bench, device, "unplug")
+    _taken_away(bench, bench.devices.by_serial(serial_number), DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()
 
 
-HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxyType(
+HANDLERS: Mapping[str, Handler] = MappingProxyType(
     {
         "DAQmxResetDevice": reset,
-        "DAQmxSelfTestDevice": self_test,
         "DAQmxSelfCal": self_calibrate,
-        "DAQmxDeviceSupportsCal": supports_calibration,
         "DAQmxGetSelfCalLastDateAndTime": last_self_calibration,
-        "DAQmxGetExtCalLastDateAndTime": last_external_calibration,
         "DAQmxSetDigitalPowerUpStates": set_power_up_states,
         "DAQmxGetDigitalPowerUpStates": get_power_up_states,
     }

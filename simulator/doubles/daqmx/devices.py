@@ -19,7 +19,6 @@ from simulator.doubles.vendor_api.statuses import (
 _LINES = re.compile(
     r"^/?(?P<device>[^/]+)/(?P<port>port\d+)/line(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE
 )
-_CHANNEL = re.compile(r"^/?(?P<device>[^/]+)/(?P<part>[a-z]+)(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE)
 
 
 class Device:
@@ -110,28 +109,25 @@ class Devices:
         device.plugged = True
         return device
 
-    def channels(self, text: str, part: str) -> list[tuple[Device, int]]:
-        """Boards and numbers of physical channels like ``Dev1/ai0:2, Dev1/ai4``.
+    def channel(self, text: str, part: str) -> tuple[Device, int]:
+        """Board and number of a physical channel like ``Dev1/ai0``.
 
         Raises
         ------
         Status
-            -200170 for what is no channel of its board, and as `find`.
+            -200170 for what is no single channel of its board, and as `find`.
         """
-        found: list[tuple[Device, int]] = []
-        for piece in text.split(","):
-            match = _CHANNEL.match(piece.strip())
-            device = self.find(piece.strip().strip("/").partition("/")[0])
-            limit = device.kind.analog_inputs if part == "ai" else len(device.kind.counter_terminals)
-            last = int(match["last"] or match["first"]) if match else limit
-            if match is None or match["part"].casefold() != part or max(last, int(match["first"])) >= limit:
-                raise Status(
-                    NO_SUCH_PHYSICAL_CHANNEL,
-                    f"Physical Channel: {piece.strip()}; {device.name} ({device.kind.product}) has "
-                    f"{part}0 to {part}{limit - 1}.",
-                )
-            found += [(device, number) for number in _numbers(int(match["first"]), last)]
-        return found
+        name, _, end = text.strip().strip("/").partition("/")
+        device = self.find(name)
+        limit = device.kind.analog_inputs if part == "ai" else len(device.kind.counter_terminals)
+        number = end.casefold().removeprefix(part)
+        if not end.casefold().startswith(part) or not number.isdecimal() or int(number) >= limit:
+            raise Status(
+                NO_SUCH_PHYSICAL_CHANNEL,
+                f"Physical Channel: {text}; {device.name} ({device.kind.product}) has {part}0 to "
+                f"{part}{limit - 1}, and a task of the double takes one.",
+            )
+        return device, int(number)
 
     def lines(self, text: str) -> list[tuple[Device, str]]:
         """Boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.

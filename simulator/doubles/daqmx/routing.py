@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminals
 from simulator.doubles.daqmx import tasks
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskState
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler, TaskState
 from simulator.doubles.vendor_api.statuses import (
     INVALID_DESTINATION_TERMINAL,
     INVALID_SOURCE_TERMINAL,
@@ -19,7 +19,6 @@ from simulator.doubles.vendor_api.statuses import (
 
 DIGITAL_EDGE = 10150
 NO_TRIGGER = 10230
-RISING_EDGE = 10280
 START_TRIGGER_SIGNAL = 12491
 REFERENCE_TRIGGER_SIGNAL = 12490
 BACKPLANE = "pxi_trig"
@@ -67,9 +66,8 @@ def _known(bench: Bench, terminal: str) -> bool:
     )
 
 
-def configure_start_trigger(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxCfgDigEdgeStartTrig`."""
-    task = tasks.find(bench, client, arguments["task"])
     tasks.changed(task)
     source = arguments["trigger_source"]
     device = source.strip().lstrip("/").partition("/")[0]
@@ -84,15 +82,14 @@ def configure_start_trigger(bench: Bench, client: str, arguments: Arguments) -> 
         "DigEdge.StartTrig.Src": source,
         "DigEdge.StartTrig.Edge": arguments["trigger_edge"],
     }
-    return {}
+    return None
 
 
-def disable_start_trigger(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxDisableStartTrig`."""
-    task = tasks.find(bench, client, arguments["task"])
     tasks.changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
-    return {}
+    return None
 
 
 def connect(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -106,7 +103,7 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> Answer:
     if other not in (None, short_name(source)):
         raise Status(ROUTE_IN_USE, f"Destination Terminal: {destination}\nSource Terminal in use: {other}")
     bench.routes[short_name(destination)] = short_name(source)
-    return {}
+    return None
 
 
 def disconnect(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -114,7 +111,7 @@ def disconnect(bench: Bench, client: str, arguments: Arguments) -> Answer:
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
-    return {}
+    return None
 
 
 def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -129,12 +126,11 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
     for output in device.kind.counter_terminals:
         if output.casefold() == pin:
             bench.lines.drive(f"{device.serial_number}/{output}", 0, bench.settle(), "tristate")
-    return {}
+    return None
 
 
-def export(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def export(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
-    task = tasks.find(bench, client, arguments["task"])
     tasks.changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]
@@ -144,18 +140,22 @@ def export(bench: Bench, client: str, arguments: Arguments) -> Answer:
         raise Status(
             INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}", task=task.name
         )
-    source = f"{task.channels[0].device.name}/ai/{ends[signal]}"
+    source = f"{task.device.name}/ai/{ends[signal]}"
     bench.routes[short_name(arguments["output_terminal"])] = short_name(source)
-    return {}
+    return None
 
 
-HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxyType(
+HANDLERS: Mapping[str, Handler] = MappingProxyType(
     {
-        "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
-        "DAQmxDisableStartTrig": disable_start_trigger,
         "DAQmxConnectTerms": connect,
         "DAQmxDisconnectTerms": disconnect,
         "DAQmxTristateOutputTerm": tristate,
+    }
+)
+TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
+    {
+        "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
+        "DAQmxDisableStartTrig": disable_start_trigger,
         "DAQmxExportSignal": export,
     }
 )

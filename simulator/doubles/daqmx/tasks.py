@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol
 
 from simulator.doubles.chassis.description import Description
-from simulator.doubles.daqmx.devices import Devices
+from simulator.doubles.daqmx.devices import Device, Devices
 from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Holder, Reservations
 from simulator.doubles.daqmx.strikes import Strikes
@@ -82,8 +82,8 @@ class Task:
 
     Attributes
     ----------
-    channels
-        Of one kind; a list of `analog_input.InputChannel` or `counter_output.PulseChannel`.
+    channel
+        An `analog_input.InputChannel`, a `counter_output.PulseChannel` or a `watchdog.WatchedBoard`.
     settings
         What the client asked for, by attribute name.
     run
@@ -102,7 +102,7 @@ class Task:
     name: str
     client: str
     kind: str = ""
-    channels: list[Any] = field(default_factory=list)
+    channel: Any = None
     settings: dict[str, Any] = field(default_factory=dict)
     state: TaskState = TaskState.UNVERIFIED
     resume: TaskState = TaskState.VERIFIED
@@ -115,6 +115,30 @@ class Task:
     def holder(self) -> Holder:
         """As it appears among the reservations."""
         return Holder(client=self.client, task=self.name)
+
+    @property
+    def device(self) -> Device:
+        """Board of its channel."""
+        device: Device = self.channel.device
+        return device
+
+    def is_on(self, serial_number: int) -> bool:
+        """Tell whether it uses a board."""
+        return self.channel is not None and self.device.serial_number == serial_number
+
+    def require_empty(self) -> None:
+        """Raise a status unless the task can take its channel, of which the double's have one."""
+        self.require_not_running()
+        if self.channel is not None:
+            raise Status(
+                INVALID_VALUE,
+                f"The task has the channel {self.channel.name}; a task of the double has one.",
+                task=self.name,
+            )
+
+    def take_channel(self, kind: str, channel: Any) -> None:
+        """Become a task of a kind."""
+        self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
     def require_not_running(self) -> None:
         """Raise -200479 while the task runs."""
@@ -182,17 +206,23 @@ class Bench:
 
 
 Arguments = Mapping[str, Any]
-Answer = dict[str, Any]
+"""In parameters by name."""
+Answer = Mapping[str, Any] | None
+"""Out parameters by name; None where there are none to tell."""
+Handler = Callable[[Bench, str, Arguments], Answer]
+"""Answers an entry point for a client."""
+TaskHandler = Callable[[Bench, Task, Arguments], Answer]
+"""Answers an entry point that is about one task."""
 
 
-def create(bench: Bench, client: str, name: str, kind: str = "") -> Task:
+def create(bench: Bench, client: str, name: str) -> Task:
     """Make a task; a name is unique within its client."""
     taken = {task.name for task in bench.tasks.values() if task.client == client}
     if name in taken:
         raise Status(DUPLICATE_TASK, task=name)
     number = bench.next_handle
     bench.next_handle += 1
-    task = Task(handle=number, name=name or f"_unnamedTask<{number - 0x10001:X}>", client=client, kind=kind)
+    task = Task(handle=number, name=name or f"_unnamedTask<{number - 0x10001:X}>", client=client)
     bench.tasks[number] = task
     return task
 
@@ -230,14 +260,9 @@ def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
     bench.changed.notify_all()
 
 
-def serials(task: Task) -> set[int]:
-    """Boards that a task uses."""
-    return {channel.device.serial_number for channel in task.channels}
-
-
 def advance(bench: Bench, task: Task, target: TaskState) -> None:
     """Take a task up to a state below running."""
-    if not task.kind or not task.channels:
+    if task.channel is None:
         raise Status(NO_CHANNELS, task=task.name)
     kind = bench.kinds[task.kind]
     if target >= TaskState.VERIFIED and not task.verified:

@@ -5,16 +5,16 @@ The lines it was told of, and no others: a counter's pulse at another pin runs t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminal_of_line
 from simulator.doubles.daqmx import tasks
-from simulator.doubles.daqmx.counter_output import HIGH, LOW, override
+from simulator.doubles.daqmx.counter_output import HIGH, LOW, cut
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskState
+from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler, TaskState
 from simulator.doubles.vendor_api.statuses import (
     DEVICE_NOT_IN_TASK,
     EXPIRED_WATCHDOG_NEEDS_CLEARING,
@@ -61,12 +61,15 @@ class Countdown:
             return
         bench.lines.settle(deadline_ns)
         self.expired_ns = deadline_ns
-        levels = expiration_levels(task)
+        device, states = task.device, task.settings["expiration"]
+        levels = {
+            f"{device.serial_number}/{terminal_of_line(line)}": int(state == HIGH)
+            for line, state in states.items()
+            if state != NO_CHANGE
+        }
         for other in tuple(bench.tasks.values()):
-            if other.kind == "co" and other.run is not None:
-                for channel in other.channels:
-                    if channel.line in levels:
-                        override(bench, other, channel, levels[channel.line], deadline_ns, "watchdog")
+            if other.kind == "co" and other.run is not None and other.channel.line in levels:
+                cut(bench, other, levels[other.channel.line], deadline_ns, "watchdog")
         for line, level in levels.items():
             bench.lines.drive(line, level, deadline_ns, "watchdog")
 
@@ -79,7 +82,7 @@ class Watchdog:
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """One timer a board."""
-        return (resource(task.channels[0].device.serial_number, "watchdog"),)
+        return (resource(task.device.serial_number, "watchdog"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Nothing is driven before it expires."""
@@ -102,67 +105,40 @@ class Watchdog:
         return None
 
 
-def expiration_levels(task: Task) -> dict[str, int]:
-    """Lines that expiry takes, and where to; the others stay what they are."""
-    device = task.channels[0].device
-    states = {
-        device.kind.counter_terminals[number]: state for number, state in task.settings["expiration"].items()
-    } | {terminal_of_line(line): state for line, state in task.settings["line_expiration"].items()}
-    return {
-        f"{device.serial_number}/{terminal}": int(state == HIGH)
-        for terminal, state in states.items()
-        if state != NO_CHANGE
-    }
-
-
-def _watchdog(bench: Bench, client: str, handle: int) -> Task:
-    task = tasks.find(bench, client, handle)
-    if task.kind != "watchdog":
-        raise Status(NOT_A_WATCHDOG_TASK, task=task.name)
-    return task
-
-
-def checked_timeout_s(timeout_s: float, task: str) -> float:
-    """Timeout within the timer's reach, or -1 for never."""
-    if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
-        raise Status(
-            WATCHDOG_TIMEOUT_OUT_OF_RANGE,
-            f"Property: Watchdog.Timeout\nRequested Value: {timeout_s}\nMaximum Value: {LONGEST_TIMEOUT_S}",
-            task=task,
-        )
-    return timeout_s
-
-
 def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
     """`DAQmxCreateWatchdogTimerTaskEx`."""
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
         raise Status(WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
-    timeout_s = checked_timeout_s(arguments["timeout"], arguments["session_name"])
-    task = tasks.create(bench, client, arguments["session_name"], kind="watchdog")
-    task.channels.append(WatchedBoard(name=device.name, device=device))
-    task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}, "line_expiration": {}}
+    timeout_s = arguments["timeout"]
+    if timeout_s != NEVER and not 0.0 < timeout_s <= LONGEST_TIMEOUT_S:
+        raise Status(
+            WATCHDOG_TIMEOUT_OUT_OF_RANGE,
+            f"Property: Watchdog.Timeout\nRequested Value: {timeout_s}\nMaximum Value: {LONGEST_TIMEOUT_S}",
+            task=arguments["session_name"],
+        )
+    task = tasks.create(bench, client, arguments["session_name"])
+    task.take_channel("watchdog", WatchedBoard(name=device.name, device=device))
+    task.settings |= {"Watchdog.Timeout": timeout_s, "expiration": {}}
     return {"task": task.handle}
 
 
-def configure_expiration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxCfgWatchdogCOExpirStates`."""
-    task = _watchdog(bench, client, arguments["task"])
-    tasks.changed(task)
-    channels = bench.devices.channels(arguments["channel_names"], "ctr")
-    for (device, number), state in zip(channels, _states(task, arguments, len(channels)), strict=True):
-        set_expiration_state(task, device, number, state)
-    return {}
+def _require_watchdog(task: Task) -> None:
+    if task.kind != "watchdog":
+        raise Status(NOT_A_WATCHDOG_TASK, task=task.name)
 
 
-def configure_line_expiration(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line that its terminal is."""
-    task = _watchdog(bench, client, arguments["task"])
+    _require_watchdog(task)
     tasks.changed(task)
     lines = bench.devices.lines(arguments["channel_names"])
-    wanted = dict(zip(lines, _states(task, arguments, len(lines)), strict=True))
+    states = [int(state) for state in arguments["expir_state_array"]]
+    if len(states) != len(lines):
+        raise Status(INVALID_VALUE, f"{len(states)} states for {len(lines)} lines.", task=task.name)
+    wanted = dict(zip(lines, states, strict=True))
     for (device, _), state in wanted.items():
-        if device is not task.channels[0].device:
+        if device is not task.device:
             raise Status(DEVICE_NOT_IN_TASK, f"Device: {device.name}", task=task.name)
         if state not in (LOW, HIGH, TRISTATE, NO_CHANGE):
             raise Status(
@@ -170,31 +146,13 @@ def configure_line_expiration(bench: Bench, client: str, arguments: Arguments) -
                 f"Property: Watchdog.DO.ExpirState\nRequested Value: {state} on {device.name}",
                 task=task.name,
             )
-    task.settings["line_expiration"] |= {line: state for (_, line), state in wanted.items()}
-    return {}
+    task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
+    return None
 
 
-def _states(task: Task, arguments: Arguments, count: int) -> list[int]:
-    states = [int(state) for state in arguments["expir_state_array"]]
-    if len(states) != count:
-        raise Status(INVALID_VALUE, f"{len(states)} states for {count} channels.", task=task.name)
-    return states
-
-
-def set_expiration_state(task: Task, device: Device, number: int, state: int) -> None:
-    """Level of one counter's pin after expiry."""
-    if state not in (LOW, HIGH, NO_CHANGE) or device is not task.channels[0].device:
-        raise Status(
-            INVALID_VALUE,
-            f"Property: Watchdog.CO.ExpirState\nRequested Value: {state} on {device.name}",
-            task=task.name,
-        )
-    task.settings["expiration"][number] = state
-
-
-def control_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """`DAQmxControlWatchdogTask`."""
-    task = _watchdog(bench, client, arguments["task"])
+    _require_watchdog(task)
     now_ns = bench.settle()
     run: Countdown | None = task.run
     if run is None:
@@ -209,14 +167,13 @@ def control_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
         run.begin_ns = now_ns if task.state is TaskState.RUNNING else None
     else:
         raise Status(INVALID_VALUE, f"Watchdog action {action}.", task=task.name)
-    return {}
+    return None
 
 
-HANDLERS: Mapping[str, Callable[[Bench, str, Arguments], Answer]] = MappingProxyType(
+HANDLERS: Mapping[str, Handler] = MappingProxyType({"DAQmxCreateWatchdogTimerTaskEx": create_watchdog})
+TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
     {
-        "DAQmxCreateWatchdogTimerTaskEx": create_watchdog,
-        "DAQmxCfgWatchdogCOExpirStates": configure_expiration,
-        "DAQmxCfgWatchdogDOExpirStates": configure_line_expiration,
+        "DAQmxCfgWatchdogDOExpirStates": configure_expiration,
         "DAQmxControlWatchdogTask": control_watchdog,
     }
 )

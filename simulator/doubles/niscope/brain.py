@@ -187,11 +187,7 @@ class NiscopeBrain:
         return {}
 
     def _lock(self, session: Session, _: Arguments) -> Answer:
-        session.locks += 1
-        return {}
-
-    def _unlock(self, session: Session, _: Arguments) -> Answer:
-        session.locks -= 1
+        """Nothing: a lock is of the caller's own threads."""
         return {}
 
     def _commit(self, session: Session, _: Arguments) -> Answer:
@@ -222,11 +218,6 @@ class NiscopeBrain:
             raise ScopeStatus(CHANNEL_NOT_ENABLED)
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
         return {}
-
-    def _acquisition_status(self, session: Session, _: Arguments) -> Answer:
-        running = session.acquisition
-        complete = running is None or self._monotonic_s() >= running.done_s
-        return {"acquisition_status": int(complete)}
 
     def _abort(self, session: Session, _: Arguments) -> Answer:
         with self._changed:
@@ -306,10 +297,6 @@ class NiscopeBrain:
         self._self_calibrated[session.board.serial_number] = today
         return {}
 
-    def _self_test(self, session: Session, _: Arguments) -> Answer:
-        self._require_present(session)
-        return {"self_test_result": 0, "self_test_message": "Self-test passed."}
-
     def _require_present(self, session: Session) -> None:
         if session.board not in self._boards.values():
             raise ScopeStatus(HARDWARE_FAILURE, f"{session.board.name} is not in the system any more")
@@ -318,20 +305,16 @@ class NiscopeBrain:
 _ENTRIES: Mapping[str, Callable[[NiscopeBrain, Session, Arguments], Answer]] = {
     "close": NiscopeBrain._close,
     "LockSession": NiscopeBrain._lock,
-    "UnlockSession": NiscopeBrain._unlock,
+    "UnlockSession": NiscopeBrain._lock,
     "Commit": NiscopeBrain._commit,
-    "reset": NiscopeBrain._restore_defaults,
     "ResetDevice": NiscopeBrain._restore_defaults,
     "InitiateAcquisition": NiscopeBrain._initiate,
-    "AcquisitionStatus": NiscopeBrain._acquisition_status,
     "Abort": NiscopeBrain._abort,
     "ActualNumWfms": NiscopeBrain._waveform_count,
     "FetchBinary16": NiscopeBrain._fetch,
-    "FetchBinary32": NiscopeBrain._fetch,
     "CalFetchDate": NiscopeBrain._calibration_date,
     "CalFetchTemperature": NiscopeBrain._calibration_temperature,
     "CalSelfCalibrate": NiscopeBrain._self_calibrate,
-    "self_test": NiscopeBrain._self_test,
 }
 
 _ANSWERED_WITHOUT_SESSION = ("SetRuntimeEnvironment", "InitWithOptions", "error_message", "GetError")

@@ -14,7 +14,6 @@ from simulator.doubles.niscope.records import RecordShape
 from simulator.doubles.vendor_api.niscope_statuses import (
     ACQUISITION_IN_PROGRESS,
     ATTRIBUTE_NOT_SUPPORTED,
-    ATTRIBUTE_NOT_WRITABLE,
     INSUFFICIENT_MEMORY,
     INVALID_VALUE,
     UNKNOWN_CHANNEL,
@@ -24,8 +23,6 @@ from simulator.doubles.vendor_api.niscope_statuses import (
 FETCH_RELATIVE_TO, FETCH_OFFSET, FETCH_RECORD, FETCH_RECORDS = 1150077, 1150078, 1150079, 1150080
 PRETRIGGER = 477
 _FETCH_DEFAULTS = {FETCH_RELATIVE_TO: PRETRIGGER, FETCH_OFFSET: 0, FETCH_RECORD: 0, FETCH_RECORDS: -1}
-
-ATTRIBUTE_KINDS = ("ViBoolean", "ViInt32", "ViInt64", "ViReal64", "ViString")
 
 Arguments = Mapping[str, Any]
 Answer = Mapping[str, Any]
@@ -38,10 +35,7 @@ class Channel:
     enabled: bool = True
     range_pp_v: float = 10.0
     offset_v: float = 0.0
-    coupling: int = 1
-    probe_attenuation: float = 1.0
     input_impedance_ohm: float = 1e6
-    bandwidth_hz: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -64,53 +58,33 @@ class Session:
     client: str
     board: ScopeParameters
     channels: dict[str, Channel]
-    minimum_rate_hz: float = 100e6
     rate_hz: float = 100e6
     samples: int = 1000
-    reference_percent: float = 50.0
     records: int = 1
     trigger_source: str = "VAL_IMMEDIATE"
     trigger_level_v: float = 0.0
-    trigger_slope: int = 1
-    trigger_coupling: int = 1
     trigger_delay_s: float = 0.0
     fetch: dict[int, int] = field(default_factory=lambda: dict(_FETCH_DEFAULTS))
-    locks: int = 0
     acquisition: Acquisition | None = None
     last_error: tuple[int, str] = (0, "")
 
 
 _SESSION_VALUES: Mapping[int, Callable[[Session], float | int | str]] = {
     1050203: lambda s: len(s.channels),
-    1050304: lambda s: s.board.name,
-    1050510: lambda s: "1.0",
-    1050511: lambda s: "National Instruments",
     1050512: lambda s: s.board.product,
     1050551: lambda s: "Driver: niScope 25.0.0 (solimon double)",
     1150001: lambda s: s.records,
     1150005: lambda s: SAMPLE_BITS,
-    1150009: lambda s: s.minimum_rate_hz,
-    1150073: lambda s: s.board.maximum_rate_hz,
-    1150086: lambda s: s.board.calibration_temperature_c,
     1150102: lambda s: s.board.resolution_bits,
     1150104: lambda s: s.board.serial_text,
     1250008: lambda s: s.samples,
-    1250009: lambda s: s.samples,
     1250010: lambda s: s.rate_hz,
-    1250011: lambda s: s.reference_percent,
     1250013: lambda s: s.trigger_source,
-    1250014: lambda s: s.trigger_coupling,
-    1250015: lambda s: s.trigger_delay_s,
-    1250017: lambda s: s.trigger_level_v,
-    1250018: lambda s: s.trigger_slope,
 }
 _CHANNEL_VALUES: Mapping[int, str] = {
     1250001: "range_pp_v",
     1250002: "offset_v",
-    1250003: "coupling",
-    1250004: "probe_attenuation",
     1250005: "enabled",
-    1250006: "bandwidth_hz",
     1250103: "input_impedance_ohm",
 }
 
@@ -148,8 +122,6 @@ def set_attribute(session: Session, arguments: Arguments) -> Answer:
             name = _CHANNEL_VALUES[number]
             setattr(channel, name, type(getattr(channel, name))(value))
         return {}
-    if number in _SESSION_VALUES:
-        raise ScopeStatus(ATTRIBUTE_NOT_WRITABLE, f"attribute {number}")
     raise ScopeStatus(ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
 
 
@@ -172,7 +144,7 @@ def channel_names(session: Session, arguments: Arguments) -> Answer:
 
 
 def configure_vertical(session: Session, arguments: Arguments) -> Answer:
-    """Set range (coerced up), offset and coupling of inputs."""
+    """Set range (coerced up) and offset of inputs."""
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
     if range_v is None:
@@ -180,20 +152,17 @@ def configure_vertical(session: Session, arguments: Arguments) -> Answer:
     for _, channel in channels_of(session, arguments):
         channel.range_pp_v = 2.0 * range_v
         channel.offset_v = arguments["offset"]
-        channel.coupling = arguments["coupling"]
-        channel.probe_attenuation = arguments["probe_attenuation"]
         channel.enabled = bool(arguments["enabled"])
     return {}
 
 
 def configure_input(session: Session, arguments: Arguments) -> Answer:
-    """Set impedance and noise filter of inputs."""
+    """Set the impedance of inputs."""
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
         raise ScopeStatus(INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
     for _, channel in channels_of(session, arguments):
         channel.input_impedance_ohm = arguments["input_impedance"]
-        channel.bandwidth_hz = arguments["max_input_frequency"]
     return {}
 
 
@@ -206,9 +175,7 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> Answe
         raise ScopeStatus(INVALID_VALUE, "horizontal timing")
     if samples * records > session.board.memory_samples:
         raise ScopeStatus(INSUFFICIENT_MEMORY, f"{records} records of {samples} samples")
-    session.minimum_rate_hz, session.rate_hz = arguments["min_sample_rate"], rate_hz
-    session.samples, session.records = samples, records
-    session.reference_percent = arguments["ref_position"]
+    session.rate_hz, session.samples, session.records = rate_hz, samples, records
     return {}
 
 
@@ -216,16 +183,17 @@ def configure_trigger(session: Session, arguments: Arguments) -> Answer:
     """Set an analog edge or a digital one as the reference trigger."""
     require_idle(session)
     session.trigger_source = arguments["trigger_source"]
-    session.trigger_slope = arguments["slope"]
     session.trigger_delay_s = arguments["delay"]
     session.trigger_level_v = arguments.get("level", session.trigger_level_v)
-    session.trigger_coupling = arguments.get("trigger_coupling", session.trigger_coupling)
     return {}
 
 
 CONFIGURATION: Mapping[str, Callable[[Session, Arguments], Answer]] = {
-    **dict.fromkeys((f"GetAttribute{kind}" for kind in ATTRIBUTE_KINDS), get_attribute),
-    **dict.fromkeys((f"SetAttribute{kind}" for kind in ATTRIBUTE_KINDS), set_attribute),
+    "GetAttributeViInt32": get_attribute,
+    "GetAttributeViReal64": get_attribute,
+    "GetAttributeViString": get_attribute,
+    "SetAttributeViBoolean": set_attribute,
+    "SetAttributeViInt32": set_attribute,
     "GetChannelNameFromString": channel_names,
     "ConfigureVertical": configure_vertical,
     "ConfigureChanCharacteristics": configure_input,

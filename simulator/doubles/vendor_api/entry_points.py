@@ -25,7 +25,6 @@ INT16 = Scalar("int16_t", "h")
 UINT16 = Scalar("uint16_t", "H")
 INT32 = Scalar("int32_t", "i")
 UINT32 = Scalar("uint32_t", "I")
-INT64 = Scalar("int64_t", "q")
 UINT64 = Scalar("uint64_t", "Q")
 FLOAT64 = Scalar("double", "d")
 BYTE = Scalar("uint8_t", "B")
@@ -156,45 +155,22 @@ def _read_binary(suffix: str, scalar: Scalar) -> EntryPoint:
     )
 
 
-def _last_calibration(which: str) -> EntryPoint:
-    parts = tuple(out(name, UINT32) for name in ("year", "month", "day", "hour", "minute"))
-    return EntryPoint(f"DAQmxGet{which}CalLastDateAndTime", (DEVICE, *parts))
-
-
-def _expiration_states(kind: str) -> EntryPoint:
-    return EntryPoint(
-        f"DAQmxCfgWatchdog{kind}ExpirStates",
-        (
-            TASK,
-            text("channel_names"),
-            array("expir_state_array", INT32, "array_size"),
-            value("array_size", UINT32),
-        ),
-    )
-
-
 def _attribute_entries() -> Iterable[EntryPoint]:
     owners: Mapping[str, tuple[Parameter, ...]] = {
+        "Task": (TASK,),
+        "Device": (DEVICE,),
+        "SystemInfo": (),
+        "CalInfo": (DEVICE,),
         "Chan": (TASK, text("channel")),
         "Timing": (TASK,),
         "Trig": (TASK,),
         "Read": (TASK,),
-        "Buffer": (TASK,),
         "Watchdog": (TASK, text("lines")),
     }
     for family, owner in owners.items():
         yield EntryPoint(f"DAQmxGet{family}Attribute", (*owner, ATTRIBUTE), Tail.GET_ATTRIBUTE)
-        yield EntryPoint(f"DAQmxSet{family}Attribute", (*owner, ATTRIBUTE), Tail.SET_ATTRIBUTE)
-        yield EntryPoint(f"DAQmxReset{family}Attribute", (*owner, ATTRIBUTE))
-    read_only: Mapping[str, tuple[Parameter, ...]] = {
-        "Task": (TASK,),
-        "Device": (DEVICE,),
-        "PhysicalChan": (text("physical_channel"),),
-        "SystemInfo": (),
-        "CalInfo": (DEVICE,),
-    }
-    for family, owner in read_only.items():
-        yield EntryPoint(f"DAQmxGet{family}Attribute", (*owner, ATTRIBUTE), Tail.GET_ATTRIBUTE)
+        if family in ("Chan", "Timing", "Trig"):
+            yield EntryPoint(f"DAQmxSet{family}Attribute", (*owner, ATTRIBUTE), Tail.SET_ATTRIBUTE)
 
 
 _DAQMX = (
@@ -213,13 +189,11 @@ _DAQMX = (
     ),
     # Tasks
     EntryPoint("DAQmxCreateTask", (text("session_name"), out("task", HANDLE))),
-    EntryPoint("DAQmxLoadTask", (text("session_name"), out("task", HANDLE))),
     EntryPoint("DAQmxClearTask", (TASK,)),
     EntryPoint("DAQmxTaskControl", (TASK, value("action"))),
     EntryPoint("DAQmxStartTask", (TASK,)),
     EntryPoint("DAQmxStopTask", (TASK,)),
     EntryPoint("DAQmxWaitUntilTaskDone", (TASK, value("time_to_wait", FLOAT64))),
-    EntryPoint("DAQmxIsTaskDone", (TASK, out("is_task_done", UINT32))),
     # Channels
     EntryPoint(
         "DAQmxCreateAIVoltageChan",
@@ -260,7 +234,6 @@ _DAQMX = (
             value("samps_per_chan", UINT64),
         ),
     ),
-    EntryPoint("DAQmxCfgImplicitTiming", (TASK, value("sample_mode"), value("samps_per_chan", UINT64))),
     EntryPoint(
         "DAQmxCfgAnlgEdgeRefTrig",
         (
@@ -278,28 +251,13 @@ _DAQMX = (
     # Reading
     _read_binary("I16", INT16),
     _read_binary("I32", INT32),
-    _read_binary("U16", UINT16),
-    _read_binary("U32", UINT32),
-    EntryPoint(
-        "DAQmxReadRaw",
-        (
-            TASK,
-            value("num_samps_per_chan"),
-            value("timeout", FLOAT64),
-            out_array("read_array", BYTE, "array_size_in_bytes"),
-            value("array_size_in_bytes", UINT32),
-            out("samps_read", INT32),
-            out("num_bytes_per_samp", INT32),
-            unused(),
-        ),
-    ),
     # Devices, terminals, calibration
     EntryPoint("DAQmxResetDevice", (DEVICE,)),
-    EntryPoint("DAQmxSelfTestDevice", (DEVICE,)),
     EntryPoint("DAQmxSelfCal", (DEVICE,)),
-    EntryPoint("DAQmxDeviceSupportsCal", (DEVICE, out("cal_supported", UINT32))),
-    _last_calibration("Self"),
-    _last_calibration("Ext"),
+    EntryPoint(
+        "DAQmxGetSelfCalLastDateAndTime",
+        (DEVICE, *(out(part, UINT32) for part in ("year", "month", "day", "hour", "minute"))),
+    ),
     EntryPoint(
         "DAQmxConnectTerms",
         (text("source_terminal"), text("destination_terminal"), value("signal_modifiers")),
@@ -313,8 +271,15 @@ _DAQMX = (
         "DAQmxCreateWatchdogTimerTaskEx",
         (DEVICE, text("session_name"), out("task", HANDLE), value("timeout", FLOAT64)),
     ),
-    _expiration_states("CO"),
-    _expiration_states("DO"),
+    EntryPoint(
+        "DAQmxCfgWatchdogDOExpirStates",
+        (
+            TASK,
+            text("channel_names"),
+            array("expir_state_array", INT32, "array_size"),
+            value("array_size", UINT32),
+        ),
+    ),
     EntryPoint("DAQmxControlWatchdogTask", (TASK, value("action"))),
     *_attribute_entries(),
 )

@@ -11,12 +11,10 @@ from simulator.doubles.vendor_api.entry_points import (
     FLOAT64,
     INT16,
     INT32,
-    INT64,
     UINT16,
     UINT32,
     EntryPoint,
     Parameter,
-    Scalar,
     out,
     out_array,
     out_text,
@@ -29,7 +27,6 @@ LIBRARY = "niScope"
 
 VI = value("vi", UINT32)
 CHANNELS = text("channel_list")
-ATTRIBUTE_ID = value("attribute_id", UINT32)
 BOOLEAN = UINT16
 
 UNBOUNDED = "UINT32_MAX"
@@ -41,44 +38,11 @@ WAVEFORM_INFO = "<dddi4xdddd"
 """`struct` layout of one ``niScope_wfmInfo``: absolute and relative initial x, x increment, actual samples,
 offset, gain, two reserved."""
 
-_ATTRIBUTE_TYPES = {
-    "ViBoolean": BOOLEAN,
-    "ViInt32": INT32,
-    "ViInt64": INT64,
-    "ViReal64": FLOAT64,
-}
+ATTRIBUTE = (VI, CHANNELS, value("attribute_id", UINT32))
 
 
 def _entry(name: str, *parameters: Parameter) -> EntryPoint:
     return EntryPoint(f"niScope_{name}", parameters, library=LIBRARY)
-
-
-def _fetch(suffix: str, scalar: Scalar) -> EntryPoint:
-    """Declare samples of all records one after the other, and one ``niScope_wfmInfo`` a record."""
-    return _entry(
-        f"Fetch{suffix}",
-        VI,
-        CHANNELS,
-        value("timeout", FLOAT64),
-        value("num_samples"),
-        out_array("waveform", scalar, UNBOUNDED),
-        out_array("wfm_info", BYTE, UNBOUNDED),
-    )
-
-
-def _attribute_entries() -> list[EntryPoint]:
-    where = (VI, CHANNELS, ATTRIBUTE_ID)
-    entries = [
-        _entry(f"GetAttribute{name}", *where, out("value", kind)) for name, kind in _ATTRIBUTE_TYPES.items()
-    ]
-    entries += [
-        _entry(f"SetAttribute{name}", *where, value("value", kind)) for name, kind in _ATTRIBUTE_TYPES.items()
-    ]
-    return [
-        *entries,
-        _entry("GetAttributeViString", *where, value("buf_size"), out_text("value", "buf_size")),
-        _entry("SetAttributeViString", *where, text("value")),
-    ]
 
 
 NISCOPE_ENTRY_POINTS: tuple[EntryPoint, ...] = (
@@ -111,7 +75,11 @@ NISCOPE_ENTRY_POINTS: tuple[EntryPoint, ...] = (
         value("buffer_size"),
         out_text("names", "buffer_size"),
     ),
-    *_attribute_entries(),
+    _entry("GetAttributeViInt32", *ATTRIBUTE, out("value", INT32)),
+    _entry("GetAttributeViReal64", *ATTRIBUTE, out("value", FLOAT64)),
+    _entry("GetAttributeViString", *ATTRIBUTE, value("buf_size"), out_text("value", "buf_size")),
+    _entry("SetAttributeViBoolean", *ATTRIBUTE, value("value", BOOLEAN)),
+    _entry("SetAttributeViInt32", *ATTRIBUTE, value("value", INT32)),
     _entry(
         "ConfigureVertical",
         VI,
@@ -158,12 +126,18 @@ NISCOPE_ENTRY_POINTS: tuple[EntryPoint, ...] = (
     ),
     _entry("Commit", VI),
     _entry("InitiateAcquisition", VI),
-    _entry("AcquisitionStatus", VI, out("acquisition_status", INT32)),
     _entry("Abort", VI),
     _entry("ActualNumWfms", VI, CHANNELS, out("num_wfms", INT32)),
-    _fetch("Binary16", INT16),
-    _fetch("Binary32", INT32),
-    _entry("reset", VI),
+    # Samples of all records one after the other, and one ``niScope_wfmInfo`` a record.
+    _entry(
+        "FetchBinary16",
+        VI,
+        CHANNELS,
+        value("timeout", FLOAT64),
+        value("num_samples"),
+        out_array("waveform", INT16, UNBOUNDED),
+        out_array("wfm_info", BYTE, UNBOUNDED),
+    ),
     _entry("ResetDevice", VI),
     _entry(
         "CalFetchDate",
@@ -175,6 +149,5 @@ NISCOPE_ENTRY_POINTS: tuple[EntryPoint, ...] = (
     ),
     _entry("CalFetchTemperature", VI, value("which_one"), out("temperature", FLOAT64)),
     _entry("CalSelfCalibrate", VI, CHANNELS, value("option")),
-    _entry("self_test", VI, out("self_test_result", INT16), out_text("self_test_message", MESSAGE_ROOM)),
 )
 """In the order in which a session uses them."""

@@ -15,7 +15,6 @@ IVI_ERROR: Final = -0x40060000
 UNKNOWN_RESOURCE: Final = IVI_ERROR + 0x0060
 INVALID_SESSION: Final = IVI_ERROR + 0x1190
 ATTRIBUTE_NOT_SUPPORTED: Final = IVI_ERROR + 0x0012
-ATTRIBUTE_NOT_WRITABLE: Final = IVI_ERROR + 0x000D
 INVALID_VALUE: Final = IVI_ERROR + 0x0010
 UNKNOWN_CHANNEL: Final = IVI_ERROR + 0x0020
 MAX_TIME_EXCEEDED: Final = IVI_ERROR + 0x2003
@@ -33,7 +32,6 @@ MESSAGES: Mapping[int, str] = MappingProxyType(
         UNKNOWN_RESOURCE: "The resource name is not known; look it up in MAX.",
         INVALID_SESSION: "The session handle is not valid.",
         ATTRIBUTE_NOT_SUPPORTED: "The attribute is not supported by this board.",
-        ATTRIBUTE_NOT_WRITABLE: "The attribute can only be read.",
         INVALID_VALUE: "The value is not one that the board can take.",
         UNKNOWN_CHANNEL: "The channel name is not known.",
         MAX_TIME_EXCEEDED: "The maximum time was exceeded before the operation completed.",

@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, Final
 
-SAMPLES_NO_LONGER_AVAILABLE: Final = -200279
 SAMPLES_WILL_NEVER_BE_AVAILABLE: Final = -200278
 SAMPLES_NOT_YET_AVAILABLE: Final = -200284
 NOT_DONE_IN_TIME: Final = -200560
@@ -21,28 +20,22 @@ INVALID_TASK: Final = -200088
 DUPLICATE_TASK: Final = -200089
 DEVICE_REMOVED: Final = -88710
 DEVICE_ABORTED: Final = -88709
-COMMUNICATIONS_FAULT: Final = -50401
 DEVICE_NOT_ACCESSIBLE: Final = -201003
 DEVICE_ABSENT: Final = -200324
 UNKNOWN_DEVICE: Final = -200220
 INVALID_VALUE: Final = -200077
 NO_SUCH_PHYSICAL_CHANNEL: Final = -200170
 MINIMUM_NOT_BELOW_MAXIMUM: Final = -200082
-CHANNEL_ALREADY_IN_TASK: Final = -200489
 NO_CHANNELS: Final = -200478
 RUNNING: Final = -200479
 PROPERTY_WHILE_RUNNING: Final = -200557
 NOT_RUNNING: Final = -200475
 READ_TYPE_TOO_SMALL: Final = -200789
 READ_BUFFER_TOO_SMALL: Final = -200229
-NO_AUTO_START: Final = -200473
 NOT_AN_INPUT_TASK: Final = -200460
 TOO_MANY_PRETRIGGER_SAMPLES: Final = -200213
 INVALID_TRIGGER_SOURCE: Final = -200265
-DEVICES_CANNOT_BE_SYNCHRONISED: Final = -201426
-DIFFERENT_CHANNEL_TYPES: Final = -200559
 CHANNEL_NOT_IN_TASK: Final = -200486
-TASK_NOT_SAVED: Final = -200485
 TERMINAL_IN_USE: Final = -89127
 NO_SUCH_ATTRIBUTE: Final = -200233
 ATTRIBUTE_NOT_SETTABLE: Final = -200231
@@ -59,10 +52,10 @@ NOT_A_WATCHDOG_TASK: Final = -200635
 WATCHDOG_EXPIRED: Final = -201434
 EXPIRED_WATCHDOG_NEEDS_CLEARING: Final = -200644
 SOFTWARE_FAULT: Final = -50150
+TRANSFER_ABORTED: Final = -50405
 
 TEXTS: Mapping[int, str] = MappingProxyType(
     {
-        SAMPLES_NO_LONGER_AVAILABLE: "The samples asked for have been overwritten.",
         SAMPLES_WILL_NEVER_BE_AVAILABLE: "More samples are asked for than the task will ever acquire.",
         SAMPLES_NOT_YET_AVAILABLE: (
             "Some or all of the samples asked for have not been acquired within the timeout."
@@ -75,28 +68,22 @@ TEXTS: Mapping[int, str] = MappingProxyType(
         DUPLICATE_TASK: "A task of this name exists already.",
         DEVICE_REMOVED: "The operation was stopped because the device was removed.",
         DEVICE_ABORTED: "The operation was aborted: the device was reset or removed since the task began.",
-        COMMUNICATIONS_FAULT: "Communication with the device failed.",
         DEVICE_NOT_ACCESSIBLE: "The device cannot be accessed: not plugged in or not powered.",
         DEVICE_ABSENT: "The device is not present or not active in the system.",
         UNKNOWN_DEVICE: "The device identifier is invalid.",
         INVALID_VALUE: "The value asked for is not supported.",
         NO_SUCH_PHYSICAL_CHANNEL: "The physical channel does not exist on this device.",
         MINIMUM_NOT_BELOW_MAXIMUM: "The minimum is not less than the maximum.",
-        CHANNEL_ALREADY_IN_TASK: "A channel of this name is in the task already.",
         NO_CHANNELS: "The task has no channels.",
         RUNNING: "Not possible while the task is running.",
         PROPERTY_WHILE_RUNNING: "The property cannot be set while the task is running.",
         NOT_RUNNING: "Not possible while the task is not running.",
         READ_TYPE_TOO_SMALL: "The type to read into is too small for the raw samples; use a wider one.",
         READ_BUFFER_TOO_SMALL: "The buffer has no room for the samples asked for.",
-        NO_AUTO_START: "The task is not running and may not be started by a read.",
         NOT_AN_INPUT_TASK: "The task has no input channels to read.",
         TOO_MANY_PRETRIGGER_SAMPLES: "Pre-trigger samples and two more do not fit into the record.",
         INVALID_TRIGGER_SOURCE: "The source of the analog trigger is not a channel of the task.",
-        DEVICES_CANNOT_BE_SYNCHRONISED: "The devices of the task cannot be synchronised with each other.",
-        DIFFERENT_CHANNEL_TYPES: "Input and output channels cannot share a task.",
         CHANNEL_NOT_IN_TASK: "The channel is not in the task.",
-        TASK_NOT_SAVED: "No task of this name is saved in NI MAX.",
         TERMINAL_IN_USE: "The terminal is part of a route and cannot be let go.",
         NO_SUCH_ATTRIBUTE: "The attribute is not known.",
         ATTRIBUTE_NOT_SETTABLE: "The attribute cannot be set.",
@@ -113,12 +100,7 @@ TEXTS: Mapping[int, str] = MappingProxyType(
         WATCHDOG_EXPIRED: "The device's watchdog has expired; clear the expiration first.",
         EXPIRED_WATCHDOG_NEEDS_CLEARING: "An expired watchdog cannot be reset; clear the expiration.",
         SOFTWARE_FAULT: "An unexpected software error occurred.",
-        # Injected by tests, never answered by the brain on its own account.
-        -50405: "The transfer was aborted.",
-        -88708: "The resource is not in the system any more.",
-        -200361: "The onboard memory overflowed.",
-        -200010: "The onboard memory overflowed.",
-        -200019: "The ADC was clocked too fast.",
+        TRANSFER_ABORTED: "The transfer was aborted.",
     }
 )
 

@@ -1,4 +1,4 @@
-"""Calls and answers as bytes: the brain's side of `transport.c`, and a client of it in Python.
+"""Calls and answers as bytes: the brain's side of `transport.c`.
 
 Little-endian. A frame is its length (u32) and its body. A call is the entry's name and its inputs in
 the table's order; an answer is status, text and the outputs, each behind a byte that says "is there".
@@ -40,12 +40,15 @@ class WireError(Exception):
     """The peer sent what is no frame of this table."""
 
 
-class _Reader:
+class Reader:
+    """Takes the values of a body one after the other."""
+
     def __init__(self, body: bytes) -> None:
         self._body = memoryview(body)
         self._at = 0
 
     def take(self, count: int) -> memoryview:
+        """Take so many bytes."""
         if self._at + count > len(self._body):
             raise WireError(f"the frame has {len(self._body)} bytes and ends inside a value")
         piece = self._body[self._at : self._at + count]
@@ -53,13 +56,16 @@ class _Reader:
         return piece
 
     def number(self, packed: str) -> Any:
+        """Take one number."""
         (number,) = struct.unpack("<" + packed, self.take(struct.calcsize("<" + packed)))
         return number
 
     def text(self) -> str:
+        """Take a text."""
         return bytes(self.take(self.number("I"))).decode("utf-8", errors="replace")
 
     def array(self, scalar: Scalar) -> np.ndarray[Any, Any]:
+        """Take numbers."""
         count = self.number("I")
         data = self.take(count * struct.calcsize("<" + scalar.packed))
         return np.frombuffer(data, dtype="<" + scalar.packed).copy()
@@ -108,15 +114,6 @@ def _tail(entry: EntryPoint, attribute: int, *, outgoing: bool) -> tuple[Paramet
     return ()
 
 
-def encode_call(entry: EntryPoint, arguments: Mapping[str, Any]) -> bytes:
-    """Body of a call."""
-    name = entry.name.encode()
-    parts = [struct.pack("<H", len(name)), name]
-    for parameter in inputs(entry, arguments.get("attribute", 0)):
-        parts.append(_encode(parameter, arguments[parameter.name]))
-    return b"".join(parts)
-
-
 def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
     """Entry and arguments of a call.
 
@@ -125,7 +122,7 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
     WireError
         No such entry, or the body ends too soon.
     """
-    reader = _Reader(body)
+    reader = Reader(body)
     name = bytes(reader.take(reader.number("H"))).decode("utf-8", errors="replace")
     if name not in TABLE:
         raise WireError(f"no entry point {name!r}; library and brain are of different versions")
@@ -133,9 +130,9 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
     arguments: dict[str, Any] = {}
     fixed = inputs(entry)
     for parameter in fixed:
-        arguments[parameter.name] = _decode(parameter, reader)
+        arguments[parameter.name] = decode_value(parameter, reader)
     for parameter in inputs(entry, arguments.get("attribute", 0))[len(fixed) :]:
-        arguments[parameter.name] = _decode(parameter, reader)
+        arguments[parameter.name] = decode_value(parameter, reader)
     return entry, arguments
 
 
@@ -146,27 +143,14 @@ def encode_answer(
     parts = [struct.pack("<i", status), _text(text)]
     for parameter in outputs(entry, arguments.get("attribute", 0)):
         if parameter.name in values:
-            parts += [b"\1", _encode(parameter, values[parameter.name])]
+            parts += [b"\1", encode_value(parameter, values[parameter.name])]
         else:
             parts.append(b"\0")
     return b"".join(parts)
 
 
-def decode_answer(
-    entry: EntryPoint, arguments: Mapping[str, Any], body: bytes
-) -> tuple[int, str, dict[str, Any]]:
-    """Status, text and values of an answer."""
-    reader = _Reader(body)
-    status, text = reader.number("i"), reader.text()
-    values = {
-        parameter.name: _decode(parameter, reader)
-        for parameter in outputs(entry, arguments.get("attribute", 0))
-        if reader.number("B")
-    }
-    return status, text, values
-
-
-def _encode(parameter: Parameter, content: Any) -> bytes:
+def encode_value(parameter: Parameter, content: Any) -> bytes:
+    """Bytes of one parameter's value."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return _text(content)
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
@@ -174,7 +158,8 @@ def _encode(parameter: Parameter, content: Any) -> bytes:
     return _number(parameter.scalar, content)
 
 
-def _decode(parameter: Parameter, reader: _Reader) -> Any:
+def decode_value(parameter: Parameter, reader: Reader) -> Any:
+    """Value of one parameter, taken from a body."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):

@@ -5,15 +5,13 @@ import threading
 import numpy as np
 import pytest
 from support.doubles_bench import Caller, SteppedClock
+from support.waiting import ended, happened
 
 from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.faults import KINDS, Faults, lie
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
 from simulator.doubles.vendor_api.table import TABLE
-
-WAIT_S = 10.0
-"""Far beyond what a thread needs to get going."""
 
 
 class DeathError(Exception):
@@ -114,7 +112,7 @@ def hanging_call(brain, me, **order):
     found = []
     thread = threading.Thread(target=lambda: found.append(outcome(me, "CreateTask", session_name="late")))
     thread.start()
-    assert brain.faults.wait_until_hanging(WAIT_S)
+    happened(brain.faults.wait_until_hanging, "a call hung")
     return thread, found
 
 
@@ -124,7 +122,7 @@ def test_a_hanging_call_waits_for_its_release_and_is_then_done(brain, me):
     # The rest of the double goes on.
     assert outcome(me, "CreateTask", session_name="other") == 0
     brain.faults.release()
-    thread.join(WAIT_S)
+    ended(thread, "the hanging call came back")
     assert found == [0]
     assert {task["task"] for task in brain.record()["tasks"]} == {"late", "other"}
 
@@ -138,7 +136,7 @@ def test_a_call_whose_caller_went_away_while_it_hung_is_not_done(brain, me):
     thread, found = hanging_call(brain, me)
     brain.close_client(me.name)
     brain.faults.release()
-    thread.join(WAIT_S)
+    ended(thread, "the hanging call came back")
     assert found == [-50405]
     assert brain.record()["tasks"] == []
 

@@ -9,7 +9,7 @@ from support.doubles_bench import Caller, SteppedClock
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.doubles.brain import Brain
-from simulator.doubles.chassis.description import default_description, one_board_description
+from simulator.doubles.chassis.description import default_description
 from simulator.doubles.vendor_api.statuses import Status
 from simulator.electronics.transduction import adc_calibration
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
@@ -20,7 +20,8 @@ from simulator.specimen import Transducer, build_specimen
 QUIET = TwinParameters(noise=NoiseParameters(enabled=False))
 BOARDS = {"B": "PXI1Slot2", "C": "PXI1Slot3", "D": "PXI1Slot4"}
 """Positions and boards of the default description: 18, 16 and 12 bits."""
-RESOLUTION, RAW_SIZE, COEFFICIENTS, MAXIMUM, RATE = 0x1765, 0x22DA, 0x1930, 0x17DD, 0x1344
+RESOLUTION, RAW_SIZE, COEFFICIENTS, MAXIMUM, RATE = 0x1765, 0x22DA, 0x1930, 0x1815, 0x1344
+COUPLING, DC, AC = 0x64, 10050, 10045
 FALL_G = 9.81
 
 
@@ -162,7 +163,7 @@ def test_nothing_triggers_without_a_strike(brain, me):
         me("WaitUntilTaskDone", task, time_to_wait=0.25)
     assert caught.value.code == -200560
     assert brain.bench.clock.now_ns() - began_ns == 250_000_000
-    assert me("IsTaskDone", task)["is_task_done"] == 0
+    assert not me.is_done(task)
 
 
 def test_another_position_s_strike_triggers_nothing_here(brain, me):
@@ -186,7 +187,7 @@ def test_a_coil_cut_early_drops_its_striker_early(brain, me):
     me("StartTask", task)
     me("StartTask", coil)
     # A record that was looked for meanwhile must not stick to the old time.
-    assert me("IsTaskDone", task)["is_task_done"] == 0
+    assert not me.is_done(task)
     brain.bench.clock.pass_s(0.03)
     with pytest.raises(Status, match="200010"):
         me("StopTask", coil)
@@ -239,7 +240,6 @@ def test_rates_divide_the_timebase(me, board, asked_hz, given_hz):
         ("PXI1Slot3/ai0", 14.3e6),
         ("PXI1Slot4/ai0", 10.1e6),
         ("Dev1/ai0", 10e6),
-        ("Dev1/ai0:1", 126e3),
         ("PXI1Slot3/ai0", 0.0),
         ("PXI1Slot3/ai0", math.nan),
     ],
@@ -296,10 +296,12 @@ def test_the_least_limit_must_be_the_lesser_one(me):
         me("CreateAIVoltageChan", task, physical_channel="Dev1/ai0", min_val=1.0, max_val=1.0)
 
 
-def test_channels_of_two_boards_are_refused(me):
-    task = me.digitizer("PXI1Slot2/ai0, PXI1Slot3/ai0")
-    with pytest.raises(Status, match="-201426"):
-        me("StartTask", task)
+def test_a_coupling_that_the_board_has_is_taken_and_no_other(me):
+    task = me.digitizer("PXI1Slot3/ai0")
+    me("SetChanAttribute", task, attribute=COUPLING, value=DC)
+    assert me("GetChanAttribute", task, attribute=COUPLING)["value"] == DC
+    with pytest.raises(Status, match="-200077"):
+        me("SetChanAttribute", task, attribute=COUPLING, value=AC)
 
 
 # Reading
@@ -333,7 +335,6 @@ def test_codes_are_clipped_at_the_ends_of_the_range(brain, me):
         strike(me, position, task)
         codes = read(me, task, wide=bits > 16)
         assert codes.max() == 2 ** (bits - 1) - 1
-        assert me("GetReadAttribute", task, attribute=0x2174)["value"] == 1
         # Two per cent beyond the range, less the errors of gain (0.08 %) and offset (0.12 %).
         volts = np.polynomial.polynomial.polyval(
             float(codes.max()), me("GetChanAttribute", task, attribute=COEFFICIENTS)["value"]
@@ -368,29 +369,6 @@ def test_a_buffer_without_room_is_refused_and_nothing_is_lost(me):
     assert read(me, task, wide=False).size == 13_600
 
 
-def test_only_the_struck_channel_sees_the_wave_and_rows_follow_the_fill_mode():
-    brain = Brain(one_board_description(QUIET), clock=SteppedClock())
-    me = Caller(brain)
-    task, coil = me.digitizer("PXI1Slot3/ai1, PXI1Slot3/ai0"), me.coil("PXI1Slot3/ctr1")
-    me("StartTask", task)
-    me("StartTask", coil)
-    by_channel = read(me, task, wide=False).reshape(2, -1)
-    # Code of 0 V: minus the offset (1.2 mV) in steps of 0.156 mV.
-    assert np.all(by_channel[1] == -8)
-    assert by_channel[0].max() > 10_000
-
-
-def test_interleaved_reading_is_the_transpose():
-    brain = Brain(one_board_description(QUIET), clock=SteppedClock())
-    me = Caller(brain)
-    task, coil = me.digitizer("PXI1Slot3/ai0, PXI1Slot3/ai1"), me.coil("PXI1Slot3/ctr0")
-    me("StartTask", task)
-    me("StartTask", coil)
-    interleaved = read(me, task, wide=False, fill_mode=1).reshape(-1, 2)
-    assert interleaved[:, 0].max() > 10_000
-    assert np.all(interleaved[:, 1] == -8)
-
-
 def test_without_a_trigger_the_record_is_the_noise_floor():
     rms_v = 0.02
     noise = NoiseParameters(rms_v=rms_v, slow_rms_v=0.0)
@@ -408,12 +386,8 @@ def test_without_a_trigger_the_record_is_the_noise_floor():
     assert brain.bench.clock.now_ns() - 1_000_000_000 == 1_360_000
 
 
-def test_a_read_starts_the_task_unless_told_not_to(brain, me):
+def test_a_read_starts_the_task(brain, me):
     task = me.digitizer("PXI1Slot3/ai0")
-    me("SetReadAttribute", task, attribute=0x1826, value=0)
-    with pytest.raises(Status, match="-200473"):
-        read(me, task, wide=False)
-    me("SetReadAttribute", task, attribute=0x1826, value=1)
     with pytest.raises(Status, match="-200284"):
         read(me, task, wide=False, timeout=0.0)
     assert brain.record()["tasks"][0]["state"] == "running"

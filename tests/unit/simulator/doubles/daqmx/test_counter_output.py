@@ -5,11 +5,12 @@ from support.doubles_bench import Caller, SteppedClock
 
 from simulator.doubles.brain import Brain
 from simulator.doubles.chassis.description import default_description
-from simulator.doubles.daqmx.lines import LineRecord, PulseTrain
+from simulator.doubles.daqmx.lines import LineRecord, Pulse
 from simulator.doubles.vendor_api.statuses import Status
 
 COUNTER, LINE = "PXI1Slot3/ctr0", "31547526/PFI12"
-HIGH, LOW, CONTINUOUS, FINITE = 10192, 10214, 10123, 10178
+HIGH, LOW = 10192, 10214
+IDLE_STATE, HIGH_TIME, PULSE_TERMINAL = 0x1170, 0x18BA, 0x18E1
 
 
 @pytest.fixture
@@ -34,21 +35,18 @@ def test_one_pulse_is_recorded_to_the_nanosecond(brain, me):
     assert edges(brain) == []
     brain.bench.clock.time_ns = 1_000_000
     assert edges(brain) == [(1_000_000, 1)]
-    assert me("GetChanAttribute", coil, attribute=0x294)["value"] == HIGH
     assert brain.record()["levels"][LINE] == 1
-    # The low time only parts one pulse from the next: a single pulse is done with its fall.
     me("WaitUntilTaskDone", coil, time_to_wait=1.0)
     assert brain.bench.clock.now_ns() == 21_000_000
     assert edges(brain) == [(1_000_000, 1), (21_000_000, 0)]
-    assert me("GetChanAttribute", coil, attribute=0x294)["value"] == LOW
-    assert me("GetChanAttribute", coil, attribute=0x190E)["value"] == 1
+    assert me("GetChanAttribute", coil, attribute=IDLE_STATE)["value"] == LOW
     position = {event["position"] for event in brain.record()["lines"]}
     assert position == {"C"}
 
 
 def test_times_are_whole_ticks_of_the_timebase(brain, me):
     coil = me.coil(COUNTER, initial_delay=0.0, high_time=0.0200000049)
-    assert me("GetChanAttribute", coil, attribute=0x18BA)["value"] == 0.02
+    assert me("GetChanAttribute", coil, attribute=HIGH_TIME)["value"] == 0.02
     me("StartTask", coil)
     brain.bench.clock.pass_s(1.0)
     assert edges(brain) == [(0, 1), (20_000_000, 0)]
@@ -69,49 +67,23 @@ def test_ending_a_task_ends_its_pulse(brain, me, end):
     assert brain.record()["lines"][-1]["cause"] == "stop"
 
 
-def test_a_finite_train_makes_its_pulses_and_as_many_strikes(brain, me):
-    coil = me.coil(COUNTER, initial_delay=0.0, high_time=0.02, low_time=0.08)
-    me("CfgImplicitTiming", coil, sample_mode=FINITE, samps_per_chan=3)
-    me("StartTask", coil)
-    me("WaitUntilTaskDone", coil, time_to_wait=1.0)
-    assert [ns for ns, _ in edges(brain)] == [1_000_000 * ms for ms in (0, 20, 100, 120, 200, 220)]
-    assert len(brain.record()["strikes"]) == 3
+def test_a_pin_that_would_idle_high_is_refused(brain, me):
+    with pytest.raises(Status, match="low between pulses") as caught:
+        me.coil(COUNTER, idle_state=HIGH)
+    assert caught.value.code == -200077
 
 
-def test_a_continuous_train_goes_on_until_it_is_stopped(brain, me):
-    coil = me.coil(COUNTER, initial_delay=0.0, high_time=0.02, low_time=0.08)
-    me("CfgImplicitTiming", coil, sample_mode=CONTINUOUS, samps_per_chan=0)
-    me("StartTask", coil)
-    brain.bench.clock.time_ns = 10_050_000_000
-    assert me("IsTaskDone", coil)["is_task_done"] == 0
-    assert len(edges(brain)) == 2 * 101
-    with pytest.raises(Status, match="200010"):
-        me("StopTask", coil)
-    brain.bench.clock.pass_s(10.0)
-    assert len(edges(brain)) == 2 * 101
-
-
-def test_an_idle_level_of_high_drives_the_coil_from_the_commit_on(brain, me):
-    coil = me.coil(COUNTER, idle_state=HIGH, initial_delay=0.0, low_time=0.03, high_time=0.02)
+def test_a_commit_drives_the_pin_low(brain, me):
+    brain.bench.lines.drive(LINE, 1, 0, "left by somebody")
     brain.bench.clock.time_ns = 5
-    me.control(coil, 3)
-    assert edges(brain) == [(5, 1)]
-    brain.bench.clock.time_ns = 40_000_000
-    me("StartTask", coil)
-    brain.bench.clock.time_ns = 100_000_000
-    # It hangs until the pulse lets it go: that is the strike.
-    assert edges(brain) == [(5, 1), (40_000_000, 0), (70_000_000, 1)]
-    (strike,) = brain.record()["strikes"]
-    assert (strike["lifted_ns"], strike["released_ns"]) == (5, 40_000_000)
-    me("ClearTask", coil)
-    # A released counter may go on driving its pin (ni/nidaqmx-python issue 130).
-    assert brain.record()["levels"][LINE] == 1
+    me.control(me.coil(COUNTER), 3)
+    assert edges(brain) == [(0, 1), (5, 0)]
 
 
 def test_a_pulse_sent_to_another_pin_moves_no_striker(brain, me):
     coil = me.coil(COUNTER)
-    me("SetChanAttribute", coil, channel="", attribute=0x18E1, value="/PXI1Slot3/PFI3")
-    assert me("GetChanAttribute", coil, attribute=0x18E1)["value"] == "/PXI1Slot3/PFI3"
+    me("SetChanAttribute", coil, attribute=PULSE_TERMINAL, value="/PXI1Slot3/PFI3")
+    assert me("GetChanAttribute", coil, attribute=PULSE_TERMINAL)["value"] == "/PXI1Slot3/PFI3"
     me("StartTask", coil)
     brain.bench.clock.pass_s(1.0)
     assert edges(brain) == []
@@ -122,12 +94,10 @@ def test_a_pulse_sent_to_another_pin_moves_no_striker(brain, me):
 def test_a_pin_that_is_not_there_is_refused(me):
     coil = me.coil(COUNTER)
     with pytest.raises(Status, match="-200077"):
-        me("SetChanAttribute", coil, channel="", attribute=0x18E1, value="/PXI1Slot3/PFI99")
+        me("SetChanAttribute", coil, attribute=PULSE_TERMINAL, value="/PXI1Slot3/PFI99")
 
 
-@pytest.mark.parametrize(
-    "times", [{"high_time": 1e-8}, {"low_time": 0.0}, {"initial_delay": -1.0}, {"high_time": 43.0}]
-)
+@pytest.mark.parametrize("times", [{"high_time": 1e-8}, {"initial_delay": -1.0}, {"high_time": 43.0}])
 def test_times_beyond_the_counter_are_refused(me, times):
     coil = me.coil(COUNTER, **times)
     with pytest.raises(Status, match="-200077"):
@@ -173,13 +143,11 @@ def test_without_the_route_nothing_starts(brain, me):
     me("StartTask", me.digitizer("PXI1Slot2/ai0"))
     brain.bench.clock.pass_s(0.1)
     assert edges(brain) == []
-    assert me("IsTaskDone", coil)["is_task_done"] == 0
+    assert not me.is_done(coil)
 
 
 def test_a_terminal_is_let_go_unless_a_route_needs_it(brain, me):
-    coil = me.coil(COUNTER, idle_state=HIGH)
-    me.control(coil, 3)
-    me("ClearTask", coil)
+    brain.bench.lines.drive(LINE, 1, 0, "left by somebody")
     assert brain.record()["levels"][LINE] == 1
     me("TristateOutputTerm", output_terminal="/PXI1Slot3/PFI12")
     assert brain.record()["levels"][LINE] == 0
@@ -205,9 +173,7 @@ def test_routes_between_what_is_not_there_are_refused(me, ends, code):
 def test_lines_are_recorded_together_in_order_of_time():
     lines = LineRecord()
     for name, begin_ns in (("1/PFI12", 5), ("2/PFI12", 7)):
-        lines.start(
-            PulseTrain(line=name, begin_ns=begin_ns, delay_ns=0, high_ns=10, low_ns=1, pulses=1, idle=0)
-        )
+        lines.start(Pulse(line=name, start_ns=begin_ns, end_ns=begin_ns + 10))
     lines.settle(1_000)
     assert [(event.ns, event.line) for event in lines.events] == [
         (5, "1/PFI12"),

@@ -84,7 +84,7 @@ def test_other_boards_go_on(brain, me):
     task = me.digitizer("PXI1Slot2/ai0")
     me("StartTask", task)
     brain.unplug(SERIAL)
-    assert me("IsTaskDone", task)["is_task_done"] == 0
+    assert not me.is_done(task)
 
 
 def test_a_reset_takes_the_board_from_everybody(brain, me):
@@ -100,10 +100,9 @@ def test_a_reset_takes_the_board_from_everybody(brain, me):
     other("ClearTask", coil)
 
 
-def test_a_reset_takes_a_pin_low_that_a_cleared_task_left_high(brain, me):
-    coil = me.coil(COUNTER, idle_state=10192)
-    me.control(coil, COMMIT)
-    me("ClearTask", coil)
+def test_a_reset_takes_a_pin_low_that_was_left_high(brain, me):
+    # A released counter may go on driving its pin (ni/nidaqmx-python issue 130).
+    brain.bench.lines.drive(LINE, 1, 0, "left by somebody")
     assert brain.record()["levels"][LINE] == 1
     me("ResetDevice", device_name=BOARD)
     assert brain.record()["levels"][LINE] == 0
@@ -121,7 +120,6 @@ def test_self_calibration_changes_the_polynomial_and_its_date(brain, me):
     after = me("GetChanAttribute", task, attribute=COEFFICIENTS)["value"]
     assert after[0] - before[0] == pytest.approx(2e-4, rel=1e-9)
     assert me("GetSelfCalLastDateAndTime", device_name=BOARD) != dated
-    assert me("GetExtCalLastDateAndTime", device_name=BOARD) == dated
     assert me("GetCalInfoAttribute", device_name=BOARD, attribute=0x1864)["value"] == 38.5
 
 
@@ -149,14 +147,8 @@ def test_power_up_states_are_kept_line_by_line(brain, me):
 # Watchdog
 
 
-def watchdog(me, timeout_s=0.5, board=BOARD):
-    task = me("CreateWatchdogTimerTaskEx", device_name=board, session_name="watchdog", timeout=timeout_s)[
-        "task"
-    ]
-    states = {"expir_state_array": [LOW], "array_size": 1}
-    me("CfgWatchdogCOExpirStates", task, channel_names=f"{board}/ctr0", **states)
-    me("StartTask", task)
-    return task
+def watchdog(me, timeout_s=0.5):
+    return line_watchdog(me, f"{BOARD}/port2/line4", [LOW], timeout_s)
 
 
 def test_an_expired_watchdog_cuts_the_pulse_at_its_own_time(brain, me):
@@ -189,8 +181,8 @@ def test_after_expiry_nothing_pulses_until_it_is_cleared(brain, me):
     me("StartTask", coil)
 
 
-def line_watchdog(me, lines, states, timeout_s=0.5, board=BOARD):
-    made = me("CreateWatchdogTimerTaskEx", device_name=board, session_name="lines", timeout=timeout_s)
+def line_watchdog(me, lines, states, timeout_s=0.5):
+    made = me("CreateWatchdogTimerTaskEx", device_name=BOARD, session_name="lines", timeout=timeout_s)
     arguments = {"channel_names": lines, "expir_state_array": states, "array_size": len(states)}
     me("CfgWatchdogDOExpirStates", made["task"], **arguments)
     me("StartTask", made["task"])
@@ -237,9 +229,9 @@ def test_a_counter_is_cut_at_the_line_its_pulse_leaves_through_and_does_not_know
     assert events == [(0, 1, "pulse"), (500_000_000, 0, "watchdog")]
     (strike,) = brain.record()["strikes"]
     assert strike["released_ns"] == 500_000_000
-    assert me("IsTaskDone", coil)["is_task_done"] == 0
+    assert not me.is_done(coil)
     brain.bench.clock.time_ns = 2_000_000_000
-    assert me("IsTaskDone", coil)["is_task_done"] == 1
+    assert me.is_done(coil)
     assert len(brain.record()["lines"]) == 2
 
 

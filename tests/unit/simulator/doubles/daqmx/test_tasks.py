@@ -1,10 +1,10 @@
 """Tasks go through NI's states, hold what they reserve, and answer for what they lost."""
 
 import pytest
-from support.doubles_bench import Caller, SteppedClock
+from support.doubles_bench import Caller, SteppedClock, one_board_description
 
 from simulator.doubles.brain import Brain
-from simulator.doubles.chassis.description import default_description, one_board_description
+from simulator.doubles.chassis.description import default_description
 from simulator.doubles.vendor_api.statuses import Status
 
 BOARD = "PXI1Slot3"
@@ -138,20 +138,20 @@ def test_a_task_without_channels_does_nothing(brain, me, function):
     refused(-200478, me, function, task, **arguments)
 
 
-def test_input_and_output_do_not_share_a_task(brain, me):
+def test_a_task_takes_one_channel(brain, me):
     task = me.digitizer(INPUT)
-    refused(-200559, me, "CreateCOPulseChanTime", task, counter=COUNTER)
-
-
-def test_two_channels_of_one_name_are_refused(brain, me):
-    task = me.digitizer(INPUT)
-    refused(-200489, me, "CreateAIVoltageChan", task, physical_channel=INPUT)
+    assert f"The task has the channel {INPUT}" in refused(
+        -200077, me, "CreateAIVoltageChan", task, physical_channel=f"{BOARD}/ai1"
+    )
+    refused(-200077, me, "CreateCOPulseChanTime", task, counter=COUNTER)
 
 
 @pytest.mark.parametrize(
     ("name", "code"),
     [
         (f"{BOARD}/ai8", -200170),
+        (f"{BOARD}/ai0:1", -200170),
+        (f"{BOARD}/ai0, {BOARD}/ai1", -200170),
         (f"{BOARD}/ctr0", -200170),
         (f"{BOARD}/", -200170),
         ("Dev9/ai0", -200220),
@@ -163,20 +163,24 @@ def test_channels_that_are_not_there(brain, me, name, code):
     refused(code, me, "CreateAIVoltageChan", task, physical_channel=name)
 
 
-def test_a_range_of_channels_is_spelled_out(brain, me):
-    task = me.digitizer(f"{BOARD}/ai0:2, {BOARD}/ai5")
-    names = me("GetTaskAttribute", task, attribute=0x1273)["value"]
-    assert names == f"{BOARD}/ai0, {BOARD}/ai1, {BOARD}/ai2, {BOARD}/ai5"
-    assert me("InternalGetLastCreatedChan")["value"] == names
+def test_the_last_channel_made_is_told(brain, me):
+    me.digitizer(f"{BOARD}/ai5")
+    assert me("InternalGetLastCreatedChan")["value"] == f"{BOARD}/ai5"
 
 
 def test_what_is_not_there_is_not_in_the_task(brain, me):
     task = me.digitizer(INPUT)
-    refused(-200486, me, "GetChanAttribute", task, channel=f"{BOARD}/ai3", attribute=0x17DD)
+    refused(-200486, me, "GetChanAttribute", task, channel=f"{BOARD}/ai3", attribute=0x1815)
     refused(-200233, me, "GetChanAttribute", task, attribute=0x1344)
     refused(-200197, me, "GetChanAttribute", task, attribute=0x18BA)
-    refused(-200231, me, "SetTimingAttribute", task, attribute=0x22C8, value=1.0)
-    refused(-200485, me, "LoadTask", session_name="saved in NI MAX")
+    refused(-200231, me, "SetChanAttribute", task, attribute=0x1815, value=1.0)
+
+
+def test_an_attribute_that_the_drivers_never_ask_for_is_refused_by_name_and_number(me):
+    task = me.digitizer(INPUT)
+    assert "The double has no Chan attribute 0x17dd" in refused(
+        -200233, me, "GetChanAttribute", task, attribute=0x17DD
+    )
 
 
 # Reservations

@@ -6,10 +6,13 @@ import sys
 import threading
 
 import pytest
+from support.doubles_bench import one_board_description
+from support.waiting import WAIT_S, happened
+from support.wire_client import decode_answer, encode_call
 
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.brain import Brain
-from simulator.doubles.chassis.description import one_board_description, to_json
+from simulator.doubles.chassis.description import to_json
 from simulator.doubles.doors.control import DoublesControl, running_doubles
 from simulator.doubles.doors.control_server import ControlServer
 from simulator.doubles.doors.server import WireServer
@@ -18,7 +21,6 @@ from simulator.doubles.vendor_api import wire
 from simulator.doubles.vendor_api.table import TABLE
 
 DESCRIPTION = one_board_description()
-WAIT_S = 20.0
 
 
 @pytest.fixture
@@ -68,7 +70,7 @@ def test_it_waits_until_every_striker_has_landed(served):
     now_ns = brain.bench.clock.now_ns()
     strike = brain.bench.strikes.plan("B", now_ns, now_ns + 50_000_000)
     assert control.wait_until_quiet(0.0) is False
-    assert control.wait_until_quiet(WAIT_S) is True
+    happened(control.wait_until_quiet, "the striker landed")
     assert brain.bench.clock.now_ns() > strike.contact_ns
 
 
@@ -109,8 +111,8 @@ def connect(library):
 
 def ask(connection, name, **arguments):
     entry = TABLE[name]
-    wire.send_frame(connection, wire.encode_call(entry, arguments))
-    return wire.decode_answer(entry, arguments, wire.receive_frame(connection))
+    wire.send_frame(connection, encode_call(entry, arguments))
+    return decode_answer(entry, arguments, wire.receive_frame(connection))
 
 
 def test_the_wire_serves_a_client_and_tears_down_after_it(served):
@@ -120,7 +122,7 @@ def test_the_wire_serves_a_client_and_tears_down_after_it(served):
         assert status == 0
         assert control.record()["tasks"][0]["client"].startswith("library:pid 4711")
         assert ask(connection, "DAQmxStartTask", task=values["task"])[0] == -200478
-    assert control.wait_until_no_tasks(WAIT_S)
+    happened(control.wait_until_no_tasks, "the brain heard that its client is gone")
     assert [leak["task"] for leak in brain.record()["leaked"]] == ["mine"]
 
 
@@ -149,7 +151,7 @@ def test_it_says_where_it_is_and_ends_with_its_standard_input(tmp_path):
     process = subprocess.Popen(
         [
             *(sys.executable, "-m", "simulator.doubles", "--no-warm-up"),
-            *("--description", str(tmp_path / "description.json"), "--ready-file", str(tmp_path / "ready")),
+            *("--description", str(tmp_path / "description.json")),
         ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -158,7 +160,6 @@ def test_it_says_where_it_is_and_ends_with_its_standard_input(tmp_path):
     try:
         ready = json.loads(process.stdout.readline())
         assert ready["event"] == "ready"
-        assert json.loads((tmp_path / "ready").read_text(encoding="utf-8")) == ready
         with DoublesControl(ready["control"]) as control:
             assert [board["name"] for board in control.record()["boards"]] == ["PXI1Slot3"]
     finally:

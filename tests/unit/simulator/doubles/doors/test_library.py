@@ -6,11 +6,11 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from support.doubles_bench import one_board_description
 
 from simulator.doubles.chassis.description import (
     default_description,
     from_json,
-    one_board_description,
     to_json,
 )
 from simulator.doubles.doors import library

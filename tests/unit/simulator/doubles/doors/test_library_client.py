@@ -9,13 +9,13 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.doubles_bench import meet
+from support.waiting import WAIT_S, ended, happened, until
 
 from simulator.doubles.doors.control import RunningDoubles, running_doubles
 from simulator.doubles.doors.library import SONAMES
@@ -27,17 +27,14 @@ from nidaqmx.constants import (  # noqa: E402
     PowerUpStates,
     Slope,
     TaskMode,
-    WatchdogCOExpirState,
 )
-from nidaqmx.errors import DaqError, DaqReadError, DaqWarning  # noqa: E402
+from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqReadError, DaqWarning  # noqa: E402
 from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
 from nidaqmx.system import System  # noqa: E402
 from nidaqmx.system.watchdog import WatchdogTask  # noqa: E402
-from nidaqmx.types import COExpirationState, DOExpirationState, DOPowerUpState  # noqa: E402
+from nidaqmx.types import DOExpirationState, DOPowerUpState  # noqa: E402
 
 SAMPLES, PRETRIGGER = 13_600, 1_000
-WAIT_S = 20.0
-"""Deadline of what takes milliseconds."""
 
 
 def digitizer(board="PXI1Slot3", name="", channel="ai0"):
@@ -66,7 +63,7 @@ def test_the_whole_order_of_a_shot(meeting, board, dtype):
         co.control(TaskMode.TASK_COMMIT)
         channel = ai.ai_channels[0]
         assert ai.timing.samp_clk_rate == 10e6
-        assert (channel.ai_min, channel.ai_max) == (-5.0, 5.0)
+        assert (channel.ai_rng_low, channel.ai_rng_high) == (-5.0, 5.0)
         assert channel.ai_raw_samp_size == 8 * np.dtype(dtype).itemsize
         assert len(channel.ai_dev_scaling_coeff) == 4
         assert co.co_channels[0].co_pulse_term.startswith(f"/{board}/")
@@ -104,17 +101,14 @@ def test_the_system_and_its_boards_introduce_themselves(meeting):
     }
     board = system.devices["PXI1Slot3"]
     assert board.ai_max_single_chan_rate == 100e6 / 7
-    assert board.ai_simultaneous_sampling_supported is True
     assert board.ai_voltage_rngs[-2:] == [-10.0, 10.0]
     assert "/PXI1Slot3/PFI12" in board.terminals
-    assert board.ai_physical_chans.channel_names[-1] == "PXI1Slot3/ai7"
     assert board.co_physical_chans.channel_names[0] == "PXI1Slot3/ctr0"
-    assert (board.pxi_chassis_num, board.pxi_slot_num) == (1, 3)
     assert str(board.self_cal_last_date_and_time) == "2026-01-12 09:30:00"
     board.self_cal()
     assert board.self_cal_last_date_and_time.year > 2000
-    assert board.cal_dev_temp == 38.5
-    board.self_test_device()
+    assert board.cal_dev_temp == board.self_cal_last_temp == 38.5
+    assert board.anlg_trig_supported is True
     board.reset_device()
 
 
@@ -135,16 +129,6 @@ def test_power_up_states_travel_in_pairs(meeting):
     assert found["PXI1Slot3/port1/line0"] is PowerUpStates.TRISTATE
 
 
-def test_a_watchdog_is_armed_reset_and_read(meeting):
-    with WatchdogTask("PXI1Slot3", "watchdog", timeout=30.0) as watchdog:
-        watchdog.cfg_watchdog_co_expir_states([COExpirationState("PXI1Slot3/ctr0", WatchdogCOExpirState.LOW)])
-        watchdog.start()
-        watchdog.reset_timer()
-        assert watchdog.expired is False
-        assert watchdog.timeout == 30.0
-        watchdog.stop()
-
-
 def test_a_watchdog_guards_digital_lines_under_their_flattened_names(meeting):
     lines = ["PXI1Slot3/port2/line4", "PXI1Slot3/port2/line5", "PXI1Slot3/port1/line0"]
     states = [Level.LOW, Level.HIGH, Level.HIGH]
@@ -156,9 +140,7 @@ def test_a_watchdog_guards_digital_lines_under_their_flattened_names(meeting):
             ]
         )
         watchdog.start()
-        deadline = time.monotonic() + WAIT_S
-        while not watchdog.expired:
-            assert time.monotonic() < deadline
+        until(lambda: watchdog.expired, "a watchdog of 10 ms expired")
         watchdog.clear_expiration()
         assert watchdog.expired is False
         watchdog.stop()
@@ -190,21 +172,26 @@ def test_attributes_of_every_type_are_set_and_read_back(meeting):
     with digitizer() as ai, coil() as co:
         ai.timing.samp_clk_rate = 5e6
         assert ai.timing.samp_clk_rate == 5e6
-        ai.timing.samp_quant_samp_per_chan = 6_000
-        assert ai.timing.samp_quant_samp_per_chan == 6_000
         ai.timing.ref_clk_src = "PXI_Clk10"
         assert ai.timing.ref_clk_src == "PXI_Clk10"
         ai.triggers.reference_trigger.pretrig_samples = 700
         assert ai.triggers.reference_trigger.pretrig_samples == 700
-        ai.in_stream.auto_start = False
-        assert ai.in_stream.auto_start is False
+        ai.triggers.reference_trigger.anlg_edge_slope = Slope.FALLING
+        assert ai.triggers.reference_trigger.anlg_edge_slope is Slope.FALLING
         channel = co.co_channels[0]
-        channel.co_pulse_idle_state = Level.HIGH
-        assert channel.co_pulse_idle_state is Level.HIGH
-        channel.co_pulse_high_time = 0.0125
-        assert channel.co_pulse_high_time == 0.0125
+        assert channel.co_pulse_idle_state is Level.LOW
+        assert channel.co_pulse_high_time == 0.006
         channel.co_pulse_term = "/PXI1Slot3/PFI5"
         assert channel.co_pulse_term == "/PXI1Slot3/PFI5"
+
+
+def test_what_the_double_does_not_answer_is_refused_by_the_package_or_by_its_number(meeting):
+    with digitizer() as ai:
+        with pytest.raises(DaqFunctionNotSupportedError, match="DAQmxIsTaskDone"):
+            ai.is_task_done()
+        with pytest.raises(DaqError, match="The double has no Chan attribute 0x17dd") as caught:
+            _ = ai.ai_channels[0].ai_max
+        assert caught.value.error_code == -200233
 
 
 # Errors
@@ -243,23 +230,23 @@ def test_an_ordered_status_arrives(meeting):
 
 def test_threads_keep_their_own_last_error(meeting):
     """A hanging call in one thread neither keeps another one from calling nor mixes up its text."""
-    meeting.control.inject("DAQmxSelfTestDevice", "hang", nth=1)
+    meeting.control.inject("DAQmxSelfCal", "hang", nth=1)
     system, found = System.local(), []
 
     def waiting():
         try:
-            system.devices["PXI1Slot3"].self_test_device()
-            nidaqmx.system.Device("NoSuch").self_test_device()
+            system.devices["PXI1Slot3"].self_cal()
+            nidaqmx.system.Device("NoSuch").self_cal()
         except DaqError as error:
             found.append(error)
 
     thread = threading.Thread(target=waiting)
     thread.start()
-    assert meeting.control.wait_until_hanging(WAIT_S)
+    happened(meeting.control.wait_until_hanging, "a call hung")
     with pytest.raises(DaqError, match="Device Specified: Other"):
-        nidaqmx.system.Device("Other").self_test_device()
+        nidaqmx.system.Device("Other").self_cal()
     meeting.control.release_hangs()
-    thread.join(WAIT_S)
+    ended(thread, "the hanging call came back")
     assert "Device Specified: NoSuch" in str(found[0])
 
 
@@ -272,10 +259,10 @@ def c_library(folder):
 
 def test_the_last_error_s_text_belongs_to_its_thread(meeting, double_library):
     library, text = c_library(double_library), ctypes.create_string_buffer(2048)
-    assert library.DAQmxSelfTestDevice(b"NoSuch1") == -200220
-    thread = threading.Thread(target=library.DAQmxSelfTestDevice, args=(b"NoSuch2",))
+    assert library.DAQmxSelfCal(b"NoSuch1") == -200220
+    thread = threading.Thread(target=library.DAQmxSelfCal, args=(b"NoSuch2",))
     thread.start()
-    thread.join(WAIT_S)
+    ended(thread, "the other thread's call came back")
     assert library.DAQmxGetExtendedErrorInfo(text, 2048) == 0
     assert b"Device Specified: NoSuch1" in text.value
 
@@ -337,7 +324,7 @@ def other_process(running, library, *arguments):
 def end(process):
     process.stdout.close()
     process.stdin.close()
-    process.wait(WAIT_S)
+    ended(process, "the other process left")
 
 
 def test_two_processes_share_the_boards_and_see_each_other(meeting, double_library):
@@ -356,7 +343,7 @@ def test_a_killed_process_leaves_nothing_driven(meeting, double_library):
     try:
         assert meeting.control.record()["levels"]["31547526/PFI12"] == 1
         other.send_signal(signal.SIGKILL)
-        assert meeting.control.wait_until_no_tasks(WAIT_S)
+        happened(meeting.control.wait_until_no_tasks, "the double heard of the client's death")
     finally:
         end(other)
     record = meeting.control.record()

@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from simulator.doubles.niscope.brain import ANSWERED
-from simulator.doubles.vendor_api.entry_points import FLOAT64, INT16, INT32, INT64, UINT16, UINT32, Role
+from simulator.doubles.vendor_api.entry_points import FLOAT64, INT16, INT32, UINT16, UINT32, Role
 from simulator.doubles.vendor_api.niscope_entry_points import NISCOPE_ENTRY_POINTS, WAVEFORM_INFO
 
 niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscope]"')
@@ -18,7 +18,6 @@ C_TYPES = {
     UINT16: ctypes.c_uint16,
     INT32: ctypes.c_int32,
     UINT32: ctypes.c_uint32,
-    INT64: ctypes.c_int64,
     FLOAT64: ctypes.c_double,
 }
 TEXT = ctypes.POINTER(ctypes.c_char)

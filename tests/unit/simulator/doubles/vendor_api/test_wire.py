@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.wire_client import decode_answer, encode_call
 
 from simulator.doubles.vendor_api import wire
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
@@ -51,7 +52,7 @@ def test_a_call_arrives_as_it_was_sent(entry):
         arguments = {parameter.name: example(parameter) for parameter in wire.inputs(entry, attribute)}
         if "attribute" in arguments:
             arguments["attribute"] = attribute
-        found, decoded = wire.decode_call(wire.encode_call(entry, arguments))
+        found, decoded = wire.decode_call(encode_call(entry, arguments))
         assert found is entry
         assert same(decoded, arguments)
 
@@ -62,7 +63,7 @@ def test_an_answer_arrives_as_it_was_given(entry):
         arguments = {"attribute": attribute}
         values = {parameter.name: example(parameter) for parameter in wire.outputs(entry, attribute)}
         body = wire.encode_answer(entry, arguments, -200088, "The task is invalid.", values)
-        status, text, decoded = wire.decode_answer(entry, arguments, body)
+        status, text, decoded = decode_answer(entry, arguments, body)
         assert (status, text) == (-200088, "The task is invalid.")
         assert same(decoded, values)
 
@@ -70,25 +71,25 @@ def test_an_answer_arrives_as_it_was_given(entry):
 @ENTRIES
 def test_an_answer_without_values_says_so(entry):
     body = wire.encode_answer(entry, {}, -1, "", {})
-    assert wire.decode_answer(entry, {}, body) == (-1, "", {})
+    assert decode_answer(entry, {}, body) == (-1, "", {})
 
 
 def test_text_that_the_caller_s_locale_may_not_know_is_escaped():
     entry = TABLE["DAQmxCreateTask"]
     body = wire.encode_answer(entry, {}, -1, "9 µs", {})
-    assert wire.decode_answer(entry, {}, body)[1] == "9 \\xb5s"
+    assert decode_answer(entry, {}, body)[1] == "9 \\xb5s"
 
 
 def test_a_call_of_an_unknown_entry_is_refused():
     entry = TABLE["DAQmxCreateTask"]
-    body = wire.encode_call(entry, {"session_name": "a"}).replace(b"Create", b"Create"[::-1])
+    body = encode_call(entry, {"session_name": "a"}).replace(b"Create", b"Create"[::-1])
     with pytest.raises(wire.WireError, match="different versions"):
         wire.decode_call(body)
 
 
 @pytest.mark.parametrize("cut", [1, 3, 20, -1])
 def test_a_frame_that_ends_too_soon_is_refused(cut):
-    body = wire.encode_call(
+    body = encode_call(
         TABLE["DAQmxConnectTerms"],
         {
             "source_terminal": "/Dev1/PFI0",
