@@ -54,6 +54,9 @@ from simulator.doubles.errors import DoublesProcessError
 
 DESCRIPTION = quick_description(board(), positions="C")
 READ_TIMEOUT_S = 0.3
+"""Of a line with a fault in it, which may have to wait it out."""
+SOUND_READ_TIMEOUT_S = 20.0
+"""Of a line without: a machine that is slow is no missed strike."""
 PHASES = ("opening", "arming", "striking", "reading", "calibrating", "closing")
 
 LOST, BUSY, CONFIGURATION, MISSED = -88710, -50103, -200077, -200284
@@ -161,7 +164,11 @@ def calls(laboratory) -> list[Call]:
 
     control.clear_record()
     ended = iter(PHASES)
-    outcome = line(laboratory, before=lambda phase: None if phase == "opening" else note(next(ended)))
+    outcome = line(
+        laboratory,
+        before=lambda phase: None if phase == "opening" else note(next(ended)),
+        read_timeout_s=SOUND_READ_TIMEOUT_S,
+    )
     note("closing")
     assert not outcome.errors
     assert {call.phase for call in found} == set(PHASES)
@@ -169,7 +176,7 @@ def calls(laboratory) -> list[Call]:
     return [call for call in found if call.function != "DAQmxSetRuntimeEnvironment"]
 
 
-def line(laboratory: Laboratory, before=lambda _: None) -> Outcome:
+def line(laboratory: Laboratory, before=lambda _: None, *, read_timeout_s: float = READ_TIMEOUT_S) -> Outcome:
     """Open, take a shot, self-calibrate, close; an error leaves the rig safe and the line goes on."""
     outcome = Outcome()
     stack = ExitStack()
@@ -180,14 +187,16 @@ def line(laboratory: Laboratory, before=lambda _: None) -> Outcome:
         outcome.errors.append(error)
         return outcome
     try:
-        _go_on(rig, laboratory, outcome, before)
+        _go_on(rig, laboratory, outcome, before, read_timeout_s)
     finally:
         before("closing")
         stack.close()
     return outcome
 
 
-def _go_on(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, before) -> None:
+def _go_on(
+    rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, before, read_timeout_s: float
+) -> None:
     key = ShotKey(position="C", set_index=2, shot_index=0)
     try:
         laboratory.replace_dead_brain()
@@ -197,7 +206,7 @@ def _go_on(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, befo
         before("striking")
         rig.striker.strike(key)
         before("reading")
-        outcome.records.append((key, rig.digitizer.read(READ_TIMEOUT_S)))
+        outcome.records.append((key, rig.digitizer.read(read_timeout_s)))
     except InstrumentError as error:
         outcome.errors.append(error)
         make_safe(rig, outcome)
@@ -207,7 +216,7 @@ def _go_on(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, befo
     except InstrumentError as error:
         outcome.errors.append(error)
     if not any(isinstance(error, ConfigurationError) for error in outcome.errors):
-        take_next(rig, laboratory, outcome)
+        take_next(rig, laboratory, outcome, read_timeout_s)
 
 
 def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
@@ -220,13 +229,13 @@ def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
         rig.digitizer.disarm()
 
 
-def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome) -> None:
+def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, read_timeout_s: float) -> None:
     """Take the next shot; whatever the fault was, the ladder's rungs and one busy turn are enough."""
     for shot in range(1, len(LADDER) + 3):
         key = ShotKey(position="C", set_index=2, shot_index=shot)
         try:
             laboratory.replace_dead_brain()
-            outcome.records.append((key, take(rig, laboratory.brain, key, read_timeout_s=READ_TIMEOUT_S)))
+            outcome.records.append((key, take(rig, laboratory.brain, key, read_timeout_s=read_timeout_s)))
         except InstrumentError as error:
             outcome.errors.append(error)
             make_safe(rig, outcome)
@@ -310,7 +319,7 @@ def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
     # longer than its fall.
     happened(control.wait_until_quiet, "the striker landed")
     control.clear_record()
-    outcome = line(laboratory)
+    outcome = line(laboratory, read_timeout_s=SOUND_READ_TIMEOUT_S)
     if outcome.errors:
         yield f"the next run failed: {outcome.errors}"
     texts = [*told_wrongly(laboratory, outcome, ()), *left_wrongly(laboratory, call)]
