@@ -37,6 +37,7 @@ from h5py import h5s
 
 from daq_service.archive import FolderSetReader, nexus
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import EventRow
 from daq_service.processes.data_folder import prepare_data_folder
 from daq_service.recording.cost import STAGES
 from daq_service.recording.session import record
@@ -108,10 +109,10 @@ def run_recorder(hours: float, *, obvious: bool) -> dict[str, Any]:
         wall_s, processor_s = time.perf_counter() - wall, sum(os.times()[:4]) - processor
         assert finished
         with open_catalogue(Path(folder), writer=False) as catalogue:
-            events = catalogue.events_after(0, {"service"}, limit=None)
+            events = catalogue.rows(EventRow, topics={"service"})
             shots = catalogue.counts()["shots"]
         stored = FolderSetReader(Path(folder)).n_bytes()
-    cost = next(row["payload"]["cost"] for row in reversed(events) if "cost" in row["payload"])
+    cost = next(row.payload["cost"] for row in reversed(events) if "cost" in row.payload)
     return {"wall_s": wall_s, "processor_s": processor_s, "shots": shots, "stored_bytes": stored, **cost}
 
 

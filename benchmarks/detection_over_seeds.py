@@ -102,19 +102,20 @@ def carry_out(run: Run) -> Outcome:
                 stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
                 shots.append(Shot(sequence=1 + index, key=key, stamp=stamp, waveform=acquired.waveform))
         assessment = assessor.assess(due, shots, [features_of(shot) for shot in shots])
-        verdicts |= {row["set_index"]: row for row in assessment.verdicts}
+        verdicts |= {row.set_index: row for row in assessment.verdicts}
         if due.set_index <= last_baseline_set:
-            row = assessment.features[-1]
-            baseline_vectors.append([row[name] for name in (*FEATURE_NAMES, "isw_amplitude_v")])
+            baseline_vectors.append(
+                [getattr(assessment.features[-1], name) for name in (*FEATURE_NAMES, "isw_amplitude_v")]
+            )
         if assessment.baseline is not None:
-            n_baseline = assessment.baseline["n_sets"]
+            n_baseline = assessment.baseline.n_sets
         raised = {condition.kind for condition in assessment.conditions if condition.present}
         if first_alarm_h is None and raised & {"wall_change", "hole"}:
             first_alarm_h = due.due_h
             depth_at_alarm = specimen.walls[run.position].at(hour).depth_fraction
         if "hole" in raised:
             break
-    judged = [row for row in verdicts.values() if row["outlier"] is not None]
+    judged = [row for row in verdicts.values() if row.outlier is not None]
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))
     return Outcome(
@@ -122,8 +123,8 @@ def carry_out(run: Run) -> Outcome:
         first_alarm_h=first_alarm_h,
         depth_at_alarm=depth_at_alarm,
         judged=len(judged),
-        outliers=sum(row["outlier"] for row in judged),
-        outliers_paper=sum(row["outlier_paper"] for row in judged),
+        outliers=sum(row.outlier is True for row in judged),
+        outliers_paper=sum(row.outlier_paper is True for row in judged),
         n_baseline=n_baseline,
         sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
     )

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from analysis.waves.pulses import parabola_peak
 from analysis.waves.record_reduction import FloatArray
 from hardware_drivers.measurement import Waveform
 
+Quality = Literal["good", "suspect", "bad"]
 FIRST_ECHO_FRACTION = 0.5
 """The first maximum of the envelope above this part of the gate's largest is the first echo; each later
 echo has lost more energy, and the front wall's is far smaller."""
@@ -107,7 +109,7 @@ class TravelTime:
     travel_time_sd_s: float
     amplitude_ratio: float
     correlation_coefficient: float
-    quality: str
+    quality: Quality
     reason: str
 
 
@@ -392,7 +394,7 @@ def _centred(waveform: Waveform) -> FloatArray:
     return np.asarray(volts - np.median(volts), dtype=np.float64)
 
 
-def _quality(coefficient: float, slipped: bool) -> tuple[str, str]:
+def _quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"
     reasons = []

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.fft import irfft, rfft
@@ -38,6 +39,8 @@ from analysis.waves.record_reduction import (
     reduce_record,
 )
 from hardware_drivers.measurement import Waveform
+
+Quality = Literal["good", "suspect", "bad"]
 
 EXTRACTOR_VERSION = "1.1"
 """Changes whenever any feature of any record would."""
@@ -105,7 +108,7 @@ class ShotFeatures:
     noise_rms_v: float = math.nan
     flags: tuple[str, ...] = ()
     valid: bool = True
-    quality: str = "good"
+    quality: Quality = "good"
 
     def values(self) -> dict[str, float]:
         """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
@@ -138,7 +141,7 @@ class SetFeatures:
     sd: dict[str, float]
     n_shots: int
     n_valid: int
-    quality: str
+    quality: Quality
     reason: str
 
     def vector(self) -> FloatArray:

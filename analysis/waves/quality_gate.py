@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from analysis.errors import InvalidInputError
 from analysis.waves.features import FLAGS
@@ -16,7 +17,8 @@ from analysis.waves.features import FLAGS
 RESTRIKE_FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "noisy")
 """Flags of a shot that a repetition may cure; a merged reflection or a drifting baseline it would not."""
 
-ACCEPTED, SUPERSEDED = "accepted", "superseded"
+ACCEPTED: Final = "accepted"
+SUPERSEDED: Final = "superseded"
 _RANK = {"bad": 0, "suspect": 1, "good": 2}
 
 

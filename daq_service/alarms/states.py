@@ -1,4 +1,4 @@
-"""Alarm states after ISA-18.2 as pure functions over plain rows; the caller stores the rows.
+"""Alarm states after ISA-18.2 as pure functions over rows; the caller stores the rows.
 
 ::
 
@@ -17,12 +17,13 @@ Severity is kept at the highest reached until the alarm is acknowledged.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-State = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity
+
 ACTIVE_STATES = ("unacknowledged", "acknowledged", "returned_unacknowledged")
-SEVERITIES = ("low", "medium", "high", "critical")
+SEVERITIES: tuple[Severity, ...] = ("low", "medium", "high", "critical")
 RETIRING = ("hole", "retired")
 """Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
 
@@ -33,8 +34,8 @@ class Condition:
 
     position: str | None
     kind: str
-    family: Literal["damage", "device"]
-    severity: Literal["low", "medium", "high", "critical"]
+    family: Family
+    severity: Severity
     present: bool
     message: str
     latched: bool = False
@@ -45,7 +46,7 @@ class Condition:
 class Change:
     """A row to store, and the event that tells of it."""
 
-    row: dict[str, Any]
+    row: AlarmRow
     event_kind: str
 
 
@@ -58,7 +59,7 @@ class Moment:
     set_index: int | None
 
 
-def retired_positions(alarms: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+def retired_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
     """Transducers that strike no more, and the alarm's message that says why.
 
     Parameters
@@ -67,13 +68,13 @@ def retired_positions(alarms: Iterable[Mapping[str, Any]]) -> dict[str, str]:
         Rows; those that are back to normal retire nobody.
     """
     return {
-        row["position"]: str(row["message"])
+        row.position: row.message
         for row in alarms
-        if row["position"] is not None and row["kind"] in RETIRING and row["state"] != "normal"
+        if row.position is not None and row.kind in RETIRING and row.state != "normal"
     }
 
 
-def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) -> Change | None:
+def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
     """Carry an alarm over one assessment; None where nothing changes.
 
     Parameters
@@ -82,15 +83,14 @@ def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) 
         The latest alarm of this position and kind, or None. A closed one (state normal) stays in
         the history: its next appearance is a new alarm with a new row.
     """
-    state: State = row["state"] if row is not None else "normal"
-    if condition.present and (row is None or state == "normal"):
+    if condition.present and (row is None or row.state == "normal"):
         return Change(row=_new_row(condition, moment), event_kind="alarm_raised")
     if row is None:
         return None
     if condition.present:
-        if state == "returned_unacknowledged":
+        if row.state == "returned_unacknowledged":
             return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None)
-        if SEVERITIES.index(condition.severity) > SEVERITIES.index(row["severity"]):
+        if SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity):
             return _to(
                 row,
                 "unacknowledged",
@@ -102,14 +102,14 @@ def update(row: Mapping[str, Any] | None, condition: Condition, moment: Moment) 
         return None
     if condition.latched:
         return None
-    if state == "unacknowledged":
+    if row.state == "unacknowledged":
         return _to(row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
-    if state == "acknowledged":
+    if row.state == "acknowledged":
         return _to(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
     return None
 
 
-def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Change:
+def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """Note that an operator has seen the alarm.
 
     Raises
@@ -117,12 +117,12 @@ def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) 
     ValueError
         The alarm is not waiting for an acknowledgement.
     """
-    following: dict[str, State] = {"unacknowledged": "acknowledged", "returned_unacknowledged": "normal"}
-    if row["state"] not in following:
-        raise ValueError(f"alarm {row['id']} is {row['state']}: there is nothing to acknowledge")
+    following: dict[str, AlarmState] = {"unacknowledged": "acknowledged", "returned_unacknowledged": "normal"}
+    if row.state not in following:
+        raise ValueError(f"alarm {row.id} is {row.state}: there is nothing to acknowledge")
     return _to(
         row,
-        following[row["state"]],
+        following[row.state],
         moment,
         "alarm_acknowledged",
         acknowledged_utc_ns=moment.utc_ns,
@@ -131,7 +131,7 @@ def acknowledge(row: Mapping[str, Any], author: str, note: str, moment: Moment) 
     )
 
 
-def reset(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Change:
+def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """End a latched alarm by a person's word: what it stood for was put right.
 
     Raises
@@ -139,41 +139,37 @@ def reset(row: Mapping[str, Any], author: str, note: str, moment: Moment) -> Cha
     ValueError
         The alarm has ended already.
     """
-    if row["state"] == "normal":
-        raise ValueError(f"alarm {row['id']} has ended already: there is nothing to reset")
+    if row.state == "normal":
+        raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
     return _to(
         row,
         "normal",
         moment,
         "alarm_reset",
         cleared_utc_ns=moment.utc_ns,
-        acknowledged_utc_ns=row["acknowledged_utc_ns"] or moment.utc_ns,
-        acknowledged_by=row["acknowledged_by"] or author,
-        note=note or row["note"],
+        acknowledged_utc_ns=row.acknowledged_utc_ns or moment.utc_ns,
+        acknowledged_by=row.acknowledged_by or author,
+        note=note or row.note,
     )
 
 
-def _new_row(condition: Condition, moment: Moment) -> dict[str, Any]:
-    return {
-        "position": condition.position,
-        "kind": condition.kind,
-        "family": condition.family,
-        "severity": condition.severity,
-        "state": "unacknowledged",
-        "raised_utc_ns": moment.utc_ns,
-        "raised_h": moment.due_h,
-        "raised_set_index": moment.set_index,
-        "changed_utc_ns": moment.utc_ns,
-        "cleared_utc_ns": None,
-        "acknowledged_utc_ns": None,
-        "acknowledged_by": None,
-        "note": None,
-        "message": condition.message,
-        "proof": dict(condition.proof),
-    }
+def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
+    return AlarmRow(
+        position=condition.position,
+        kind=condition.kind,
+        family=condition.family,
+        severity=condition.severity,
+        state="unacknowledged",
+        raised_utc_ns=moment.utc_ns,
+        raised_h=moment.due_h,
+        raised_set_index=moment.set_index,
+        changed_utc_ns=moment.utc_ns,
+        message=condition.message,
+        proof=dict(condition.proof),
+    )
 
 
-def _to(row: Mapping[str, Any], state: State, moment: Moment, event_kind: str, **values: Any) -> Change:
+def _to(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:
     return Change(
-        row={**row, **values, "state": state, "changed_utc_ns": moment.utc_ns}, event_kind=event_kind
+        row=replace(row, **changed, state=state, changed_utc_ns=moment.utc_ns), event_kind=event_kind
     )

@@ -1,34 +1,87 @@
-"""Questions to the catalogue; every answer is rows whose values are ready for JSON."""
+"""Questions to the catalogue; every answer is rows (`catalogue.rows`) whose values are ready for JSON."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, case, func, insert, select
 
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError, OtherExperimentError
-from daq_service.catalogue.tables import (
-    alarms,
-    baselines,
-    commands,
-    environment,
-    events,
-    experiment,
-    features,
-    sets,
-    shots,
-    thickness,
-    verdicts,
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    CommandRow,
+    EnvironmentRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
 )
+from daq_service.catalogue.tables import alarms, commands, events, sets, shots, table_of
 
-Row = dict[str, Any]
+R = TypeVar("R", bound=Row)
+OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, VerdictRow)
 Scope = Literal["set", "shot"]
+
+
+class Filters(TypedDict, total=False):
+    """Which rows of a table are meant; what is left out or None excludes nothing.
+
+    ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
+    single shots. ``first_h <= due_h <= last_h``, ``since_utc_ns <= due_utc_ns < until_utc_ns``.
+    """
+
+    position: str | None
+    set_index: int | None
+    state: str | None
+    scope: Scope | None
+    active: bool | None
+    topics: Collection[str] | None
+    first_h: float | None
+    last_h: float | None
+    since_utc_ns: int | None
+    until_utc_ns: int | None
+    after_id: int | None
+
+
+_CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
+    "position": lambda table, name: table.c.position == name,
+    "set_index": lambda table, index: table.c.set_index == index,
+    "state": lambda table, state: table.c.state == state,
+    "scope": lambda table, scope: (
+        table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
+    ),
+    "active": lambda table, active: table.c.state != "normal" if active else table.c.state == "normal",
+    "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
+    "first_h": lambda table, hour: table.c.due_h >= hour,
+    "last_h": lambda table, hour: table.c.due_h <= hour,
+    "since_utc_ns": lambda table, utc_ns: table.c.due_utc_ns >= utc_ns,
+    "until_utc_ns": lambda table, utc_ns: table.c.due_utc_ns < utc_ns,
+    "after_id": lambda table, row_id: table.c.id > row_id,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LastWord:
+    """Newest rows of a position; ``last_feature`` is of a set."""
+
+    position: str
+    method: str
+    last_set: SetRow | None = None
+    last_feature: FeatureRow | None = None
+    last_verdict: VerdictRow | None = None
+    last_thickness: ThicknessRow | None = None
+    active_alarms: Sequence[AlarmRow] = ()
 
 
 class Catalogue:
@@ -62,17 +115,48 @@ class Catalogue:
         with translated(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
-    def _rows(self, statement: Select[Any]) -> list[Row]:
-        with self._reading() as connection:
-            return _as_dicts(connection, statement)
+    # Rows of every kind
 
-    def _row(self, statement: Select[Any]) -> Row | None:
-        rows = self._rows(statement.limit(1))
+    def rows(self, kind: type[R], *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
+        """Rows of a table in the order in which they were stored."""
+        return self._rows(kind, _chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
+
+    def columns(
+        self, kind: type[Row], names: Sequence[str], *, limit: int | None = None, **filters: Unpack[Filters]
+    ) -> dict[str, list[Any]]:
+        """Rows by column: name to the values of all rows in order.
+
+        Raises
+        ------
+        CatalogueError
+            A name is no column of the table.
+        """
+        table = table_of(kind)
+        if unknown := set(names) - set(table.columns.keys()):
+            raise CatalogueError(
+                f"{sorted(unknown)} are no columns of {table.name!r}; it has {sorted(table.columns.keys())}"
+            )
+        if not names:
+            return {}
+        statement = _chosen(select(*(table.c[name] for name in names)), table, filters).limit(limit)
+        with self._reading() as connection:
+            found = connection.execute(statement).all()
+        return {name: [row[k] for row in found] for k, name in enumerate(names)}
+
+    def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
+        with self._reading() as connection:
+            return _made(connection, kind, statement)
+
+    def _newest_row(self, kind: type[R], condition: ColumnElement[bool] | None = None) -> R | None:
+        """Return the last stored row, of those that meet a condition; None where there is none."""
+        table = table_of(kind)
+        statement = select(table).order_by(table.c.id.desc()).limit(1)
+        rows = self._rows(kind, statement if condition is None else statement.where(condition))
         return rows[0] if rows else None
 
     # The experiment as a whole
 
-    def experiment_row(self) -> Row:
+    def experiment_row(self) -> ExperimentRow:
         """Name, configuration and its hash, epoch, clock.
 
         Raises
@@ -80,7 +164,7 @@ class Catalogue:
         NoDataYetError
             The experiment has not begun.
         """
-        row = self._row(select(experiment))
+        row = self._newest_row(ExperimentRow)
         if row is None:
             raise NoDataYetError(
                 f"{self._path}: the experiment has not begun; start `solimon record` or wait for it"
@@ -95,11 +179,11 @@ class Catalogue:
         OtherExperimentError
             The folder belongs to another configuration.
         """
-        row = self._row(select(experiment.c.configuration_hash, experiment.c.name))
-        if row is not None and row["configuration_hash"] != configuration_hash:
+        row = self._newest_row(ExperimentRow)
+        if row is not None and row.configuration_hash != configuration_hash:
             raise OtherExperimentError(
-                f"{self._path.parent} belongs to the experiment {row['name']!r} with configuration "
-                f"{row['configuration_hash']}, not to configuration {configuration_hash}; go on with the "
+                f"{self._path.parent} belongs to the experiment {row.name!r} with configuration "
+                f"{row.configuration_hash}, not to configuration {configuration_hash}; go on with the "
                 "configuration that began it, or choose another folder with --data-dir"
             )
 
@@ -156,253 +240,64 @@ class Catalogue:
             "active_alarms": n_alarms,
         }
 
-    def positions_state(self) -> dict[str, Row]:
-        """Last word on each position.
-
-        Returns
-        -------
-        dict
-            Position to ``method``, ``last_set``, ``last_feature`` (of a set), ``last_verdict``,
-            ``last_thickness`` (rows, or None where there is none) and ``active_alarms`` (rows).
-        """
-        of_a_set = features.c.shot_index.is_(None)
+    def positions_state(self) -> dict[str, LastWord]:
+        """Last word on each position that has a row in ``sets``."""
         with self._reading() as connection:
-            last_sets = _newest(connection, sets)
-            last_features = _newest(connection, features, of_a_set)
-            last_verdicts = _newest(connection, verdicts)
-            last_thicknesses = _newest(connection, thickness)
-            active = _as_dicts(
-                connection, select(alarms).where(alarms.c.state != "normal").order_by(alarms.c.id)
-            )
+            last_sets = _newest(connection, SetRow)
+            last_features = _newest(connection, FeatureRow, "set")
+            last_verdicts = _newest(connection, VerdictRow)
+            last_thicknesses = _newest(connection, ThicknessRow)
+            active = _made(connection, AlarmRow, _chosen(select(alarms), alarms, {"active": True}))
         return {
-            position: {
-                "position": position,
-                "method": row["method"],
-                "last_set": row,
-                "last_feature": last_features.get(position),
-                "last_verdict": last_verdicts.get(position),
-                "last_thickness": last_thicknesses.get(position),
-                "active_alarms": [alarm for alarm in active if alarm["position"] == position],
-            }
+            position: LastWord(
+                position=position,
+                method=row.method,
+                last_set=row,
+                last_feature=last_features.get(position),
+                last_verdict=last_verdicts.get(position),
+                last_thickness=last_thicknesses.get(position),
+                active_alarms=[alarm for alarm in active if alarm.position == position],
+            )
             for position, row in sorted(last_sets.items())
         }
 
-    # Measurements
-
-    def list_sets(
-        self,
-        position: str | None = None,
-        state: str | None = None,
-        after_id: int = 0,
-        limit: int | None = 100,
-        since_utc_ns: int | None = None,
-        until_utc_ns: int | None = None,
-    ) -> list[Row]:
-        """List sets in the order in which they were stored; ``since <= due < until``."""
-        statement = select(sets).where(sets.c.id > after_id).order_by(sets.c.id).limit(limit)
-        statement = _where_equal(statement, sets, position=position, state=state)
-        if since_utc_ns is not None:
-            statement = statement.where(sets.c.due_utc_ns >= since_utc_ns)
-        if until_utc_ns is not None:
-            statement = statement.where(sets.c.due_utc_ns < until_utc_ns)
-        return self._rows(statement)
-
-    def list_shots(self, position: str, set_index: int) -> list[Row]:
-        """List the stored shots of a set in the order in which they were taken."""
-        statement = _where_equal(select(shots), shots, position=position, set_index=set_index)
-        return self._rows(statement.order_by(shots.c.sequence))
-
-    def list_environment(
-        self,
-        after_id: int = 0,
-        limit: int | None = None,
-        first_h: float | None = None,
-        last_h: float | None = None,
-    ) -> list[Row]:
-        """List what supply and climate probe said, a row a set; ``first_h <= due_h <= last_h``."""
-        statement = select(environment).where(environment.c.id > after_id).order_by(environment.c.id)
-        if first_h is not None:
-            statement = statement.where(environment.c.due_h >= first_h)
-        if last_h is not None:
-            statement = statement.where(environment.c.due_h <= last_h)
-        return self._rows(statement.limit(limit))
-
-    def last_environment(self) -> Row | None:
+    def last_environment(self) -> EnvironmentRow | None:
         """Return the newest row of the environment, None where there is none."""
-        rows = self._rows(select(environment).order_by(environment.c.id.desc()).limit(1))
-        return rows[0] if rows else None
+        return self._newest_row(EnvironmentRow)
 
-    def list_features(
-        self,
-        position: str | None = None,
-        scope: Scope = "set",
-        first_h: float | None = None,
-        last_h: float | None = None,
-        after_id: int = 0,
-        limit: int | None = None,
-        set_index: int | None = None,
-    ) -> list[Row]:
-        """Features of sets, or of single shots; ``first_h <= due_h <= last_h``."""
-        statement = select(features).where(_of_scope(scope))
-        return self._rows(_page(statement, features, position, first_h, last_h, after_id, limit, set_index))
-
-    def list_thickness(
-        self,
-        position: str | None = None,
-        first_h: float | None = None,
-        last_h: float | None = None,
-        after_id: int = 0,
-        limit: int | None = None,
-        set_index: int | None = None,
-    ) -> list[Row]:
-        """Pulse-echo results."""
-        return self._rows(
-            _page(select(thickness), thickness, position, first_h, last_h, after_id, limit, set_index)
-        )
-
-    def list_verdicts(
-        self,
-        position: str | None = None,
-        first_h: float | None = None,
-        last_h: float | None = None,
-        after_id: int = 0,
-        limit: int | None = None,
-        set_index: int | None = None,
-    ) -> list[Row]:
-        """Verdicts."""
-        return self._rows(
-            _page(select(verdicts), verdicts, position, first_h, last_h, after_id, limit, set_index)
-        )
-
-    def feature_columns(
-        self,
-        position: str,
-        names: Sequence[str],
-        *,
-        scope: Scope = "set",
-        first_h: float | None = None,
-        last_h: float | None = None,
-        limit: int | None = None,
-    ) -> dict[str, list[Any]]:
-        """Features by column, for trends: name to the values of all rows in order."""
-        return self._columns(features, position, names, _of_scope(scope), first_h, last_h, limit)
-
-    def thickness_columns(
-        self,
-        position: str,
-        names: Sequence[str],
-        *,
-        first_h: float | None = None,
-        last_h: float | None = None,
-        limit: int | None = None,
-    ) -> dict[str, list[Any]]:
-        """Pulse-echo results by column."""
-        return self._columns(thickness, position, names, None, first_h, last_h, limit)
-
-    def verdict_columns(
-        self,
-        position: str,
-        names: Sequence[str],
-        *,
-        first_h: float | None = None,
-        last_h: float | None = None,
-        limit: int | None = None,
-    ) -> dict[str, list[Any]]:
-        """Verdicts by column."""
-        return self._columns(verdicts, position, names, None, first_h, last_h, limit)
-
-    def _columns(
-        self,
-        table: Table,
-        position: str,
-        names: Sequence[str],
-        condition: ColumnElement[bool] | None,
-        first_h: float | None,
-        last_h: float | None,
-        limit: int | None,
-    ) -> dict[str, list[Any]]:
-        if unknown := set(names) - set(table.columns.keys()):
-            raise CatalogueError(
-                f"{sorted(unknown)} are no columns of {table.name!r}; it has {sorted(table.columns.keys())}"
-            )
-        if not names:
-            return {}
-        statement = select(*(table.c[name] for name in names))
-        if condition is not None:
-            statement = statement.where(condition)
-        statement = _page(statement, table, position, first_h, last_h, 0, limit, None)
-        with self._reading() as connection:
-            rows = connection.execute(statement).all()
-        return {name: [row[k] for row in rows] for k, name in enumerate(names)}
-
-    # Judgement
-
-    def baseline(self, position: str) -> Row | None:
+    def baseline(self, position: str) -> BaselineRow | None:
         """Newest baseline of a position."""
-        return self._row(
-            select(baselines).where(baselines.c.position == position).order_by(baselines.c.id.desc())
-        )
+        return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
 
-    def list_baselines(self, position: str | None = None) -> list[Row]:
-        """Every baseline ever frozen, oldest first."""
-        return self._rows(
-            _where_equal(select(baselines), baselines, position=position).order_by(baselines.c.id)
-        )
-
-    def list_alarms(
-        self,
-        position: str | None = None,
-        active: bool | None = None,
-        after_id: int = 0,
-        limit: int | None = None,
-    ) -> list[Row]:
-        """Alarms in the order they were raised; ``active`` False: those back to normal, True: the others."""
-        statement = select(alarms).where(alarms.c.id > after_id).order_by(alarms.c.id).limit(limit)
-        statement = _where_equal(statement, alarms, position=position)
-        if active is not None:
-            statement = statement.where(
-                (alarms.c.state != "normal") if active else (alarms.c.state == "normal")
-            )
-        return self._rows(statement)
-
-    def alarms_of(self, position: str | None) -> dict[str, Row]:
-        """Newest alarm of each kind of a position (None: of the service itself), by kind."""
-        here = alarms.c.position.is_(None) if position is None else alarms.c.position == position
-        return {row["kind"]: row for row in self._rows(select(alarms).where(here).order_by(alarms.c.id))}
-
-    def alarm(self, alarm_id: int) -> Row | None:
+    def alarm(self, alarm_id: int) -> AlarmRow | None:
         """One alarm, None where there is no such id."""
-        return self._row(select(alarms).where(alarms.c.id == alarm_id))
+        return self._newest_row(AlarmRow, alarms.c.id == alarm_id)
 
     # Events and commands
 
     def events_after(
         self, event_id: int, topics: Collection[str] | None = None, limit: int | None = 500
-    ) -> list[Row]:
+    ) -> list[EventRow]:
         """Events behind an id, in order."""
-        statement = select(events).where(events.c.id > event_id).order_by(events.c.id).limit(limit)
-        if topics is not None:
-            statement = statement.where(events.c.topic.in_(sorted(topics)))
-        return self._rows(statement)
+        return self.rows(EventRow, after_id=event_id, topics=topics, limit=limit)
 
-    def last_told(self, *kinds: str) -> Row | None:
+    def last_told(self, *kinds: str) -> EventRow | None:
         """Newest event of the service itself of one of these kinds, None where there is none."""
-        statement = select(events).where(events.c.topic == "service", events.c.kind.in_(kinds))
-        return self._row(statement.order_by(events.c.id.desc()))
+        return self._newest_row(EventRow, (events.c.topic == "service") & events.c.kind.in_(kinds))
 
     def held(self) -> str | None:
         """Who holds the test and why, None while nobody does."""
         told = self.last_told("hold", "release")
-        return None if told is None else told["payload"]["held"] or None
+        return None if told is None else told.payload["held"] or None
 
     def last_event_id(self) -> int:
         """Id of the newest event, 0 before the first."""
         with self._reading() as connection:
             return int(connection.execute(select(func.max(events.c.id))).scalar_one() or 0)
 
-    def command(self, command_id: int) -> Row | None:
+    def command(self, command_id: int) -> CommandRow | None:
         """One command, None where there is no such id."""
-        return self._row(select(commands).where(commands.c.id == command_id))
+        return self._newest_row(CommandRow, commands.c.id == command_id)
 
     def add_command(self, author: str, kind: str, arguments: dict[str, Any]) -> int:
         """Write an operator's order for the recorder and return its id.
@@ -431,57 +326,23 @@ class Catalogue:
         return self._command_engine
 
 
-def _as_dicts(connection: Connection, statement: Select[Any]) -> list[Row]:
-    result = connection.execute(statement)
-    # SQL's quoted names are a kind of str that JSON refuses as a key.
-    names = [str(name) for name in result.keys()]  # noqa: SIM118 not a dict
-    return [dict(zip(names, row, strict=True)) for row in result]
+def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
+    for name, value in filters.items():
+        if value is not None:
+            statement = statement.where(_CONDITIONS[name](table, value))
+    return statement.order_by(*table.primary_key.columns)
 
 
-def _newest(
-    connection: Connection, table: Table, condition: ColumnElement[bool] | None = None
-) -> dict[str, Row]:
+def _made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:
+    return [kind(**dict(zip(kind.__slots__, row, strict=True))) for row in connection.execute(statement)]
+
+
+def _newest(connection: Connection, kind: type[OfSet], scope: Scope | None = None) -> dict[str, OfSet]:
     """Row of the highest set index of each position."""
-    newest = select(table.c.position, func.max(table.c.set_index).label("set_index")).group_by(
-        table.c.position
-    )
-    if condition is not None:
-        newest = newest.where(condition)
-    last = newest.subquery()
+    table, filters = table_of(kind), Filters(scope=scope)
+    newest = select(table.c.position, func.max(table.c.set_index).label("set_index"))
+    last = _chosen(newest, table, filters).order_by(None).group_by(table.c.position).subquery()
     statement = select(table).join(
         last, (table.c.position == last.c.position) & (table.c.set_index == last.c.set_index)
     )
-    if condition is not None:
-        statement = statement.where(condition)
-    return {row["position"]: row for row in _as_dicts(connection, statement)}
-
-
-def _of_scope(scope: Scope) -> ColumnElement[bool]:
-    return features.c.shot_index.is_(None) if scope == "set" else features.c.shot_index.is_not(None)
-
-
-def _where_equal(statement: Select[Any], table: Table, **values: Any) -> Select[Any]:
-    for name, value in values.items():
-        if value is not None:
-            statement = statement.where(table.c[name] == value)
-    return statement
-
-
-def _page(
-    statement: Select[Any],
-    table: Table,
-    position: str | None,
-    first_h: float | None,
-    last_h: float | None,
-    after_id: int,
-    limit: int | None,
-    set_index: int | None,
-) -> Select[Any]:
-    statement = _where_equal(statement, table, position=position, set_index=set_index)
-    if after_id:
-        statement = statement.where(table.c.id > after_id)
-    if first_h is not None:
-        statement = statement.where(table.c.due_h >= first_h)
-    if last_h is not None:
-        statement = statement.where(table.c.due_h <= last_h)
-    return statement.order_by(table.c.id).limit(limit)
+    return {row.position: row for row in _made(connection, kind, _chosen(statement, table, filters))}

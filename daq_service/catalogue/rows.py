@@ -1,43 +1,275 @@
-"""Rows on their way into a table: complete, of SQL's types, and safe for JSON."""
+"""A row of each table as a frozen dataclass: the one definition of the catalogue's columns.
+
+Tables (`tables`), the API's answers (`web.answers.models`) and the payloads of events are made from
+these. Times are integer nanoseconds of UTC, values SI with the unit in the name; None is "not
+available", never zero. An id is None until its row is stored. A text beside a type describes the
+column in the API.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from types import NoneType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-import numpy as np
-from sqlalchemy import JSON, Table
-
-from daq_service.catalogue.errors import CatalogueWriteError
-
-
-def storable(table: Table, rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Rows as they are stored: every column named, NaN and infinities as NULL.
-
-    Raises
-    ------
-    CatalogueWriteError
-        A key is no column of the table.
-    """
-    given = list(rows)
-    keys = set().union(*given) if given else set()
-    columns = {column.name: isinstance(column.type, JSON) for column in table.columns if column.name in keys}
-    if unknown := keys - columns.keys():
-        raise CatalogueWriteError(
-            f"{sorted(unknown)} are no columns of {table.name!r}; it has {sorted(table.columns.keys())}"
-        )
-    # Statements for many rows need the same keys in each.
-    return [
-        {name: row.get(name) if is_json else plain(row.get(name)) for name, is_json in columns.items()}
-        for row in given
-    ]
+Quality = Literal["good", "suspect", "bad"]
+Method = Literal["solitary_wave", "pulse_echo"]
+SetState = Literal["done", "partial", "missed", "retired"]
+Outcome = Literal["accepted", "superseded"]
+LimitName = Literal["f_predictive", "paper_mean_3sd"]
+Family = Literal["damage", "device"]
+Severity = Literal["low", "medium", "high", "critical"]
+AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+CommandState = Literal["pending", "done", "refused"]
+SupplyState = Literal["on", "off", "unknown", "absent"]
+ReadingQuality = Literal["good", "stale", "lost", "absent"]
 
 
-def plain(value: Any) -> Any:
-    """Return a scalar as Python's own type; what is not a finite number becomes None."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+class Row:
+    """Base of all rows."""
+
+    __slots__: tuple[str, ...] = ()  # of a dataclass with slots: the names of its columns, in order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExperimentRow(Row):
+    """Which experiment a folder belongs to; there is one row."""
+
+    id: int = 1
+    name: str
+    configuration_hash: str
+    configuration: dict[str, Any]
+    created_utc_ns: int
+    epoch_utc_ns: int  # hour 0 of the experiment
+    clock: str
+    solimon_version: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetRow(Row):
+    """One planned set of one position; partial: what was taken is stored, missed: nothing was."""
+
+    id: int | None = None
+    set_index: int
+    position: str
+    method: Method
+    due_utc_ns: int
+    due_h: float  # hours since the epoch
+    started_utc_ns: int | None = None
+    ended_utc_ns: int | None = None
+    state: SetState
+    cause: str | None = None  # why it is partial, missed or retired
+    n_planned: int
+    n_taken: int = 0
+    n_valid: int = 0
+    n_missed: Annotated[int, "Strikes that left no record"] = 0
+    n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
+    file: str | None = None  # relative to the data folder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShotRow(Row):
+    """One stored shot; a pulse-echo record is a shot too."""
+
+    sequence: int
+    set_index: int
+    position: str
+    shot_index: int
+    attempt: int
+    utc_ns: int
+    mono_ns: Annotated[int, "Monotonic ns within boot_id"]
+    boot_id: str
+    crc32: int
+    valid: bool
+    flags: list[str]  # clipped, missed, no_psw, noisy, ...
+    outcome: Annotated[Outcome, "`superseded`: a repetition of the same shot counts instead"] = "accepted"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeatureRow(Row):
+    """Solitary-wave features of a shot, or of a set: the mean of its valid shots."""
+
+    id: int | None = None
+    set_index: int
+    position: str
+    shot_index: int | None  # None: the set's feature
+    sequence: int | None
+    due_h: float
+    extractor_version: str
+    quality: Quality
+    n_valid: int
+    # As `analysis.waves.features.ALL_FEATURE_NAMES`: a test compares them.
+    tof_pp_s: float | None = None
+    tof_ac_s: float | None = None
+    amplitude_ratio: float | None = None
+    autocorrelation_coefficient: float | None = None
+    psw_area_v_s: float | None = None
+    tof_mf_s: float | None = None
+    isw_amplitude_v: float | None = None
+    psw_amplitude_v: float | None = None
+    ssw_amplitude_v: float | None = None
+    isw_time_s: float | None = None
+    psw_time_s: float | None = None
+    ssw_time_s: float | None = None
+    isw_fwhm_s: float | None = None
+    psw_isw_area_ratio: float | None = None
+    noise_rms_v: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThicknessRow(Row):
+    """Pulse-echo result of a set."""
+
+    id: int | None = None
+    set_index: int
+    position: str
+    sequence: int | None
+    due_h: float
+    extractor_version: str
+    quality: Quality
+    travel_time_s: float | None = None
+    thickness_m: float | None = None
+    thickness_loss_m: float | None = None
+    correlation_coefficient: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvironmentRow(Row):
+    """What supply and climate probe said around a set; None where nothing was heard."""
+
+    id: int | None = None
+    set_index: int
+    due_h: float
+    supply_state: SupplyState
+    supply_quality: ReadingQuality
+    supply_age_s: Annotated[float | None, "Of the newest reading, when the row was written"] = None
+    supply_tripped: Annotated[str | None, "Why the interlock is open; null: it is closed"] = None
+    voltage_v: Annotated[float | None, "Mean over the readings since the set before"] = None
+    voltage_min_v: float | None = None
+    voltage_max_v: float | None = None
+    current_a: float | None = None
+    current_min_a: float | None = None
+    current_max_a: float | None = None
+    charge_coulomb: Annotated[float | None, "Since hour 0, by measured current only"] = None
+    unknown_s: Annotated[float | None, "Since hour 0: time whose current nobody measured"] = None
+    climate_quality: ReadingQuality
+    climate_age_s: float | None = None
+    temperature_c: float | None = None
+    relative_humidity: Annotated[float | None, "0 to 1"] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaselineRow(Row):
+    """A frozen baseline; it is never updated, a new one gets a new id."""
+
+    id: int | None = None
+    name: str
+    position: str
+    created_utc_ns: int = 0  # when it was stored; 0 until then
+    first_set_index: int
+    last_set_index: int
+    n_sets: int
+    feature_names: list[str]
+    mean: list[float | None]  # (p,)
+    covariance: list[list[float | None]]  # (p, p)
+    limit_f: float | None = None
+    limit_paper: float | None = None
+    limit_reason: str | None = None  # why there is no limit
+    approval: str  # "automatic" or the name of who signed
+    provenance: dict[str, Any]  # set ids, suspects, extractor, versions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerdictRow(Row):
+    """What novelty detection says of a set."""
+
+    id: int | None = None
+    set_index: int
+    position: str
+    due_h: float
+    baseline_id: int | None = None
+    in_baseline: bool
+    distance_squared: float | None = None
+    limit_name: Annotated[LimitName, "The limit that decides"]
+    limit_f: float | None = None
+    limit_paper: float | None = None
+    outlier: bool | None = None  # None: not judged, see reason
+    outlier_paper: bool | None = None
+    reason: str | None = None
+    contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmRow(Row):
+    """One alarm (ISA-18.2 states) with its proof; every change is an event too."""
+
+    id: int | None = None
+    position: str | None  # None: the service itself
+    kind: str  # "wall_change", "hole", "thickness", "no_data", ...
+    family: Family
+    severity: Severity
+    state: AlarmState
+    raised_utc_ns: int
+    raised_h: float
+    raised_set_index: int | None = None
+    changed_utc_ns: int
+    cleared_utc_ns: int | None = None
+    acknowledged_utc_ns: int | None = None
+    acknowledged_by: str | None = None
+    note: str | None = None
+    message: str
+    proof: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EventRow(Row):
+    """One piece of news: its ids are ordered, and never used again."""
+
+    id: int | None = None
+    utc_ns: int  # experiment time
+    wall_utc_ns: int = 0  # when it was written; 0 until then
+    topic: str  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "service"
+    kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
+    position: str | None = None
+    set_index: int | None = None
+    payload: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CommandRow(Row):
+    """An operator's order, and the recorder's answer."""
+
+    id: int
+    wall_utc_ns: int
+    author: str
+    kind: str  # "finish_now", "stop", "hold", "retire", ...
+    arguments: dict[str, Any]
+    state: CommandState
+    result: str | None = None
+    finished_wall_utc_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Column:
+    """A field of a row; ``told`` describes it in the API, None where its name does."""
+
+    name: str
+    type: Any
+    nullable: bool
+    told: str | None
+
+
+def columns_of(kind: type[Row]) -> tuple[Column, ...]:
+    """Columns of a kind of row, in order; the first one is the primary key."""
+    columns = []
+    hints = get_type_hints(kind, include_extras=True)
+    for name in kind.__slots__:
+        hint = hints[name]
+        of_type, told = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
+        columns.append(Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), told=told))
+    return tuple(columns)
+
+
+def values(row: Row) -> dict[str, Any]:
+    """Value of each column by name, in order; what is nested is not copied."""
+    return {name: getattr(row, name) for name in row.__slots__}

@@ -2,60 +2,64 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sqlalchemy import Connection, Table, bindparam, func, insert, select, update
+import numpy as np
+from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueWriteError
-from daq_service.catalogue.reader import Catalogue, Row
-from daq_service.catalogue.rows import storable
-from daq_service.catalogue.tables import (
-    alarms,
-    baselines,
-    commands,
-    environment,
-    events,
-    experiment,
-    features,
-    sets,
-    shots,
-    thickness,
-    verdicts,
+from daq_service.catalogue.reader import Catalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    CommandRow,
+    EnvironmentRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+    values,
 )
+from daq_service.catalogue.tables import alarms, commands, experiment, sets, shots, table_of, verdicts
 
-Rows = Sequence[Mapping[str, Any]]
 
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(slots=True, kw_only=True, eq=False)
 class SetCommit:
-    """Everything one set says, as rows keyed by the names of the columns.
+    """Rows that belong together, such as everything one set says: stored in one commit.
 
     Attributes
     ----------
     alarms
-        A row with an ``id`` changes that alarm, one without raises a new one.
+        A row with an id changes that alarm, one without raises a new one.
     events
-        ``wall_utc_ns`` may be left out: it is the time of the commit. A row may have the key
-        ``alarm_index``, which alarm of ``alarms`` it tells of: ``alarm_id`` is put into its payload.
+        Without ``wall_utc_ns`` an event is dated when it is stored.
+    alarm_of_event
+        Which of ``alarms`` an event tells of, by their numbers here: ``alarm_id`` is put into its payload.
     verdicts
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other verdict is final.
     """
 
-    sets: Rows = ()
-    shots: Rows = ()
-    features: Rows = ()
-    thickness: Rows = ()
-    baselines: Rows = ()
-    verdicts: Rows = ()
-    environment: Rows = ()
-    alarms: Rows = ()
-    events: Rows = ()
+    sets: list[SetRow] = field(default_factory=list)
+    shots: list[ShotRow] = field(default_factory=list)
+    features: list[FeatureRow] = field(default_factory=list)
+    thickness: list[ThicknessRow] = field(default_factory=list)
+    baselines: list[BaselineRow] = field(default_factory=list)
+    verdicts: list[VerdictRow] = field(default_factory=list)
+    environment: list[EnvironmentRow] = field(default_factory=list)
+    alarms: list[AlarmRow] = field(default_factory=list)
+    events: list[EventRow] = field(default_factory=list)
+    alarm_of_event: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,7 +90,7 @@ class RecorderCatalogue(Catalogue):
         epoch_utc_ns: int,
         clock: str,
         solimon_version: str,
-    ) -> Row:
+    ) -> ExperimentRow:
         """Make this folder the experiment's, or find that it is already, and return its row.
 
         Raises
@@ -94,19 +98,18 @@ class RecorderCatalogue(Catalogue):
         OtherExperimentError
             The folder belongs to another configuration.
         """
-        row = {
-            "id": 1,
-            "name": name,
-            "configuration_hash": configuration_hash,
-            "configuration": dict(configuration),
-            "created_utc_ns": time.time_ns(),
-            "epoch_utc_ns": epoch_utc_ns,
-            "clock": clock,
-            "solimon_version": solimon_version,
-        }
+        row = ExperimentRow(
+            name=name,
+            configuration_hash=configuration_hash,
+            configuration=dict(configuration),
+            created_utc_ns=time.time_ns(),
+            epoch_utc_ns=epoch_utc_ns,
+            clock=clock,
+            solimon_version=solimon_version,
+        )
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
-                connection.execute(insert(experiment), storable(experiment, [row]))
+                _insert(connection, [row])
         self.check_owner(configuration_hash)
         return self.experiment_row()
 
@@ -131,15 +134,15 @@ class RecorderCatalogue(Catalogue):
             Nothing was stored.
         """
         with self._writing("storing a set") as connection:
-            _insert(connection, sets, commit.sets)
-            _insert(connection, shots, commit.shots)
-            _insert(connection, features, commit.features)
-            _insert(connection, thickness, commit.thickness)
-            baseline_ids = _insert_for_ids(connection, baselines, commit.baselines)
+            _insert(connection, commit.sets)
+            _insert(connection, commit.shots)
+            _insert(connection, commit.features)
+            _insert(connection, commit.thickness)
+            baseline_ids = _insert_for_ids(connection, commit.baselines)
             _judge(connection, commit.verdicts)
-            _insert(connection, environment, commit.environment)
+            _insert(connection, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
-            event_ids = _insert_for_ids(connection, events, _event_rows(commit.events, alarm_ids))
+            event_ids = _insert_for_ids(connection, _dated_events(commit, alarm_ids))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -153,21 +156,21 @@ class RecorderCatalogue(Catalogue):
         set_index: int | None = None,
     ) -> int:
         """Append one event and return its id."""
-        row = {
-            "utc_ns": utc_ns,
-            "topic": topic,
-            "kind": kind,
-            "position": position,
-            "set_index": set_index,
-            "payload": dict(payload),
-        }
+        row = EventRow(
+            utc_ns=utc_ns,
+            topic=topic,
+            kind=kind,
+            position=position,
+            set_index=set_index,
+            payload=dict(payload),
+        )
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
 
     # Commands
 
-    def pending_commands(self) -> list[Row]:
+    def pending_commands(self) -> list[CommandRow]:
         """Orders that wait for an answer, oldest first."""
-        return self._rows(select(commands).where(commands.c.state == "pending").order_by(commands.c.id))
+        return self.rows(CommandRow, state="pending")
 
     def finish_command(self, command_id: int, state: str, result: str | None = None) -> None:
         """Answer an order: ``state`` is "done" or "refused".
@@ -189,56 +192,72 @@ class RecorderCatalogue(Catalogue):
                 raise CatalogueWriteError(f"{self._path}: there is no pending command {command_id}")
 
 
-def _insert(connection: Connection, table: Table, rows: Rows) -> None:
+def plain(value: Any) -> Any:
+    """Return a scalar as Python's own type; what is not a finite number becomes None."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _storable(rows: Iterable[Row]) -> list[dict[str, Any]]:
+    """Rows as they are stored: NaN and infinities as NULL, without the ids that SQL gives out."""
+    return [
+        {name: plain(value) for name, value in values(row).items() if name != "id" or value is not None}
+        for row in rows
+    ]
+
+
+def _insert(connection: Connection, rows: Sequence[Row]) -> None:
     if rows:
-        connection.execute(insert(table), storable(table, rows))
+        connection.execute(insert(table_of(type(rows[0]))), _storable(rows))
 
 
-def _judge(connection: Connection, rows: Rows) -> None:
+def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
     """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
     new = []
-    for row in storable(verdicts, rows):
+    for row, stored in zip(rows, _storable(rows), strict=True):
         waiting = update(verdicts).where(
-            verdicts.c.position == row["position"],
-            verdicts.c.set_index == row["set_index"],
+            verdicts.c.position == row.position,
+            verdicts.c.set_index == row.set_index,
             verdicts.c.in_baseline,
         )
-        if not (row["in_baseline"] and connection.execute(waiting.values(row)).rowcount):
+        if not (row.in_baseline and connection.execute(waiting.values(stored)).rowcount):
             new.append(row)
-    _insert(connection, verdicts, new)
+    _insert(connection, new)
 
 
-def _insert_for_ids(connection: Connection, table: Table, rows: Rows) -> list[int]:
+def _insert_for_ids(connection: Connection, rows: Sequence[Row]) -> list[int]:
     """Insert rows and return their ids in the same order."""
     if not rows:
         return []
+    table = table_of(type(rows[0]))
     statement = insert(table).returning(table.c.id, sort_by_parameter_order=True)
-    return [int(identity) for identity in connection.execute(statement, storable(table, rows)).scalars()]
+    return [int(identity) for identity in connection.execute(statement, _storable(rows)).scalars()]
 
 
-def _store_alarm(connection: Connection, row: Mapping[str, Any]) -> int:
-    if row.get("id") is None:
-        new = {key: value for key, value in row.items() if key != "id"}
-        return _insert_for_ids(connection, alarms, [new])[0]
-    (values,) = storable(alarms, [row])
-    alarm_id = int(values.pop("id"))
+def _store_alarm(connection: Connection, row: AlarmRow) -> int:
+    if row.id is None:
+        return _insert_for_ids(connection, [row])[0]
+    (stored,) = _storable([row])
+    del stored["id"]
     changed = connection.execute(
-        update(alarms).where(alarms.c.id == bindparam("changed_id")), {**values, "changed_id": alarm_id}
+        update(alarms).where(alarms.c.id == bindparam("changed_id")), {**stored, "changed_id": row.id}
     )
     if changed.rowcount != 1:
-        raise CatalogueWriteError(f"there is no alarm {alarm_id} to change; nothing of the set was stored")
-    return alarm_id
+        raise CatalogueWriteError(f"there is no alarm {row.id} to change; nothing of the set was stored")
+    return row.id
 
 
-def _event_rows(rows: Rows, alarm_ids: Sequence[int]) -> list[Row]:
+def _dated_events(commit: SetCommit, alarm_ids: Sequence[int]) -> list[EventRow]:
     now_ns = time.time_ns()
     complete = []
-    for given in rows:
-        row = {"wall_utc_ns": now_ns, **given}
-        alarm_index = row.pop("alarm_index", None)
-        if alarm_index is not None:
-            row["payload"] = {**row["payload"], "alarm_id": alarm_ids[alarm_index]}
-        complete.append(row)
+    for number, event in enumerate(commit.events):
+        payload = event.payload
+        if number in commit.alarm_of_event:
+            payload = {**payload, "alarm_id": alarm_ids[commit.alarm_of_event[number]]}
+        complete.append(replace(event, wall_utc_ns=event.wall_utc_ns or now_ns, payload=payload))
     return complete
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import click
 from daq_service.acquisition.schedule import plan
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import AlarmRow, EventRow, values
 from daq_service.clock import format_utc, parse_utc
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.heartbeat import overdue_s, read_heartbeat
@@ -151,13 +152,13 @@ def describe_status(folder: Path) -> dict[str, Any]:
     """Read the recorder's state, the counts, and the last word on each position."""
     try:
         with open_catalogue(folder, writer=False) as catalogue:
-            told = [row["kind"] for row in catalogue.events_after(0, {"service"}, limit=None)]
+            told = [row.kind for row in catalogue.rows(EventRow, topics={"service"})]
             return {
                 "recorder": FAREWELLS.get(told[-1] if told else "", _sign_of_life(folder)),
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
-                "positions": catalogue.positions_state(),
-                "alarms": catalogue.list_alarms(active=True),
+                "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
+                "alarms": [values(row) for row in catalogue.rows(AlarmRow, active=True)],
             }
     except NoDataYetError:
         nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    EventRow,
+    FeatureRow,
+    ThicknessRow,
+    VerdictRow,
+)
 from daq_service.catalogue.store import Catalogue
 from daq_service.settings.tree import Settings
 
@@ -39,37 +47,30 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
 
 def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
-    told = [row for row in catalogue.events_after(0, {"service"}, limit=None) if "cost" in row["payload"]]
-    return told[-1]["payload"]["cost"] if told else None
+    told = [row for row in catalogue.rows(EventRow, topics={"service"}) if "cost" in row.payload]
+    return told[-1].payload["cost"] if told else None
 
 
 def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
-    verdicts = catalogue.list_verdicts(position)
-    judged = [row for row in verdicts if not row["in_baseline"] and row["outlier"] is not None]
+    verdicts = catalogue.rows(VerdictRow, position=position)
+    judged = [row for row in verdicts if not row.in_baseline and row.outlier is not None]
+    after = [row for row in judged if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, settings, position)
     limit = None
     if baseline is not None:
-        limit = baseline["limit_f" if settings.novelty.limit == "f_predictive" else "limit_paper"]
+        limit = baseline.limit_f if settings.novelty.limit == "f_predictive" else baseline.limit_paper
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": _fraction(
-            [row for row in judged if row["due_h"] <= SPLIT_H], "outlier"
-        ),
-        "outlier_fraction_after_100_h": _fraction(
-            [row for row in judged if row["due_h"] > SPLIT_H], "outlier"
-        ),
-        "outlier_fraction_after_100_h_paper_limit": _fraction(
-            [row for row in judged if row["due_h"] > SPLIT_H], "outlier_paper"
-        ),
-        "tof_us": None if last is None else last["tof_pp_s"] * 1e6,
-        "amplitude_ratio": None if last is None else last["amplitude_ratio"],
+        "outlier_fraction_before_100_h": _fraction(row.outlier for row in judged if row.due_h <= SPLIT_H),
+        "outlier_fraction_after_100_h": _fraction(row.outlier for row in after),
+        "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_paper for row in after),
+        "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
+        "amplitude_ratio": None if last is None else last.amplitude_ratio,
         "limit": limit,
         "limit_name": settings.novelty.limit,
-        "limit_paper": None if baseline is None else baseline["limit_paper"],
-        "limit_reason": "the baseline is still being recorded"
-        if baseline is None
-        else baseline["limit_reason"],
+        "limit_paper": None if baseline is None else baseline.limit_paper,
+        "limit_reason": "the baseline is still being recorded" if baseline is None else baseline.limit_reason,
         "n_baseline": _baseline_size(catalogue, baseline, position),
         "travel_time_us": None,
         "thickness_mm": None,
@@ -77,7 +78,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
 
 
 def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
-    rows = [row for row in catalogue.list_thickness(position) if row["thickness_m"] is not None]
+    rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
@@ -91,34 +92,38 @@ def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
         "limit_paper": None,
         "limit_reason": None,
         "n_baseline": None,
-        "travel_time_us": None if last is None else last["travel_time_s"] * 1e6,
-        "thickness_mm": None if last is None else last["thickness_m"] * 1e3,
+        "travel_time_us": None if last is None else _scaled(last.travel_time_s, 1e6),
+        "thickness_mm": None if last is None else _scaled(last.thickness_m, 1e3),
     }
 
 
-def _last_good_feature(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any] | None:
-    rows = catalogue.list_features(position, scope="set")
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else value * factor
+
+
+def _last_good_feature(catalogue: Catalogue, settings: Settings, position: str) -> FeatureRow | None:
+    rows = catalogue.rows(FeatureRow, position=position, scope="set")
     good = [
         row
         for row in rows
-        if row["n_valid"] >= settings.baseline.minimum_valid_shots and row["tof_pp_s"] is not None
+        if row.n_valid >= settings.baseline.minimum_valid_shots and row.tof_pp_s is not None
     ]
     return good[-1] if good else None
 
 
-def _baseline_size(catalogue: Catalogue, baseline: dict[str, Any] | None, position: str) -> int:
+def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position: str) -> int:
     if baseline is not None:
-        return int(baseline["n_sets"])
-    return sum(1 for row in catalogue.list_verdicts(position) if row["in_baseline"])
+        return baseline.n_sets
+    return sum(1 for row in catalogue.rows(VerdictRow, position=position) if row.in_baseline)
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
-    hours = [row["raised_h"] for row in catalogue.list_alarms(position=position) if row["family"] == "damage"]
+    hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return min(hours) if hours else None
 
 
-def _fraction(rows: Sequence[dict[str, Any]], column: str) -> float | None:
-    judged = [row[column] for row in rows if row[column] is not None]
+def _fraction(outliers: Iterable[bool | None]) -> float | None:
+    judged = [outlier for outlier in outliers if outlier is not None]
     return sum(judged) / len(judged) if judged else None
 
 

@@ -6,10 +6,9 @@ further apart than three intervals is booked as unknown: nobody measured what fl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
+from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.serial_port.parameters import SupplyParameters
@@ -78,13 +77,13 @@ class DriveState:
 
 
 def restored_state(
-    row: Mapping[str, Any] | None, *, written_utc_ns: int, parameters: SupplyParameters
+    row: EnvironmentRow | None, *, written_utc_ns: int, parameters: SupplyParameters
 ) -> DriveState:
-    """State from the newest row of `summary`, which was written at ``written_utc_ns``."""
-    if row is None or row["supply_state"] == "absent":
+    """State from the newest row of ``environment``, which was written at ``written_utc_ns``."""
+    if row is None or row.supply_state == "absent":
         return DriveState()
-    charge = Charge(coulomb=row["charge_coulomb"] or 0.0, unknown_s=row["unknown_s"] or 0.0)
-    age_s = row["supply_age_s"]
+    charge = Charge(coulomb=row.charge_coulomb or 0.0, unknown_s=row.unknown_s or 0.0)
+    age_s = row.supply_age_s
     booked_utc_ns = None
     if age_s is not None:
         # A silence that was long already is in the row's unknown time up to its writing.
@@ -92,7 +91,7 @@ def restored_state(
         booked_utc_ns = written_utc_ns - round(open_s * NS_PER_S)
     return DriveState(
         charge=charge,
-        tripped=row["supply_tripped"],
-        output_on={"on": True, "off": False}.get(row["supply_state"]),
+        tripped=row.supply_tripped,
+        output_on={"on": True, "off": False}.get(row.supply_state),
         booked_utc_ns=booked_utc_ns,
     )

@@ -11,10 +11,11 @@ switches off as soon as the supply answers again.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol, runtime_checkable
 
+from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
 from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, NS_PER_S, ReadingLog
 from hardware_drivers.errors import ConfigurationError, InstrumentError
@@ -296,7 +297,7 @@ class ElectrochemicalDrive:
 
     # What it says --------------------------------------------------------------------------------
 
-    def output(self) -> Literal["on", "off", "unknown", "absent"]:
+    def output(self) -> SupplyState:
         """Output as last read; unknown as soon as the newest reading is not good."""
         if self._supply is None:
             return "absent"
@@ -357,36 +358,39 @@ class ElectrochemicalDrive:
         self._window.clear()
 
     def summary(self) -> dict[str, float | str | None]:
-        """Columns of the catalogue's ``environment``: means since `begin_window`, totals since hour 0."""
-        now_ns = self._clock.mono_ns()
-        return {**self._supply_summary(now_ns), **self._climate_summary(now_ns)}
+        """Columns of the catalogue's ``environment`` but for what says which set it is (`row`)."""
+        of_the_set = ("id", "set_index", "due_h")
+        return {name: value for name, value in values(self.row(0, 0.0)).items() if name not in of_the_set}
 
-    def _supply_summary(self, now_ns: int) -> dict[str, float | str | None]:
-        log_, absent = self._supply_log, self._supply is None
-        row: dict[str, float | str | None] = {
-            "supply_state": self.output(),
-            "supply_quality": "absent" if absent else log_.quality(now_ns),
-            "supply_age_s": None if absent else log_.age_s(now_ns),
-            "supply_tripped": self._tripped,
-        }
-        for name, unit, values in (
-            ("voltage", "v", [reading.voltage_v for reading in self._window]),
-            ("current", "a", [reading.current_a for reading in self._window]),
-        ):
-            row[f"{name}_{unit}"] = sum(values) / len(values) if values else None
-            row[f"{name}_min_{unit}"] = min(values, default=None)
-            row[f"{name}_max_{unit}"] = max(values, default=None)
+    def row(self, set_index: int, due_h: float) -> EnvironmentRow:
+        """Row of a set in ``environment``: means since `begin_window`, totals since hour 0."""
+        now_ns = self._clock.mono_ns()
+        log_, no_supply, air = self._supply_log, self._supply is None, self._air
+        voltages_v = [reading.voltage_v for reading in self._window]
+        currents_a = [reading.current_a for reading in self._window]
         # A silence that lasts is unknown time already, before a reading ends it.
         open_s = log_.silent_s(now_ns) if self._newest is not None and log_.too_old(now_ns) else 0.0
-        row["charge_coulomb"] = None if absent else self._charge.coulomb
-        row["unknown_s"] = None if absent else self._charge.unknown_s + open_s
-        return row
+        return EnvironmentRow(
+            set_index=set_index,
+            due_h=due_h,
+            supply_state=self.output(),
+            supply_quality="absent" if no_supply else log_.quality(now_ns),
+            supply_age_s=None if no_supply else log_.age_s(now_ns),
+            supply_tripped=self._tripped,
+            voltage_v=_mean(voltages_v),
+            voltage_min_v=min(voltages_v, default=None),
+            voltage_max_v=max(voltages_v, default=None),
+            current_a=_mean(currents_a),
+            current_min_a=min(currents_a, default=None),
+            current_max_a=max(currents_a, default=None),
+            charge_coulomb=None if no_supply else self._charge.coulomb,
+            unknown_s=None if no_supply else self._charge.unknown_s + open_s,
+            climate_quality="absent" if self._climate is None else self._climate_log.quality(now_ns),
+            climate_age_s=None if self._climate is None else self._climate_log.age_s(now_ns),
+            temperature_c=None if air is None else air.temperature_c,
+            relative_humidity=None if air is None else air.relative_humidity,
+        )
 
-    def _climate_summary(self, now_ns: int) -> dict[str, float | str | None]:
-        absent, air = self._climate is None, self._air
-        return {
-            "climate_quality": "absent" if absent else self._climate_log.quality(now_ns),
-            "climate_age_s": None if absent else self._climate_log.age_s(now_ns),
-            "temperature_c": None if air is None else air.temperature_c,
-            "relative_humidity": None if air is None else air.relative_humidity,
-        }
+
+def _mean(numbers: Sequence[float]) -> float | None:
+    return sum(numbers) / len(numbers) if numbers else None

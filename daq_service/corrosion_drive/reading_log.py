@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from daq_service.catalogue.rows import ReadingQuality
 
 NS_PER_S = 1_000_000_000
 LONGEST_GAP_INTERVALS = 3.0
 """Readings further apart than this many intervals are not joined by a straight line."""
-
-Quality = Literal["good", "stale", "lost", "absent"]
 
 
 class ReadingLog:
@@ -50,7 +48,7 @@ class ReadingLog:
         """Whether the newest reading lies further back than an interval may last."""
         return self.silent_s(now_ns) * NS_PER_S > self._longest_ns
 
-    def quality(self, now_ns: int) -> Quality:
+    def quality(self, now_ns: int) -> ReadingQuality:
         """Rate the newest reading.
 
         good: recent; stale: nobody asked for long, or the last answer is missing; lost: no answer for long.

@@ -9,11 +9,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Literal
 
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import AlarmRow, EventRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive
 from daq_service.judgement.transaction import Transaction
@@ -23,14 +23,14 @@ from hardware_drivers.instruments import Rig
 
 log = logging.getLogger(__name__)
 
-SEVERITIES: Mapping[str, Literal["medium", "high", "critical"]] = {
+SEVERITIES: Mapping[str, Severity] = {
     "supply_lost": "high",
     "supply_off_unexpectedly": "medium",
     "supply_limit": "medium",
     "interlock_tripped": "critical",
 }
 
-Alarms = Mapping[tuple[str | None, str], Mapping[str, Any]]
+Alarms = Mapping[tuple[str | None, str], AlarmRow]
 
 
 class DriveWatch:
@@ -98,8 +98,7 @@ class DriveWatch:
 
     def add_row(self, transaction: Transaction, due: DueSet, moment: Moment) -> None:
         """Add a set's row; the means begin anew after it."""
-        row = {"set_index": due.set_index, "due_h": due.due_h, **self._drive.summary()}
-        transaction.add_environment(row, moment)
+        transaction.add_environment(self._drive.row(due.set_index, due.due_h), moment)
         self._drive.begin_window()
 
     # Orders --------------------------------------------------------------------------------------
@@ -169,13 +168,13 @@ def drive_watch(
 def _state_before(settings: Settings, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
     state = DriveState()
-    told = catalogue.events_after(0, {"environment"}, limit=None)
+    told = catalogue.rows(EventRow, topics={"environment"})
     if settings.rig.supply is not None and told:
         state = restored_state(
             catalogue.last_environment(),
-            written_utc_ns=told[-1]["utc_ns"],
+            written_utc_ns=told[-1].utc_ns,
             parameters=settings.rig.supply,
         )
     tripped = alarms.get((None, "interlock_tripped"))
-    standing = tripped is not None and tripped["state"] in ("unacknowledged", "acknowledged")
-    return replace(state, tripped=str(tripped["message"]) if tripped is not None and standing else None)
+    standing = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
+    return replace(state, tripped=tripped.message if tripped is not None and standing else None)

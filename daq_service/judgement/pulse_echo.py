@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import replace
 
 from analysis.errors import AnalysisError
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
@@ -18,6 +18,7 @@ from analysis.ultrasound.thickness import (
 )
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
+from daq_service.catalogue.rows import ThicknessRow
 from daq_service.judgement.solitary_wave import Assessment
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
@@ -38,28 +39,24 @@ class PulseEchoAssessor:
         self._alarm = AlarmState()
         self._reference: EchoReference | None = None
 
-    def restore(self, *, reference: Waveform | None, thickness_rows: Sequence[Mapping[str, Any]]) -> None:
+    def restore(self, *, reference: Waveform | None, thickness_rows: Sequence[ThicknessRow]) -> None:
         """Rebuild the memory: the first good record, and all results in order."""
         self._reference = None if reference is None else self._take_reference(reference)
         self._alarm = AlarmState()
         for row in thickness_rows:
-            self._alarm = next_alarm_state(self._alarm, self._too_thin(row["thickness_loss_m"]), self._rule)
+            self._alarm = next_alarm_state(self._alarm, self._too_thin(row.thickness_loss_m), self._rule)
 
     def assess(self, due: DueSet, echo: PulseEchoRecord) -> Assessment:
         """Thickness of one record."""
         settings = self._settings.ultrasound
-        row: dict[str, Any] = {
-            "set_index": due.set_index,
-            "position": self.position,
-            "sequence": echo.sequence,
-            "due_h": due.due_h,
-            "extractor_version": EXTRACTOR_VERSION,
-            "quality": "bad",
-            "travel_time_s": None,
-            "thickness_m": None,
-            "thickness_loss_m": None,
-            "correlation_coefficient": None,
-        }
+        row = ThicknessRow(
+            set_index=due.set_index,
+            position=self.position,
+            sequence=echo.sequence,
+            due_h=due.due_h,
+            extractor_version=EXTRACTOR_VERSION,
+            quality="bad",
+        )
         reason = ""
         interval: ThicknessInterval | None = None
         try:
@@ -80,7 +77,8 @@ class PulseEchoAssessor:
             reason = str(error)
         else:
             reason = found.reason
-            row.update(
+            row = replace(
+                row,
                 quality=found.quality,
                 travel_time_s=_known(found.travel_time_s),
                 thickness_m=_known(wall.thickness_m),
@@ -88,13 +86,13 @@ class PulseEchoAssessor:
                 correlation_coefficient=_known(found.correlation_coefficient),
             )
         flags = _flags(row, echo)
-        if "clipped" in flags and row["quality"] == "good":
+        if "clipped" in flags and row.quality == "good":
             # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
-            row["quality"] = "suspect"
+            row = replace(row, quality="suspect")
             reason = "the record is clipped: lower the gain or take a larger range"
-        usable = row["quality"] != "bad"
+        usable = row.quality != "bad"
         self._alarm = next_alarm_state(
-            self._alarm, self._too_thin(row["thickness_loss_m"]) if usable else None, self._rule
+            self._alarm, self._too_thin(row.thickness_loss_m) if usable else None, self._rule
         )
         return Assessment(
             thickness=[row],
@@ -122,12 +120,10 @@ class PulseEchoAssessor:
             > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
         )
 
-    def _condition(
-        self, due: DueSet, row: Mapping[str, Any], interval: ThicknessInterval | None
-    ) -> Condition:
+    def _condition(self, due: DueSet, row: ThicknessRow, interval: ThicknessInterval | None) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
-        remaining = row["thickness_m"]
+        remaining = row.thickness_m
         read = "" if remaining is None else f" (now {remaining * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
@@ -148,7 +144,7 @@ class PulseEchoAssessor:
                 "interval_m": None if remaining is None or interval is None else _ends(interval),
                 "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
                 "limit_m": (1.0 - fraction) * initial_m,
-                "travel_time_s": row["travel_time_s"],
+                "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,
                 "extractor_version": EXTRACTOR_VERSION,
@@ -166,7 +162,7 @@ def _ends(interval: ThicknessInterval) -> list[float]:
     return [interval.low_m, interval.high_m]
 
 
-def _flags(row: Mapping[str, Any], echo: PulseEchoRecord) -> tuple[str, ...]:
+def _flags(row: ThicknessRow, echo: PulseEchoRecord) -> tuple[str, ...]:
     """Return the flags of an echo; in a mean of records, clipping shows only in what the instrument says."""
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
-    return (("no_echo",) if row["quality"] == "bad" else ()) + (("clipped",) if clipped else ())
+    return (("no_echo",) if row.quality == "bad" else ()) + (("clipped",) if clipped else ())

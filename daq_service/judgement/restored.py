@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import EventRow, FeatureRow, SetRow, ShotRow, ThicknessRow, VerdictRow
 from daq_service.judgement.pulse_echo import PulseEchoAssessor
 from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
 from daq_service.settings.tree import Settings
 
-Row = dict[str, Any]
 Assessor = SolitaryWaveAssessor | PulseEchoAssessor
 
 
@@ -36,8 +35,8 @@ def restored_assessors(
             )
             sets = _sets_since_reinstated(position, catalogue)
             assessor.restore(
-                set_features=catalogue.list_features(position, scope="set"),
-                verdicts=catalogue.list_verdicts(position),
+                set_features=catalogue.rows(FeatureRow, position=position, scope="set"),
+                verdicts=catalogue.rows(VerdictRow, position=position),
                 baseline=catalogue.baseline(position),
                 flags_by_set=_last_flags(position, settings, catalogue, sets),
                 sets=sets,
@@ -46,34 +45,36 @@ def restored_assessors(
     return assessors
 
 
-def _sets_since_reinstated(position: str, catalogue: Catalogue) -> list[Row]:
+def _sets_since_reinstated(position: str, catalogue: Catalogue) -> list[SetRow]:
     """List a position's sets, in order; those that retired it are behind it once it is reinstated."""
-    rows = sorted(catalogue.list_sets(position, limit=None), key=lambda row: int(row["set_index"]))
+    rows = sorted(catalogue.rows(SetRow, position=position), key=lambda row: row.set_index)
     resets = [
-        event["id"]
-        for event in catalogue.events_after(0, {"alarms"}, limit=None)
-        if event["kind"] == "alarm_reset"
-        and event["position"] == position
-        and event["payload"]["kind"] in RETIRING
+        event.id
+        for event in catalogue.rows(EventRow, topics={"alarms"})
+        if event.kind == "alarm_reset" and event.position == position and event.payload["kind"] in RETIRING
     ]
     if not resets:
         return rows
     # By the order of commits: a set may be taken long after it was due.
     since = {
-        event["set_index"]
-        for event in catalogue.events_after(resets[-1], {"sets"}, limit=None)
-        if event["position"] == position
+        event.set_index
+        for event in catalogue.rows(EventRow, after_id=resets[-1], topics={"sets"})
+        if event.position == position
     }
-    return [row for row in rows if row["set_index"] in since]
+    return [row for row in rows if row.set_index in since]
 
 
 def _last_flags(
-    position: str, settings: Settings, catalogue: Catalogue, sets: Sequence[Row]
+    position: str, settings: Settings, catalogue: Catalogue, sets: Sequence[SetRow]
 ) -> list[list[list[str]]]:
     """List the flags of each accepted shot of the sets that the hole rule still looks at."""
-    recent = [row["set_index"] for row in sets if row["n_taken"]][-settings.alarms.hole_sets :]
+    recent = [row.set_index for row in sets if row.n_taken][-settings.alarms.hole_sets :]
     return [
-        [shot["flags"] for shot in catalogue.list_shots(position, index) if shot["outcome"] == ACCEPTED]
+        [
+            shot.flags
+            for shot in catalogue.rows(ShotRow, position=position, set_index=index)
+            if shot.outcome == ACCEPTED
+        ]
         for index in recent
     ]
 
@@ -82,14 +83,12 @@ def _pulse_echo(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader
 ) -> PulseEchoAssessor:
     assessor = PulseEchoAssessor(position, settings)
-    rows = catalogue.list_thickness(position)
-    read = [row for row in rows if row["travel_time_s"] is not None]
+    rows = catalogue.rows(ThicknessRow, position=position)
+    read = [row for row in rows if row.travel_time_s is not None]
     reference = None
     if read:
-        first = read[0]["set_index"]
-        (file,) = [
-            row["file"] for row in catalogue.list_sets(position, limit=None) if row["set_index"] == first
-        ]
-        reference = archive.read_waveform(SetReference(file), position, 0)
+        (its_set,) = catalogue.rows(SetRow, position=position, set_index=read[0].set_index)
+        assert its_set.file is not None, "its record was read"
+        reference = archive.read_waveform(SetReference(its_set.file), position, 0)
     assessor.restore(reference=reference, thickness_rows=rows)
     return assessor

@@ -28,7 +28,6 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import (
-    ALL_FEATURE_NAMES,
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
     SetFeatures,
@@ -39,6 +38,7 @@ from analysis.waves.features import (
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
+from daq_service.catalogue.rows import BaselineRow, FeatureRow, SetRow, ThicknessRow, VerdictRow, values
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
 
@@ -61,10 +61,10 @@ class Assessment:
         What the reader of the result should know, empty if nothing.
     """
 
-    features: Sequence[dict[str, Any]] = ()
-    thickness: Sequence[dict[str, Any]] = ()
-    baseline: dict[str, Any] | None = None
-    verdicts: Sequence[dict[str, Any]] = ()
+    features: Sequence[FeatureRow] = ()
+    thickness: Sequence[ThicknessRow] = ()
+    baseline: BaselineRow | None = None
+    verdicts: Sequence[VerdictRow] = ()
     conditions: Sequence[Condition] = ()
     n_valid: int = 0
     shot_flags: Mapping[int, Sequence[str]] = field(default_factory=dict)
@@ -124,11 +124,11 @@ class SolitaryWaveAssessor:
     def restore(
         self,
         *,
-        set_features: Sequence[Mapping[str, Any]],
-        verdicts: Sequence[Mapping[str, Any]],
-        baseline: Mapping[str, Any] | None,
+        set_features: Sequence[FeatureRow],
+        verdicts: Sequence[VerdictRow],
+        baseline: BaselineRow | None,
         flags_by_set: Sequence[Sequence[Sequence[str]]],
-        sets: Sequence[Mapping[str, Any]] = (),
+        sets: Sequence[SetRow] = (),
     ) -> None:
         """Rebuild the memory from catalogue rows, all in the order of sets.
 
@@ -142,18 +142,18 @@ class SolitaryWaveAssessor:
         """
         memory = _Memory()
         for row in set_features:
-            if row["set_index"] <= self._last_baseline_set:
-                self._remember_healthy(memory, int(row["set_index"]), row["due_h"], row["quality"], row)
+            if row.set_index <= self._last_baseline_set:
+                self._remember_healthy(memory, row.set_index, row.due_h, row.quality, values(row))
         if baseline is not None:
-            self._freeze(memory, str(baseline["name"]))
-        for row in verdicts:
-            if not row["in_baseline"]:
-                memory.alarm = next_alarm_state(memory.alarm, row["outlier"], self._alarm_rule)
+            self._freeze(memory, baseline.name)
+        for verdict in verdicts:
+            if not verdict.in_baseline:
+                memory.alarm = next_alarm_state(memory.alarm, verdict.outlier, self._alarm_rule)
         for flags in flags_by_set:
             memory.hole = next_hole_state(memory.hole, flags, self._hole_rule)
-        for row in sets:
-            n_tried = row["n_taken"] + row["n_missed"] - row["n_restrikes"]
-            memory.poor_sets = self._poor_sets(memory, row["n_valid"], n_tried)
+        for its_set in sets:
+            n_tried = its_set.n_taken + its_set.n_missed - its_set.n_restrikes
+            memory.poor_sets = self._poor_sets(memory, its_set.n_valid, n_tried)
         self._memory = memory
 
     def reinstate(self) -> None:
@@ -222,7 +222,7 @@ class SolitaryWaveAssessor:
             return replace(mean, quality="bad", reason=f"the averaged record is {', '.join(averaged.flags)}")
         return replace(mean, mean=averaged.values())
 
-    def _verdicts(self, due: DueSet, mean: SetFeatures) -> tuple[dict[str, Any] | None, list[dict[str, Any]]]:
+    def _verdicts(self, due: DueSet, mean: SetFeatures) -> tuple[BaselineRow | None, list[VerdictRow]]:
         memory = self._memory
         if due.set_index > self._last_baseline_set and not memory.closed:
             # The last set of the baseline was missed: it ends here all the same.
@@ -271,7 +271,7 @@ class SolitaryWaveAssessor:
             paper=paper_limit(memory.baseline.distances_squared),
         )
 
-    def _close_baseline(self, last: DueSet | None = None) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    def _close_baseline(self, last: DueSet | None = None) -> tuple[BaselineRow, list[VerdictRow]]:
         """Row of the baseline, and the verdict rows of its sets with the distances now known."""
         memory = self._memory
         name = f"{self.position}-baseline-1"
@@ -280,21 +280,21 @@ class SolitaryWaveAssessor:
         fitted = memory.baseline
         indices = [index for index, _, _ in healthy]
         p = len(FEATURE_NAMES)
-        row = {
-            "id": self._baseline_id,
-            "name": name,
-            "position": self.position,
-            "first_set_index": indices[0] if indices else 0,
-            "last_set_index": self._last_baseline_set,
-            "n_sets": len(indices),
-            "feature_names": list(FEATURE_NAMES),
-            "mean": [None] * p if fitted is None else fitted.mean.tolist(),
-            "covariance": [[None] * p] * p if fitted is None else fitted.covariance.tolist(),
-            "limit_f": memory.limits.f_predictive,
-            "limit_paper": memory.limits.paper,
-            "limit_reason": memory.limits.reason,
-            "approval": self._settings.baseline.approval,
-            "provenance": {
+        row = BaselineRow(
+            id=self._baseline_id,
+            name=name,
+            position=self.position,
+            first_set_index=indices[0] if indices else 0,
+            last_set_index=self._last_baseline_set,
+            n_sets=len(indices),
+            feature_names=list(FEATURE_NAMES),
+            mean=[None] * p if fitted is None else fitted.mean.tolist(),
+            covariance=[[None] * p] * p if fitted is None else fitted.covariance.tolist(),
+            limit_f=memory.limits.f_predictive,
+            limit_paper=memory.limits.paper,
+            limit_reason=memory.limits.reason,
+            approval=self._settings.baseline.approval,
+            provenance={
                 "set_indices": indices,
                 "sets_left_out": memory.healthy_refused,
                 "suspects": [] if fitted is None else list(fitted.suspects),
@@ -302,7 +302,7 @@ class SolitaryWaveAssessor:
                 "extractor_version": EXTRACTOR_VERSION,
                 "false_alarm_rate": self._settings.novelty.false_alarm_rate,
             },
-        }
+        )
         distances = [None] * len(healthy) if fitted is None else fitted.distances_squared.tolist()
         rows = [
             self._row(index, due_h, in_baseline=True, distance=distance, reason="part of the baseline")
@@ -319,7 +319,7 @@ class SolitaryWaveAssessor:
             )
         return row, rows
 
-    def _judged(self, due: DueSet, mean: SetFeatures) -> dict[str, Any]:
+    def _judged(self, due: DueSet, mean: SetFeatures) -> VerdictRow:
         memory = self._memory
         if memory.baseline is None:
             return self._row(due.set_index, due.due_h, reason=memory.limits.reason)
@@ -334,7 +334,7 @@ class SolitaryWaveAssessor:
             distance=distance,
             contributions=named_contributions(vector, memory.baseline),
         )
-        memory.alarm = next_alarm_state(memory.alarm, row["outlier"], self._alarm_rule)
+        memory.alarm = next_alarm_state(memory.alarm, row.outlier, self._alarm_rule)
         return row
 
     def _row(
@@ -345,25 +345,25 @@ class SolitaryWaveAssessor:
         in_baseline: bool = False,
         distance: float | None = None,
         reason: str | None = None,
-        contributions: dict[str, float] | None = None,
-    ) -> dict[str, Any]:
+        contributions: Mapping[str, float] | None = None,
+    ) -> VerdictRow:
         memory = self._memory
         name = self._settings.novelty.limit
-        return {
-            "set_index": set_index,
-            "position": self.position,
-            "due_h": due_h,
-            "baseline_id": memory.baseline_id,
-            "in_baseline": in_baseline,
-            "distance_squared": distance,
-            "limit_name": name,
-            "limit_f": memory.limits.f_predictive,
-            "limit_paper": memory.limits.paper,
-            "outlier": None if in_baseline else _beyond(distance, memory.limits.by_name(name)),
-            "outlier_paper": None if in_baseline else _beyond(distance, memory.limits.paper),
-            "reason": reason,
-            "contributions": contributions,
-        }
+        return VerdictRow(
+            set_index=set_index,
+            position=self.position,
+            due_h=due_h,
+            baseline_id=memory.baseline_id,
+            in_baseline=in_baseline,
+            distance_squared=distance,
+            limit_name=name,
+            limit_f=memory.limits.f_predictive,
+            limit_paper=memory.limits.paper,
+            outlier=None if in_baseline else _beyond(distance, memory.limits.by_name(name)),
+            outlier_paper=None if in_baseline else _beyond(distance, memory.limits.paper),
+            reason=reason,
+            contributions=None if contributions is None else dict(contributions),
+        )
 
     def _poor_sets(self, memory: _Memory, n_valid: int, n_tried: int) -> int:
         """Count the sets running with too few valid shots, after one with these numbers."""
@@ -407,7 +407,7 @@ class SolitaryWaveAssessor:
             ),
         ]
 
-    def _wall_condition(self, due: DueSet, verdict: Mapping[str, Any]) -> Condition:
+    def _wall_condition(self, due: DueSet, verdict: VerdictRow) -> Condition:
         state, rule = self._memory.alarm, self._alarm_rule
         limit = self._memory.limits.by_name(self._settings.novelty.limit)
         return Condition(
@@ -427,11 +427,11 @@ class SolitaryWaveAssessor:
                 "formula": FORMULA,
                 "rule": {"k": rule.k, "n": rule.n},
                 "set_index": due.set_index,
-                "distance_squared": verdict["distance_squared"],
-                "limit_name": verdict["limit_name"],
+                "distance_squared": verdict.distance_squared,
+                "limit_name": verdict.limit_name,
                 "limit": limit,
-                "baseline_id": verdict["baseline_id"],
-                "contributions": verdict["contributions"],
+                "baseline_id": verdict.baseline_id,
+                "contributions": verdict.contributions,
                 "extractor_version": EXTRACTOR_VERSION,
             },
         )
@@ -464,29 +464,31 @@ def _beyond(distance: float | None, limit: float | None) -> bool | None:
     return None if distance is None or limit is None else distance > limit
 
 
-def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> dict[str, Any]:
-    return {
-        "set_index": due.set_index,
-        "position": shot.key.position,
-        "shot_index": shot.key.shot_index,
-        "sequence": shot.sequence,
-        "due_h": due.due_h,
-        "extractor_version": EXTRACTOR_VERSION,
-        "quality": found.quality,
-        "n_valid": int(found.valid),
+def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:
+    return FeatureRow(
+        id=None,
+        set_index=due.set_index,
+        position=shot.key.position,
+        shot_index=shot.key.shot_index,
+        sequence=shot.sequence,
+        due_h=due.due_h,
+        extractor_version=EXTRACTOR_VERSION,
+        quality=found.quality,
+        n_valid=int(found.valid),
         **found.values(),
-    }
+    )
 
 
-def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> dict[str, Any]:
-    return {
-        "set_index": due.set_index,
-        "position": position,
-        "shot_index": None,
-        "sequence": None,
-        "due_h": due.due_h,
-        "extractor_version": EXTRACTOR_VERSION,
-        "quality": mean.quality,
-        "n_valid": mean.n_valid,
-        **{name: mean.mean[name] for name in ALL_FEATURE_NAMES},
-    }
+def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
+    return FeatureRow(
+        id=None,
+        set_index=due.set_index,
+        position=position,
+        shot_index=None,
+        sequence=None,
+        due_h=due.due_h,
+        extractor_version=EXTRACTOR_VERSION,
+        quality=mean.quality,
+        n_valid=mean.n_valid,
+        **mean.mean,
+    )

@@ -1,93 +1,48 @@
-"""Catalogue rows of what was taken and what happened, built in one place."""
+"""Catalogue rows of what was taken and what happened, and the events that tell of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any
 
-from analysis.waves.quality_gate import ACCEPTED
-from daq_service.acquisition.schedule import DueSet
+from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import EnvironmentRow, EventRow, Outcome, Row, SetRow, ShotRow, values
 from daq_service.judgement.solitary_wave import Assessment
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 
-def set_row(
-    due: DueSet,
-    position: str,
-    *,
-    method: str,
-    state: str,
-    cause: str | None,
-    n_planned: int,
-    n_taken: int = 0,
-    n_valid: int = 0,
-    n_missed: int = 0,
-    n_restrikes: int = 0,
-    started_utc_ns: int | None = None,
-    ended_utc_ns: int | None = None,
-    file: str | None = None,
-) -> dict[str, Any]:
-    """Row of a planned set at one position: done, partial, missed or retired."""
-    return {
-        "set_index": due.set_index,
-        "position": position,
-        "method": method,
-        "due_utc_ns": due.due_utc_ns,
-        "due_h": due.due_h,
-        "started_utc_ns": started_utc_ns,
-        "ended_utc_ns": ended_utc_ns,
-        "state": state,
-        "cause": cause,
-        "n_planned": n_planned,
-        "n_taken": n_taken,
-        "n_valid": n_valid,
-        "n_missed": n_missed,
-        "n_restrikes": n_restrikes,
-        "file": file,
-    }
-
-
 def shot_row(
-    measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: str = ACCEPTED
-) -> dict[str, Any]:
+    measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
+) -> ShotRow:
     """Row of a stored record."""
-    return {
-        "sequence": measurement.sequence,
-        "set_index": measurement.key.set_index,
-        "position": measurement.key.position,
-        "shot_index": measurement.key.shot_index,
-        "attempt": measurement.key.attempt,
-        "utc_ns": measurement.stamp.utc_ns,
-        "mono_ns": measurement.stamp.mono_ns,
-        "boot_id": measurement.stamp.boot_id,
-        "crc32": waveform_crc32(measurement.waveform),
-        "valid": valid,
-        "flags": list(flags),
-        "outcome": outcome,
-    }
+    return ShotRow(
+        sequence=measurement.sequence,
+        set_index=measurement.key.set_index,
+        position=measurement.key.position,
+        shot_index=measurement.key.shot_index,
+        attempt=measurement.key.attempt,
+        utc_ns=measurement.stamp.utc_ns,
+        mono_ns=measurement.stamp.mono_ns,
+        boot_id=measurement.stamp.boot_id,
+        crc32=waveform_crc32(measurement.waveform),
+        valid=valid,
+        flags=list(flags),
+        outcome=outcome,
+    )
 
 
-class Transaction:
-    """Rows that belong together: stored in one commit, told by its events."""
-
-    def __init__(self) -> None:
-        self.sets: list[dict[str, Any]] = []
-        self.shots: list[dict[str, Any]] = []
-        self.features: list[dict[str, Any]] = []
-        self.thickness: list[dict[str, Any]] = []
-        self.baselines: list[dict[str, Any]] = []
-        self.verdicts: list[dict[str, Any]] = []
-        self.environment: list[dict[str, Any]] = []
-        self.alarms: list[dict[str, Any]] = []
-        self.events: list[dict[str, Any]] = []
+class Transaction(SetCommit):
+    """Rows that belong together, filled with the events that tell of them."""
 
     def add_position(
         self,
-        its_set: dict[str, Any],
+        its_set: SetRow,
         measurements: Sequence[Shot | PulseEchoRecord],
         assessment: Assessment,
         moment: Moment,
@@ -98,29 +53,30 @@ class Transaction:
         for measurement in measurements:
             flags = assessment.shot_flags[measurement.sequence]
             valid = measurement.sequence not in assessment.invalid
-            outcome = outcomes.get(measurement.sequence, ACCEPTED)
+            outcome: Outcome = SUPERSEDED if outcomes.get(measurement.sequence) == SUPERSEDED else ACCEPTED
             self.shots.append(shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
         self.features += assessment.features
         self.thickness += assessment.thickness
         self.verdicts += assessment.verdicts
-        place = {"position": its_set["position"], "set_index": its_set["set_index"]}
-        self._tell("sets", f"set_{its_set['state']}", its_set, moment, **place)
-        for row in assessment.features:
-            if row["shot_index"] is None:
-                self._tell("features", "set_features", row, moment, **place)
-        for row in assessment.thickness:
-            self._tell("thickness", "thickness_read", row, moment, **place)
+        tell = partial(self._tell, moment=moment, position=its_set.position, set_index=its_set.set_index)
+        tell("sets", f"set_{its_set.state}", payload_of(its_set))
+        for feature in assessment.features:
+            if feature.shot_index is None:
+                tell("features", "set_features", payload_of(feature))
+        for thickness in assessment.thickness:
+            tell("thickness", "thickness_read", payload_of(thickness))
         if assessment.baseline is not None:
-            baseline = {**assessment.baseline, "created_utc_ns": moment.utc_ns}
+            baseline = replace(assessment.baseline, created_utc_ns=moment.utc_ns)
             self.baselines.append(baseline)
-            self._tell("verdicts", "baseline_frozen", baseline, moment, **place)
-        for row in assessment.verdicts[-1:]:
-            self._tell("verdicts", "set_judged", row, moment, **place)
+            payload = payload_of(baseline, last="created_utc_ns")
+            tell("verdicts", "baseline_frozen", payload)
+        for verdict in assessment.verdicts[-1:]:
+            tell("verdicts", "set_judged", payload_of(verdict))
 
-    def add_environment(self, row: dict[str, Any], moment: Moment) -> None:
+    def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
         """Add what supply and climate probe said around a set."""
         self.environment.append(row)
-        self._tell("environment", "environment_read", row, moment, set_index=row["set_index"])
+        self._tell("environment", "environment_read", payload_of(row), moment, set_index=row.set_index)
 
     def tell(
         self, kind: str, payload: Mapping[str, Any], moment: Moment, *, position: str | None = None
@@ -130,32 +86,40 @@ class Transaction:
 
     def add_alarm(self, change: Change, moment: Moment) -> None:
         """Add an alarm's change; its event carries the id that the catalogue gives."""
+        self.alarm_of_event[len(self.events)] = len(self.alarms)
         self.alarms.append(change.row)
         self._tell(
             "alarms",
             change.event_kind,
-            change.row,
+            payload_of(change.row, last="id"),
             moment,
-            position=change.row["position"],
+            position=change.row.position,
             set_index=moment.set_index,
-            alarm_index=len(self.alarms) - 1,
         )
 
-    def rows(self) -> SetCommit:
-        """Return the rows in the catalogue's form."""
-        return SetCommit(
-            sets=self.sets,
-            shots=self.shots,
-            features=self.features,
-            thickness=self.thickness,
-            baselines=self.baselines,
-            verdicts=self.verdicts,
-            environment=self.environment,
-            alarms=self.alarms,
-            events=self.events,
-        )
-
-    def _tell(self, topic: str, kind: str, payload: Mapping[str, Any], moment: Moment, **where: Any) -> None:
+    def _tell(
+        self,
+        topic: str,
+        kind: str,
+        payload: Mapping[str, Any],
+        moment: Moment,
+        *,
+        position: str | None = None,
+        set_index: int | None = None,
+    ) -> None:
         self.events.append(
-            {"utc_ns": moment.utc_ns, "topic": topic, "kind": kind, "payload": dict(payload), **where}
+            EventRow(
+                utc_ns=moment.utc_ns,
+                topic=topic,
+                kind=kind,
+                position=position,
+                set_index=set_index,
+                payload=dict(payload),
+            )
         )
+
+
+def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
+    """Row as its event tells it: without an id that is not given out yet, ``last`` behind the others."""
+    told = {name: value for name, value in values(row).items() if name != "id" or value is not None}
+    return {name: told[name] for name in sorted(told, key=last.__eq__)}

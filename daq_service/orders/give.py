@@ -12,11 +12,11 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import click
 
 from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.heartbeat import overdue_s, read_heartbeat
@@ -67,23 +67,23 @@ def give_order(
         row = _answered(catalogue, order_id, within_s)
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
-        click.echo(json.dumps({name: row[name] for name in names}))
-    if row["state"] == "refused":
-        raise UsageError(f"the recorder refused to {kind}: {row['result']}")
-    if row["state"] == "pending":
+        click.echo(json.dumps({name: getattr(row, name) for name in names}))
+    if row.state == "refused":
+        raise UsageError(f"the recorder refused to {kind}: {row.result}")
+    if row.state == "pending":
         raise BusyError(
             f"the recorder has not answered within {within_s:g} s; order {order_id} ({kind}) stays and is "
             "carried out when it looks again: `solimon status` tells what it does"
         )
     if not as_json:
-        click.echo(row["result"])
+        click.echo(row.result)
     return EXIT_OK
 
 
 def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
     beat = read_heartbeat(folder)
     told = catalogue.last_told("recorder_started", "recorder_stopped")
-    stopped = told is not None and told["kind"] == "recorder_stopped"
+    stopped = told is not None and told.kind == "recorder_stopped"
     if beat is None or stopped or overdue_s(beat, mono_ns=time.monotonic_ns()) > 0.0:
         raise BusyError(
             f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
@@ -91,13 +91,13 @@ def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
         )
 
 
-def _answered(catalogue: Catalogue, order_id: int, within_s: float) -> dict[str, Any]:
+def _answered(catalogue: Catalogue, order_id: int, within_s: float) -> CommandRow:
     """Row of the order once it is answered, or as it stands when the time is over."""
     deadline = time.monotonic() + within_s
     while True:
         row = catalogue.command(order_id)
         assert row is not None, "it was just written"
-        if row["state"] != "pending" or time.monotonic() >= deadline:
+        if row.state != "pending" or time.monotonic() >= deadline:
             return row
         time.sleep(LOOK_EVERY_S)
 

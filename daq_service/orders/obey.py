@@ -6,7 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 from daq_service.alarms.states import (
     RETIRING,
@@ -18,6 +18,7 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, CommandRow
 from daq_service.clock import SimulatedClock
 from daq_service.judgement.transaction import Transaction
 from hardware_drivers.instruments import Clock
@@ -40,7 +41,7 @@ ORDERS = (
 )
 
 AlarmKey = tuple[str | None, str]
-Alarms = Mapping[AlarmKey, Mapping[str, Any]]
+Alarms = Mapping[AlarmKey, AlarmRow]
 
 
 class SupplySwitch(Protocol):
@@ -113,16 +114,14 @@ class Operator:
             try:
                 result = self._obey(command, hour)
             except ValueError as error:
-                log.warning("command %d (%s) refused: %s", command["id"], command["kind"], error)
-                self._catalogue.finish_command(command["id"], "refused", str(error))
+                log.warning("command %d (%s) refused: %s", command.id, command.kind, error)
+                self._catalogue.finish_command(command.id, "refused", str(error))
             else:
-                log.info(
-                    "command %d (%s) of %s: %s", command["id"], command["kind"], command["author"], result
-                )
-                self._catalogue.finish_command(command["id"], "done", result)
+                log.info("command %d (%s) of %s: %s", command.id, command.kind, command.author, result)
+                self._catalogue.finish_command(command.id, "done", result)
 
-    def _obey(self, command: Mapping[str, Any], hour: float) -> str:
-        match command["kind"]:
+    def _obey(self, command: CommandRow, hour: float) -> str:
+        match command.kind:
             case "finish_now":
                 if not isinstance(self._clock, SimulatedClock):
                     raise ValueError("the test runs on the wall clock, which cannot skip time")
@@ -147,36 +146,36 @@ class Operator:
             case other:
                 raise ValueError(f"unknown order {other!r}; there are {', '.join(ORDERS)}")
 
-    def _acknowledge(self, command: Mapping[str, Any], hour: float) -> None:
-        wanted = command["arguments"].get("alarm_id")
-        rows = [row for row in self._alarms.values() if row["id"] == wanted]
+    def _acknowledge(self, command: CommandRow, hour: float) -> None:
+        wanted = command.arguments.get("alarm_id")
+        rows = [row for row in self._alarms.values() if row.id == wanted]
         if not rows:
             raise ValueError(f"there is no current alarm {wanted!r}")
         moment, transaction = self._moment(hour), Transaction()
-        transaction.add_alarm(acknowledge(rows[0], command["author"], _note(command), moment), moment)
+        transaction.add_alarm(acknowledge(rows[0], command.author, _note(command), moment), moment)
         self._store(transaction)
 
-    def _hold(self, command: Mapping[str, Any], hour: float) -> str:
+    def _hold(self, command: CommandRow, hour: float) -> str:
         if self._held:
             raise ValueError(f"the test is already on hold: {self._held}")
-        held = f"held by {command['author']}" + (f": {_note(command)}" if _note(command) else "")
+        held = f"held by {command.author}" + (f": {_note(command)}" if _note(command) else "")
         transaction = Transaction()
-        transaction.tell("hold", {"held": held, "author": command["author"]}, self._moment(hour))
+        transaction.tell("hold", {"held": held, "author": command.author}, self._moment(hour))
         self._store(transaction)
         self._held = held
         return "on hold: nothing strikes until the test is released; sets that fall due are missed"
 
-    def _release(self, command: Mapping[str, Any], hour: float) -> str:
+    def _release(self, command: CommandRow, hour: float) -> str:
         if not self._held:
             raise ValueError("the test is not on hold")
         transaction = Transaction()
-        payload = {"held": "", "author": command["author"], "note": _note(command)}
+        payload = {"held": "", "author": command.author, "note": _note(command)}
         transaction.tell("release", payload, self._moment(hour))
         self._store(transaction)
         self._held = ""
         return "released: the next due set is taken"
 
-    def _retire(self, command: Mapping[str, Any], hour: float) -> str:
+    def _retire(self, command: CommandRow, hour: float) -> str:
         position = self._position(command)
         if position in retired_positions(self._alarms.values()):
             raise ValueError(f"{position} is retired already")
@@ -187,8 +186,8 @@ class Operator:
             severity="medium",
             present=True,
             latched=True,
-            message=f"retired by {command['author']}: {_note(command) or 'no reason given'}",
-            proof={"command_id": command["id"]},
+            message=f"retired by {command.author}: {_note(command) or 'no reason given'}",
+            proof={"command_id": command.id},
         )
         moment, transaction = self._moment(hour), Transaction()
         change = update(self._alarms.get((position, "retired")), condition, moment)
@@ -197,37 +196,37 @@ class Operator:
         self._store(transaction)
         return f"{position} strikes no more"
 
-    def _reinstate(self, command: Mapping[str, Any], hour: float) -> str:
+    def _reinstate(self, command: CommandRow, hour: float) -> str:
         position = self._position(command)
         standing = [
             row
             for (place, kind), row in self._alarms.items()
-            if place == position and kind in RETIRING and row["state"] != "normal"
+            if place == position and kind in RETIRING and row.state != "normal"
         ]
         if not standing:
             raise ValueError(f"{position} is not retired")
         moment, transaction = self._moment(hour), Transaction()
         for row in standing:
-            transaction.add_alarm(reset(row, command["author"], _note(command), moment), moment)
+            transaction.add_alarm(reset(row, command.author, _note(command), moment), moment)
         self._store(transaction)
         self._reinstated(position)
         return f"{position} strikes again from the next set"
 
-    def _switch_supply(self, command: Mapping[str, Any], hour: float) -> str:
+    def _switch_supply(self, command: CommandRow, hour: float) -> str:
         if self._supply is None:
             raise ValueError("this test has no supply; configure [rig.supply]")
-        if command["kind"] == "supply_off":
-            return self._supply.supply_off(command["author"], hour)
-        arguments = command["arguments"]
+        if command.kind == "supply_off":
+            return self._supply.supply_off(command.author, hour)
+        arguments = command.arguments
         return self._supply.supply_on(
-            command["author"],
+            command.author,
             hour,
             voltage_v=arguments.get("voltage_v"),
             current_limit_a=arguments.get("current_limit_a"),
         )
 
-    def _position(self, command: Mapping[str, Any]) -> str:
-        position = str(command["arguments"].get("position", ""))
+    def _position(self, command: CommandRow) -> str:
+        position = str(command.arguments.get("position", ""))
         if position not in self._positions:
             names = ", ".join(self._positions) or "none"
             raise ValueError(f"there is no solitary-wave transducer {position!r}; there are: {names}")
@@ -237,5 +236,5 @@ class Operator:
         return Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
 
 
-def _note(command: Mapping[str, Any]) -> str:
-    return str(command["arguments"].get("note", ""))
+def _note(command: CommandRow) -> str:
+    return str(command.arguments.get("note", ""))

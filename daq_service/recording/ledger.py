@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED
@@ -15,10 +14,11 @@ from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Condition, Moment, retired_positions, update
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.corrosion_drive.watch import drive_watch
 from daq_service.judgement.restored import restored_assessors
 from daq_service.judgement.solitary_wave import Assessment, SolitaryWaveAssessor
-from daq_service.judgement.transaction import Transaction, set_row
+from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
@@ -45,7 +45,7 @@ class Ledger:
         self._dry_run = rig.dry_run
         self._cost = cost
         self._assessors = restored_assessors(settings, catalogue, archive)
-        self.alarms = {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
+        self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self.drive = drive_watch(settings, rig, catalogue, self.alarms, self.commit)
 
     def retired(self) -> dict[str, str]:
@@ -72,17 +72,17 @@ class Ledger:
         for position, place in self._settings.positions.items():
             if position not in causes:
                 cause = retired.get(position, "retired")
-                transaction.sets.append(
-                    set_row(due, position, method=place.method, state="retired", cause=cause, n_planned=0)
-                )
+                transaction.sets.append(self._gap_row(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
                 assessment = self._assess(position, due, record, features)
-            row = set_row(
-                due,
-                position,
+            row = SetRow(
+                set_index=due.set_index,
+                position=position,
                 method=place.method,
+                due_utc_ns=due.due_utc_ns,
+                due_h=due.due_h,
                 state="done" if not causes[position] else "partial" if measurements else "missed",
                 cause=causes[position] or None,
                 n_planned=self.n_planned(position),
@@ -136,7 +136,7 @@ class Ledger:
                 # At once: through a hole the solution reaches what it should not, and the current with it.
                 self.drive.trip(condition.message, moment.due_h)
             transaction.add_alarm(change, moment)
-            log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row["message"])
+            log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
     def _commit_set(self, due: DueSet, moment: Moment, transaction: Transaction) -> None:
         """Store a set's rows, with what supply and climate probe said since the last one."""
@@ -147,9 +147,9 @@ class Ledger:
     def commit(self, transaction: Transaction) -> None:
         """Store it; what later sets build on is taken over only after that."""
         with self._cost.of("commit_s"):
-            committed = self._catalogue.commit_set(transaction.rows())
+            committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
-            self.alarms[(row["position"], row["kind"])] = {**row, "id": alarm_id}
+            self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def judge_empty(self, due: DueSet, taken: TakenSet, causes: Mapping[str, str]) -> None:
         """Not one record: rows with the causes and the device's alarms, but no file."""
@@ -165,9 +165,8 @@ class Ledger:
                 assessment = assessor.assess(due, [], [], n_tried=len(missed) - restrikes)
             cause = retired.get(position) or causes[position]
             row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            transaction.add_position(
-                {**row, "n_missed": len(missed), "n_restrikes": restrikes}, [], assessment, moment
-            )
+            row = replace(row, n_missed=len(missed), n_restrikes=restrikes)
+            transaction.add_position(row, [], assessment, moment)
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
         if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
@@ -187,11 +186,13 @@ class Ledger:
         self._commit_set(due, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
 
-    def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> dict[str, Any]:
-        return set_row(
-            due,
-            position,
+    def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        return SetRow(
+            set_index=due.set_index,
+            position=position,
             method=self._settings.positions[position].method,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
             state="retired" if retired else "missed",
             cause=cause,
             n_planned=0 if retired else self.n_planned(position),

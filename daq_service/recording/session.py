@@ -13,6 +13,7 @@ from pathlib import Path
 
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
@@ -143,14 +144,12 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
         clock=settings.clock.kind,
         solimon_version=version("solimon"),
     )
-    return int(row["epoch_utc_ns"])
+    return row.epoch_utc_ns
 
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
     """Where a simulated clock goes on: at the end of the last committed set."""
-    ended = [
-        row["ended_utc_ns"] for row in catalogue.list_sets(limit=None) if row["ended_utc_ns"] is not None
-    ]
+    ended = [row.ended_utc_ns for row in catalogue.rows(SetRow) if row.ended_utc_ns is not None]
     return max(ended, default=epoch_ns)
 
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.archive import FolderSetReader
+from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
 from daq_service.processes.heartbeat import Beat, overdue_s, read_heartbeat
@@ -75,12 +76,13 @@ class CatalogueEvents:
         except NoDataYetError:
             return []
         if self._epoch_utc_ns is None:
-            self._epoch_utc_ns = int(catalogue.experiment_row()["epoch_utc_ns"])
+            self._epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
         chosen = None if topics is None else sorted(topics)
         rows = catalogue.events_after(event_id, chosen, limit)
         epoch_utc_ns = self._epoch_utc_ns
         return [
-            {**with_utc(row, epoch_utc_ns), "payload": with_utc(row["payload"], epoch_utc_ns)} for row in rows
+            {**with_utc(values(row), epoch_utc_ns), "payload": with_utc(row.payload, epoch_utc_ns)}
+            for row in rows
         ]
 
 
@@ -104,7 +106,7 @@ class Context:
         except NoDataYetError:
             raise no_data_yet() from None
         if not self._has_data:
-            if not catalogue.list_sets(limit=1):
+            if not catalogue.rows(SetRow, limit=1):
                 raise no_data_yet()
             self._has_data = True
         return catalogue
@@ -147,21 +149,21 @@ class Freshness:
 
     def __init__(self, context: Context) -> None:
         catalogue = context.catalogue()
-        self.epoch_utc_ns = int(catalogue.experiment_row()["epoch_utc_ns"])
+        self.epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
         self.clock = context.settings.clock.kind
         self.last_event_id = catalogue.last_event_id()
         newest = catalogue.events_after(max(0, self.last_event_id - LOOK_BACK_EVENTS), None, LOOK_BACK_EVENTS)
         last = newest[-1] if newest else None
         wall_ns = time.time_ns()
-        self._written_ns: int | None = None if last is None else int(last["wall_utc_ns"])
+        self._written_ns: int | None = None if last is None else last.wall_utc_ns
         self.wall_age_s = None if self._written_ns is None else max(0.0, (wall_ns - self._written_ns) / 1e9)
         if self.clock == "wall":
             self.now_utc_ns = wall_ns
         else:
             # A simulated clock stands still while nobody works: the newest events tell its time.
-            self.now_utc_ns = max((int(row["utc_ns"]) for row in newest), default=self.epoch_utc_ns)
+            self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
         self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
-        self.recorder = recorder_state(read_heartbeat(context.data_folder), [row["kind"] for row in newest])
+        self.recorder = recorder_state(read_heartbeat(context.data_folder), [row.kind for row in newest])
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""
@@ -182,9 +184,11 @@ class Freshness:
         """RFC 3339 time of an hour of the experiment."""
         return rfc3339(self.epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
-    def row(self, row: Mapping[str, Any], *, at: str = "due_h") -> dict[str, Any]:
-        """Row of the catalogue as it leaves the service: times as text, age beside."""
-        return with_utc({**row}, self.epoch_utc_ns) | {"age_h": self.age_h(row[at])}
+    def row(self, row: Row, **beside: Any) -> dict[str, Any]:
+        """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""
+        answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
+        dated_h = answer.get("raised_h", answer.get("due_h"))
+        return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}
 
 
 def recorder_state(beat: Beat | None, newest_kinds: Sequence[str]) -> str:

@@ -7,6 +7,7 @@ from support.filled_folder import FilledFolder
 from support.served_web import served, served_app
 
 from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import EventRow
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
@@ -105,11 +106,16 @@ def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
         expect(page.locator("#tof")).to_have_attribute("data-points", "3")
         expect(page.locator("#distance")).to_have_attribute("data-points", "0")
         due = filled.due[2]
-        event = {"utc_ns": due.due_utc_ns, "topic": "verdicts", "kind": "baseline_frozen", "position": "B"}
-        verdicts = [filled.verdict("B", index, filled.due[index].due_h) for index in range(3)]
-        filled.catalogue.commit_set(
-            SetCommit(verdicts=verdicts, events=[{**event, "set_index": 2, "payload": {}}])
+        event = EventRow(
+            utc_ns=due.due_utc_ns,
+            topic="verdicts",
+            kind="baseline_frozen",
+            position="B",
+            set_index=2,
+            payload={},
         )
+        verdicts = [filled.verdict("B", index, filled.due[index].due_h) for index in range(3)]
+        filled.catalogue.commit_set(SetCommit(verdicts=verdicts, events=[event]))
         expect(page.locator("#distance")).to_have_attribute("data-points", "3")
     filled.close()
 

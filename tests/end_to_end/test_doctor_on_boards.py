@@ -27,6 +27,7 @@ from support.small_experiment import run
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import config_file, load_settings
@@ -316,10 +317,10 @@ def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDouble
         assert {shot.settings["pulse_s"] for shot in stored.shots} == {0.0}
         assert stored.provenance["configuration"]["rig"]["daqmx"]["dry_run"] is True
     with open_catalogue(folder) as catalogue:
-        assert catalogue.list_alarms() == [], "noise is no damage"
-        assert [row["state"] for row in catalogue.list_sets(limit=None)] == ["done"] * 6
+        assert catalogue.rows(AlarmRow) == [], "noise is no damage"
+        assert [row.state for row in catalogue.rows(SetRow)] == ["done"] * 6
         started = list(catalogue.events_after(0, {"service"}, limit=None))
-        assert [row["payload"]["dry_run"] for row in started if row["kind"] == "recorder_started"] == [True]
+        assert [row.payload["dry_run"] for row in started if row.kind == "recorder_started"] == [True]
 
 
 def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles) -> None:

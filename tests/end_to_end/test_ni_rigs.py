@@ -13,6 +13,7 @@ import pytest
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow
 from daq_service.cli.run import child_plans
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import prepare_data_folder
@@ -62,8 +63,8 @@ def record(running: DemoRig, folder: Path) -> None:
 
 def shot_features(folder: Path) -> dict[tuple[str, int, int], Mapping[str, Any]]:
     with open_catalogue(folder) as catalogue:
-        rows = catalogue.list_features(scope="shot")
-    return {(row["position"], row["set_index"], row["shot_index"]): row for row in rows}
+        rows = catalogue.rows(FeatureRow, scope="shot")
+    return {(row.position, row.set_index, row.shot_index): row for row in rows}
 
 
 @pytest.fixture(scope="module")
@@ -85,13 +86,13 @@ def test_a_set_through_nidaqmx_is_the_twins(rig: str, simulated: Path, tmp_path:
     assert len(found) == 12
     for key, row in found.items():
         # Boards and twin round to codes of their own: 16 bits move a pick by far less than this.
-        assert row["tof_pp_s"] == pytest.approx(expected[key]["tof_pp_s"], abs=0.02e-6), key
-        assert row["tof_mf_s"] == pytest.approx(expected[key]["tof_mf_s"], abs=0.02e-6), key
+        assert row.tof_pp_s == pytest.approx(expected[key].tof_pp_s, abs=0.02e-6), key
+        assert row.tof_mf_s == pytest.approx(expected[key].tof_mf_s, abs=0.02e-6), key
     with open_catalogue(tmp_path) as catalogue:
-        assert {row["state"] for row in catalogue.list_sets(limit=None)} == {"done"}
+        assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
         events = catalogue.events_after(0, {"service"}, limit=None)
     # Once at the start, not again within a day; what it says names each board.
-    (calibrated,) = [row["payload"] for row in events if row["kind"] == "self_calibrated"]
+    (calibrated,) = [row.payload for row in events if row.kind == "self_calibrated"]
     assert "01E16086" in calibrated
     assert told["tasks"] == []
     assert told["leaked"] == []
@@ -171,13 +172,13 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         told = doubles.record()
     assert codes == [0], "the schedule is followed to its end"
     with open_catalogue(tmp_path) as catalogue:
-        sets = catalogue.list_sets("D", limit=None)
+        sets = catalogue.rows(SetRow, position="D")
         starts = catalogue.events_after(0, {"service"}, limit=None)
-    (restart,) = [row["payload"]["before"] for row in starts if row["kind"] == "recorder_started"][1:]
+    (restart,) = [row.payload["before"] for row in starts if row.kind == "recorder_started"][1:]
     assert "hung while taking set" in restart
-    missed = [row for row in sets if row["state"] == "missed"]
+    missed = [row for row in sets if row.state == "missed"]
     assert missed, "the sets of that time are gaps in the ledger"
-    assert all("hung while taking set" in row["cause"] for row in missed)
+    assert all("hung while taking set" in row.cause for row in missed)
     assert sets[-1]["state"] == "done", "the test goes on"
     # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
     for line in {event["line"] for event in told["lines"]}:
@@ -202,8 +203,8 @@ def nothing_is_left(doubles: DoublesControl) -> bool:
 
 def sets_and_alarm(folder: Path) -> tuple[list[Mapping[str, Any]], Mapping[str, Any]]:
     with open_catalogue(folder) as catalogue:
-        (alarm,) = [row for row in catalogue.list_alarms() if row["kind"] == "rig_unavailable"]
-        return catalogue.list_sets("D", limit=None), alarm
+        (alarm,) = [row for row in catalogue.rows(AlarmRow) if row.kind == "rig_unavailable"]
+        return catalogue.rows(SetRow, position="D"), alarm
 
 
 ONE_NI_RIG = [NI_RIGS[0], pytest.param(*NI_RIGS[1].values, marks=[*NI_RIGS[1].marks, pytest.mark.slow])]
@@ -230,10 +231,10 @@ def test_a_board_that_comes_back_under_another_name_costs_the_sets_it_was_gone(
         assert nothing_is_left(doubles)
     sets, alarm = sets_and_alarm(tmp_path)
     # Two sets for sure; the third may have begun before the board was back.
-    assert [row["state"] for row in sets[:3]] == ["done", "missed", "missed"]
-    assert [row["state"] for row in sets[4:]] == ["done"] * 4
-    assert all("(DAQmx -" in row["cause"] for row in sets[1:3])
-    assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
+    assert [row.state for row in sets[:3]] == ["done", "missed", "missed"]
+    assert [row.state for row in sets[4:]] == ["done"] * 4
+    assert all("(DAQmx -" in row.cause for row in sets[1:3])
+    assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
 
 
 @pytest.mark.parametrize("rig", OTHER_NI_RIG)
@@ -252,15 +253,15 @@ def test_a_request_the_board_refuses_stops_the_test_which_goes_on_when_it_is_men
         running = quick_wall_settings(started)
         assert supervised(running, tmp_path, on_message) == 3
         sets, alarm = sets_and_alarm(tmp_path)
-        assert [row["state"] for row in sets] == ["done", "missed"]
+        assert [row.state for row in sets] == ["done", "missed"]
         assert str(INVALID_VALUE) in sets[1]["cause"]
-        assert alarm["state"] == "unacknowledged"
-        assert "the recorder has stopped" in alarm["message"]
+        assert alarm.state == "unacknowledged"
+        assert "the recorder has stopped" in alarm.message
         assert supervised(running, tmp_path) == 0
         assert nothing_is_left(doubles)
     sets, alarm = sets_and_alarm(tmp_path)
     assert sets[-1]["state"] == "done"
-    assert alarm["state"] == "returned_unacknowledged"
+    assert alarm.state == "returned_unacknowledged"
 
 
 def test_a_missing_compiler_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

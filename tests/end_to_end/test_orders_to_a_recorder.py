@@ -13,6 +13,7 @@ from support.stored_files import set_files
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import SetRow
 from daq_service.errors import UsageError
 from daq_service.orders.give import give_order
 
@@ -30,7 +31,7 @@ def wait_for(condition: Callable[[], Any], what: str) -> None:
 def states(folder: Path) -> Counter[str]:
     try:
         with open_catalogue(folder) as catalogue:
-            return Counter(row["state"] for row in catalogue.list_sets("D", limit=None))
+            return Counter(row.state for row in catalogue.rows(SetRow, position="D"))
     except NoDataYetError:
         return Counter()
 

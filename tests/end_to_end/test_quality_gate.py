@@ -16,6 +16,7 @@ from support.stored_files import read_set, read_waveform, set_files
 import daq_service.orders.obey
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow, ShotRow
 from daq_service.cli.inspection import describe_status, print_status
 from daq_service.clock import NS_PER_H, parse_utc
 from daq_service.errors import RigError
@@ -127,19 +128,19 @@ def ordering_rig(
     return opener
 
 
-def sets_of(folder: Path, position: str) -> list[dict[str, Any]]:
+def sets_of(folder: Path, position: str) -> list[SetRow]:
     with open_catalogue(folder) as catalogue:
-        return sorted(catalogue.list_sets(position, limit=None), key=lambda row: int(row["set_index"]))
+        return sorted(catalogue.rows(SetRow, position=position), key=lambda row: row.set_index)
 
 
-def shots_of(folder: Path, position: str, set_index: int) -> list[dict[str, Any]]:
+def shots_of(folder: Path, position: str, set_index: int) -> list[ShotRow]:
     with open_catalogue(folder) as catalogue:
-        return catalogue.list_shots(position, set_index)
+        return catalogue.rows(ShotRow, position=position, set_index=set_index)
 
 
-def alarms_of(folder: Path) -> dict[tuple[str | None, str], dict[str, Any]]:
+def alarms_of(folder: Path) -> dict[tuple[str | None, str], AlarmRow]:
     with open_catalogue(folder) as catalogue:
-        return {(row["position"], row["kind"]): row for row in catalogue.list_alarms()}
+        return {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
 
 
 def answers(folder: Path) -> list[tuple[str, str, str]]:
@@ -147,7 +148,7 @@ def answers(folder: Path) -> list[tuple[str, str, str]]:
     with open_catalogue(folder) as catalogue:
         found = []
         while (row := catalogue.command(len(found) + 1)) is not None:
-            found.append((row["kind"], row["state"], row["result"]))
+            found.append((row.kind, row.state, row.result))
         return found
 
 
@@ -161,18 +162,18 @@ def two_hours(**tables: Any) -> Settings:
 def test_a_missed_strike_is_repeated_and_the_set_is_done(tmp_path: Path) -> None:
     assert run(two_hours(), tmp_path, rig=disturbed_rig(first_attempt("B", 2, 1, missed)))
     row = sets_of(tmp_path, "B")[2]
-    assert (row["state"], row["cause"]) == ("done", None)
-    assert (row["n_taken"], row["n_valid"], row["n_missed"], row["n_restrikes"]) == (3, 3, 1, 1)
+    assert (row.state, row.cause) == ("done", None)
+    assert (row.n_taken, row.n_valid, row.n_missed, row.n_restrikes) == (3, 3, 1, 1)
     shots = shots_of(tmp_path, "B", 2)
-    assert [(shot["shot_index"], shot["attempt"], shot["outcome"]) for shot in shots] == [
+    assert [(shot.shot_index, shot.attempt, shot.outcome) for shot in shots] == [
         (0, 0, "accepted"),
         (1, 1, "accepted"),
         (2, 0, "accepted"),
     ]
     # The repetition takes the next interval, and what comes after it moves by one.
-    due_ns = row["due_utc_ns"]
-    assert [shot["utc_ns"] - due_ns for shot in shots] == [0, 2 * STEP_NS, 3 * STEP_NS]
-    assert shots_of(tmp_path, "C", 2)[0]["utc_ns"] - due_ns == 4 * STEP_NS
+    due_ns = row.due_utc_ns
+    assert [shot.utc_ns - due_ns for shot in shots] == [0, 2 * STEP_NS, 3 * STEP_NS]
+    assert shots_of(tmp_path, "C", 2)[0].utc_ns - due_ns == 4 * STEP_NS
     (told,) = read_set(set_files(tmp_path)[2]).missed
     assert (told.key, told.cause, told.reason) == (
         ShotKey(position="B", set_index=2, shot_index=1),
@@ -185,25 +186,25 @@ def test_a_clipped_shot_is_stored_and_superseded_by_its_repetition(tmp_path: Pat
     settings = two_hours()
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, clipped)))
     row = sets_of(tmp_path, "C")[1]
-    assert (row["state"], row["n_taken"], row["n_valid"], row["n_restrikes"]) == ("done", 4, 3, 1)
+    assert (row.state, row.n_taken, row.n_valid, row.n_restrikes) == ("done", 4, 3, 1)
     shots = shots_of(tmp_path, "C", 1)
-    assert [(shot["shot_index"], shot["attempt"], shot["outcome"]) for shot in shots] == [
+    assert [(shot.shot_index, shot.attempt, shot.outcome) for shot in shots] == [
         (0, 0, "accepted"),
         (1, 0, "accepted"),
         (2, 0, "superseded"),
         (2, 1, "accepted"),
     ]
-    assert (shots[2]["flags"], shots[2]["valid"]) == (["clipped"], False)
+    assert (shots[2].flags, shots[2].valid) == (["clipped"], False)
     record = read_set(set_files(tmp_path)[1])
-    assert record.outcomes == {shots[2]["sequence"]: "superseded"}
+    assert record.outcomes == {shots[2].sequence: "superseded"}
     stored = {shot.sequence: shot.waveform for shot in record.shots}
-    accepted = stored[shots[3]["sequence"]]
-    assert stored[shots[2]["sequence"]].clipped
+    accepted = stored[shots[3].sequence]
+    assert stored[shots[2].sequence].clipped
     assert not accepted.clipped
     assert read_waveform(set_files(tmp_path)[1], "C", 2).counts.tobytes() == accepted.counts.tobytes()
     with served(settings, tmp_path) as service, service.client() as api:
         answer = api.get("/api/v1/waveforms/C/1/2").json()
-    assert (answer["sequence"], answer["flags"], answer["quality"]) == (shots[3]["sequence"], [], "good")
+    assert (answer["sequence"], answer["flags"], answer["quality"]) == (shots[3].sequence, [], "good")
     assert answer["voltage_v"] == accepted.volts().tolist()
 
 
@@ -211,17 +212,17 @@ def test_a_sets_feature_is_the_mean_of_its_accepted_shots(tmp_path: Path) -> Non
     """A noisy shot is no invalid one: only its outcome keeps it out of the mean."""
     assert run(two_hours(), tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, noisy)))
     with open_catalogue(tmp_path) as catalogue:
-        shots = catalogue.list_shots("C", 1)
-        rows = catalogue.list_features("C", "shot", set_index=1)
-        (of_set,) = catalogue.list_features("C", "set", set_index=1)
-    assert [(shot["flags"], shot["outcome"], shot["valid"]) for shot in shots[2:]] == [
+        shots = catalogue.rows(ShotRow, position="C", set_index=1)
+        rows = catalogue.rows(FeatureRow, position="C", scope="shot", set_index=1)
+        (of_set,) = catalogue.rows(FeatureRow, position="C", scope="set", set_index=1)
+    assert [(shot.flags, shot.outcome, shot.valid) for shot in shots[2:]] == [
         (["noisy"], "superseded", True),
         ([], "accepted", True),
     ]
-    accepted = {shot["sequence"] for shot in shots if shot["outcome"] == "accepted"}
-    assert (of_set["n_valid"], of_set["quality"]) == (3, "good")
+    accepted = {shot.sequence for shot in shots if shot.outcome == "accepted"}
+    assert (of_set.n_valid, of_set.quality) == (3, "good")
     for name in ALL_FEATURE_NAMES:
-        values = [row[name] for row in rows if row["sequence"] in accepted]
+        values = [getattr(row, name) for row in rows if row.sequence in accepted]
         if None not in values:
             # The mean of three in another order: rounding only.
             assert of_set[name] == pytest.approx(sum(values) / 3, rel=1e-12), name
@@ -239,10 +240,10 @@ def test_of_two_poor_attempts_the_better_one_counts(tmp_path: Path) -> None:
     settings = two_hours()
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     shots = shots_of(tmp_path, "B", 0)
-    assert [(shot["attempt"], shot["outcome"]) for shot in shots[:2]] == [(0, "accepted"), (1, "superseded")]
+    assert [(shot.attempt, shot.outcome) for shot in shots[:2]] == [(0, "accepted"), (1, "superseded")]
     with served(settings, tmp_path) as service, service.client() as api:
         answer = api.get("/api/v1/waveforms/B/0/0").json()
-    assert (answer["sequence"], answer["quality"]) == (shots[0]["sequence"], "suspect")
+    assert (answer["sequence"], answer["quality"]) == (shots[0].sequence, "suspect")
     expected = read_waveform(set_files(tmp_path)[0], "B", 0)
     assert answer["voltage_v"] == expected.volts().tolist()
     assert not expected.clipped
@@ -262,23 +263,23 @@ def test_the_budget_of_a_set_is_kept_for_each_transducer(tmp_path: Path) -> None
         keys = [key for key in tried if key.position == position and key.set_index == 1]
         assert [(key.shot_index, key.attempt) for key in keys] == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0)]
         row = sets_of(tmp_path, position)[1]
-        assert (row["state"], row["n_missed"], row["n_restrikes"]) == ("missed", 5, 2)
-        assert row["cause"] == f"5 missed: {NO_TRIGGER}"
-    assert sets_of(tmp_path, "D")[1]["n_restrikes"] == 0
+        assert (row.state, row.n_missed, row.n_restrikes) == ("missed", 5, 2)
+        assert row.cause == f"5 missed: {NO_TRIGGER}"
+    assert sets_of(tmp_path, "D")[1].n_restrikes == 0
 
 
 def test_without_a_budget_nothing_is_struck_twice(tmp_path: Path) -> None:
     settings = two_hours(quality={"restrikes_per_set": 0})
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("B", 2, 1, missed)))
     row = sets_of(tmp_path, "B")[2]
-    assert (row["state"], row["n_taken"], row["n_missed"], row["n_restrikes"]) == ("partial", 2, 1, 0)
+    assert (row.state, row.n_taken, row.n_missed, row.n_restrikes) == ("partial", 2, 1, 0)
 
 
 def test_a_flag_that_is_not_configured_is_not_repeated(tmp_path: Path) -> None:
     settings = two_hours(quality={"restrike_flags": ["missed"]})
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, clipped)))
     row = sets_of(tmp_path, "C")[1]
-    assert (row["n_taken"], row["n_valid"], row["n_restrikes"]) == (3, 2, 0)
+    assert (row.n_taken, row.n_valid, row.n_restrikes) == (3, 2, 0)
 
 
 class _KilledError(BaseException):
@@ -300,13 +301,13 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
         return acquired
 
     def killing(self: RecorderCatalogue, commit: Any) -> Any:
-        if commit.sets and commit.sets[0]["set_index"] == 1:
+        if commit.sets and commit.sets[0].set_index == 1:
             raise _KilledError
         return commit_set(self, commit)
 
     assert run(two_hours(), tmp_path / "whole", rig=disturbed_rig(disturb))
     whole = rows_of(tmp_path / "whole")
-    assert {row["kind"] for row in whole["alarms"]} == {"rig_unavailable"}
+    assert {row.kind for row in whole["alarms"]} == {"rig_unavailable"}
     commit_set = RecorderCatalogue.commit_set
     with monkeypatch.context() as patch:
         patch.setattr(RecorderCatalogue, "commit_set", killing)
@@ -324,16 +325,16 @@ SILENT = {"no_data_sets": 2, "retire_after_sets": 4}
 def test_a_silent_transducer_raises_no_data_and_then_retires(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 4.0}, quality=SILENT)
     assert run(settings, tmp_path, rig=disturbed_rig(silent("B", from_set=1)))
-    states = [row["state"] for row in sets_of(tmp_path, "B")]
+    states = [row.state for row in sets_of(tmp_path, "B")]
     assert states == ["done"] + ["missed"] * 4 + ["retired"] * 3
-    assert {row["state"] for name in "ACD" for row in sets_of(tmp_path, name)} == {"done"}
+    assert {row.state for name in "ACD" for row in sets_of(tmp_path, name)} == {"done"}
     alarms = alarms_of(tmp_path)
     assert set(alarms) == {("B", "no_data"), ("B", "retired")}
-    assert alarms["B", "no_data"]["raised_set_index"] == 2, "the second silent set"
-    assert alarms["B", "retired"]["raised_set_index"] == 4, "the fourth silent set"
-    assert alarms["B", "retired"]["severity"] == "high"
-    assert "strikes no more" in alarms["B", "retired"]["message"]
-    assert sets_of(tmp_path, "B")[-1]["cause"] == alarms["B", "retired"]["message"]
+    assert alarms["B", "no_data"].raised_set_index == 2, "the second silent set"
+    assert alarms["B", "retired"].raised_set_index == 4, "the fourth silent set"
+    assert alarms["B", "retired"].severity == "high"
+    assert "strikes no more" in alarms["B", "retired"].message
+    assert sets_of(tmp_path, "B")[-1].cause == alarms["B", "retired"].message
 
 
 @pytest.mark.parametrize("last", [1, 2, 3, 4])
@@ -361,7 +362,7 @@ def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
 
     settings = small_settings(schedule={"end_h": 3.0}, quality=SILENT)
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == [
+    assert [row.state for row in sets_of(tmp_path, "B")] == [
         "missed",
         "missed",
         "done",
@@ -393,12 +394,12 @@ def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
     if restart:
         assert run(settings, tmp_path, rig=disturbed_rig(quiet))
     assert answers(tmp_path) == [("reinstate", "done", "B strikes again from the next set")]
-    states = [row["state"] for row in sets_of(tmp_path, "B")]
+    states = [row.state for row in sets_of(tmp_path, "B")]
     assert states == ["missed"] * 8 + ["retired"] * 2
     with open_catalogue(tmp_path) as catalogue:
-        first, second = (row for row in catalogue.list_alarms("B") if row["kind"] == "retired")
-    assert (first["state"], first["acknowledged_by"], first["note"]) == ("normal", "ann", "new coil")
-    assert (second["state"], second["raised_set_index"]) == ("unacknowledged", 7)
+        first, second = (row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "retired")
+    assert (first.state, first.acknowledged_by, first.note) == ("normal", "ann", "new coil")
+    assert (second.state, second.raised_set_index) == ("unacknowledged", 7)
 
 
 @pytest.mark.parametrize("restart", [False, True])
@@ -413,10 +414,10 @@ def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restar
     if restart:
         assert run(settings, tmp_path)
     # Sets 5 and 6 make the hole, set 7 is the first one after the reinstatement.
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done"] * 9 + ["retired"] * 3
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] * 9 + ["retired"] * 3
     with open_catalogue(tmp_path) as catalogue:
-        first, second = (row for row in catalogue.list_alarms("B") if row["kind"] == "hole")
-    assert (first["state"], second["raised_set_index"]) == ("normal", 8)
+        first, second = (row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "hole")
+    assert (first.state, second.raised_set_index) == ("normal", 8)
 
 
 def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None:
@@ -430,8 +431,8 @@ def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None
     settings = small_settings(schedule={"end_h": 3.0})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
-    assert [row["state"] for row in rows] == ["done"] + ["retired"] * 2 + ["done"] * 3
-    assert {row["cause"] for row in rows[1:3]} == {"retired by ann: sensor taken off"}
+    assert [row.state for row in rows] == ["done"] + ["retired"] * 2 + ["done"] * 3
+    assert {row.cause for row in rows[1:3]} == {"retired by ann: sensor taken off"}
     assert [(state, result) for _, state, result in answers(tmp_path)] == [
         ("done", "C strikes no more"),
         ("refused", "C is retired already"),
@@ -439,7 +440,7 @@ def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None
         ("done", "C strikes again from the next set"),
         ("refused", "C is not retired"),
     ]
-    assert {row["state"] for name in "ABD" for row in sets_of(tmp_path, name)} == {"done"}
+    assert {row.state for name in "ABD" for row in sets_of(tmp_path, name)} == {"done"}
 
 
 IN_SET_1 = 1.0 + 16 / 3600  # between C's first strike (12 s after the hour) and its second
@@ -449,29 +450,29 @@ def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: P
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "C", "note": "coil is hot"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
-    assert [(row["state"], row["n_taken"]) for row in rows] == [
+    assert [(row.state, row.n_taken) for row in rows] == [
         ("done", 3),
         ("partial", 1),
         ("retired", 0),
         ("retired", 0),
     ]
-    assert rows[1]["cause"] == "retired by ann: coil is hot"
-    assert {row["state"] for row in sets_of(tmp_path, "D")} == {"done"}
+    assert rows[1].cause == "retired by ann: coil is hot"
+    assert {row.state for row in sets_of(tmp_path, "D")} == {"done"}
     # The slot in which the order came is lost, those of the shots that are not taken are not waited for.
-    assert shots_of(tmp_path, "D", 1)[0]["utc_ns"] - rows[1]["due_utc_ns"] == 5 * STEP_NS
+    assert shots_of(tmp_path, "D", 1)[0].utc_ns - rows[1].due_utc_ns == 5 * STEP_NS
 
 
 def test_a_transducer_retired_after_its_shots_keeps_them(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
-    assert [row["state"] for row in sets_of(tmp_path, "C")] == ["done"] * 4
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
+    assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
 def test_a_transducer_reinstated_during_a_set_begins_with_the_next_one(tmp_path: Path) -> None:
     orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
     assert "B" not in {place.position for place in read_set(set_files(tmp_path)[1]).positions}
 
 
@@ -486,7 +487,7 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "hold", {"note": "door open"}), (1.9, "release", {})]
     settings = small_settings(schedule={"end_h": 2.5})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
-    states = {name: [row["state"] for row in sets_of(tmp_path, name)] for name in "ABCD"}
+    states = {name: [row.state for row in sets_of(tmp_path, name)] for name in "ABCD"}
     assert states == {
         "A": ["done", "done", "missed", "done", "done"],
         "B": ["done", "done", "missed", "done", "done"],
@@ -494,8 +495,8 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
         "D": ["done", "missed", "missed", "done", "done"],
     }
     held = "held by ann: door open"
-    assert [(row["n_taken"], row["cause"]) for row in sets_of(tmp_path, "C")[1:3]] == [(1, held), (0, held)]
-    assert sets_of(tmp_path, "D")[1]["cause"] == held
+    assert [(row.n_taken, row.cause) for row in sets_of(tmp_path, "C")[1:3]] == [(1, held), (0, held)]
+    assert sets_of(tmp_path, "D")[1].cause == held
     assert [key.position for key in struck(tmp_path) if key.set_index == 1] == ["B", "B", "B", "C"]
     assert [state for _, state, _ in answers(tmp_path)] == ["done", "done"]
 
@@ -510,15 +511,15 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
         (1.9, "stop", {}),
     ]
     assert not run(settings, tmp_path, rig=ordering_rig(tmp_path, stop_at_2))
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
     assert describe_status(tmp_path)["held"] == "held by ann: hands in the rig"
     print_status(config=None, data_dir=tmp_path, as_json=False)
     assert "on hold   held by ann: hands in the rig" in capsys.readouterr().out
     orders: list[Order] = [(2.4, "release", {"note": "closed"}), (2.4, "release", {})]
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "B")
-    assert [row["state"] for row in rows] == ["done", "missed", "missed", "missed", "done", "done"]
-    assert {row["cause"] for row in rows[1:4]} == {"held by ann: hands in the rig"}
+    assert [row.state for row in rows] == ["done", "missed", "missed", "missed", "done", "done"]
+    assert {row.cause for row in rows[1:4]} == {"held by ann: hands in the rig"}
     assert [(state, result.partition(":")[0]) for kind, state, result in answers(tmp_path)] == [
         ("done", "on hold"),
         ("refused", "the test is already on hold"),
@@ -536,7 +537,7 @@ def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> Non
         orders += [(hour + 4 / 3600, "hold", {}), (hour + 0.4, "release", {})]
     settings = small_settings(schedule={"end_h": 2.5}, quality=SILENT)
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
-    assert [row["n_taken"] for row in sets_of(tmp_path, "B")] == [1, 1, 1, 1, 3]
+    assert [row.n_taken for row in sets_of(tmp_path, "B")] == [1, 1, 1, 1, 3]
     assert alarms_of(tmp_path) == {}
 
 
@@ -565,22 +566,22 @@ def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(
     keys = [(key.position, key.shot_index, key.attempt) for key in tried if key.set_index == 1]
     assert keys[4:] == [("C", 0, 0), ("C", 1, 0), ("C", 2, 0)], "a lost connection is no strike to repeat"
     rows = sets_of(tmp_path, "C")
-    assert [row["state"] for row in rows] == ["done", "missed", "missed", "done", "done"]
-    assert (rows[1]["n_missed"], rows[1]["n_restrikes"]) == (3, 0)
-    assert rows[1]["cause"] == "board 01A2B3C4 is gone at C2; 3 missed: board 01A2B3C4 is gone at C0"
-    assert sets_of(tmp_path, "D")[1]["cause"] == "board 01A2B3C4 is gone at C2"
-    assert sets_of(tmp_path, "B")[1]["state"] == "done"
+    assert [row.state for row in rows] == ["done", "missed", "missed", "done", "done"]
+    assert (rows[1].n_missed, rows[1].n_restrikes) == (3, 0)
+    assert rows[1].cause == "board 01A2B3C4 is gone at C2; 3 missed: board 01A2B3C4 is gone at C0"
+    assert sets_of(tmp_path, "D")[1].cause == "board 01A2B3C4 is gone at C2"
+    assert sets_of(tmp_path, "B")[1].state == "done"
     reasons = {item.reason for item in read_set(set_files(tmp_path)[1]).missed}
     assert reasons == {"connection_lost"}
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
-    assert alarm["proof"] == {"set_index": 1, "error": "ConnectionLostError"}
-    assert alarm["message"] == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
+    assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
+    assert alarm.proof == {"set_index": 1, "error": "ConnectionLostError"}
+    assert alarm.message == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
     with open_catalogue(tmp_path) as catalogue:
         told = [
-            (event["kind"], event["set_index"])
+            (event.kind, event.set_index)
             for event in catalogue.events_after(0, {"alarms"}, limit=None)
-            if event["payload"]["kind"] == "rig_unavailable"
+            if event.payload["kind"] == "rig_unavailable"
         ]
     assert told == [("alarm_raised", 1), ("alarm_cleared", 3)]
 
@@ -589,8 +590,8 @@ def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 2), "C", 2, ConnectionLostError)
     assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     row = sets_of(tmp_path, "C")[1]
-    assert (row["state"], row["n_taken"], row["n_missed"]) == ("partial", 2, 2)
-    assert sets_of(tmp_path, "D")[1]["state"] == "done"
+    assert (row.state, row.n_taken, row.n_missed) == ("partial", 2, 2)
+    assert sets_of(tmp_path, "D")[1].state == "done"
     assert alarms_of(tmp_path) == {}
 
 
@@ -598,7 +599,7 @@ def test_a_rig_that_is_gone_for_long_retires_nobody(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 5), "B", 4, ConnectionLostError)
     settings = small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT)
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4 + ["done"]
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4 + ["done"]
     assert set(alarms_of(tmp_path)) == {(None, "rig_unavailable")}
 
 
@@ -606,13 +607,13 @@ def test_a_busy_rig_ends_the_set_at_once_and_the_next_one_is_taken(tmp_path: Pat
     disturb, tried = lost_during(range(1, 2), "B", 1, BusyError)
     assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     assert len([key for key in tried if key.set_index == 1]) == 1
-    assert [row["state"] for row in sets_of(tmp_path, "A")] == ["done"] * 5, "its echo was there before"
+    assert [row.state for row in sets_of(tmp_path, "A")] == ["done"] * 5, "its echo was there before"
     for position in "BCD":
         rows = sets_of(tmp_path, position)
-        assert [row["state"] for row in rows] == ["done", "missed", "done", "done", "done"]
-        assert rows[1]["cause"] == "board 01A2B3C4 is gone at B0"
+        assert [row.state for row in rows] == ["done", "missed", "done", "done", "done"]
+        assert rows[1].cause == "board 01A2B3C4 is gone at B0"
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm["state"], alarm["proof"]["error"]) == ("returned_unacknowledged", "BusyError")
+    assert (alarm.state, alarm.proof["error"]) == ("returned_unacknowledged", "BusyError")
 
 
 def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
@@ -628,8 +629,8 @@ def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert sorted(set_files(tmp_path)) == [0, 2, 3, 4]
     row = sets_of(tmp_path, "B")[1]
-    assert (row["state"], row["file"], row["n_missed"], row["n_restrikes"]) == ("missed", None, 3, 0)
-    assert alarms_of(tmp_path)[None, "rig_unavailable"]["raised_set_index"] == 1
+    assert (row.state, row.file, row.n_missed, row.n_restrikes) == ("missed", None, 3, 0)
+    assert alarms_of(tmp_path)[None, "rig_unavailable"].raised_set_index == 1
 
 
 TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
@@ -642,8 +643,8 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
     settings = settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm["raised_set_index"], alarm["state"]) == (1, "returned_unacknowledged")
-    assert alarm["message"] == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
+    assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
+    assert alarm.message == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
 
 
 def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) -> None:
@@ -657,8 +658,8 @@ def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(t
     with pytest.raises(RigError, match="set 1 ended early"):
         run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm["state"], alarm["proof"]["error"]) == ("unacknowledged", "ConfigurationError")
-    assert alarm["message"].endswith(
+    assert (alarm.state, alarm.proof["error"]) == ("unacknowledged", "ConfigurationError")
+    assert alarm.message.endswith(
         "; the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     )
 
@@ -669,8 +670,8 @@ def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) ->
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
     rig = ordering_rig(tmp_path, [(1.5, "hold", {})], disturb, late=late)
     assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=rig)
-    assert [row["state"] for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
-    assert alarms_of(tmp_path)[None, "rig_unavailable"]["state"] == "unacknowledged"
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
+    assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
 
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
@@ -680,5 +681,5 @@ def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_pat
     settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, silent("B", from_set=1)))
     row = sets_of(tmp_path, "B")[1]
-    assert (row["state"], row["n_missed"], row["n_restrikes"]) == ("missed", 1, 0)
-    assert row["cause"] == f"held by ann: door open; 1 missed: {NO_TRIGGER}"
+    assert (row.state, row.n_missed, row.n_restrikes) == ("missed", 1, 0)
+    assert row.cause == f"held by ann: door open; 1 missed: {NO_TRIGGER}"

@@ -17,6 +17,7 @@ import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
 from daq_service.archive import ArchiveWriteError, FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -36,19 +37,21 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None:
     rows = rows_of(finished)
-    assert Counter(row["state"] for row in rows["sets"]) == {"done": 4 * SETS}
+    assert Counter(row.state for row in rows["sets"]) == {"done": 4 * SETS}
     assert sorted(set_files(finished)) == list(range(SETS))
     assert len(rows["shots"]) == SETS * (1 + 3 * 3)
-    assert [row["sequence"] for row in rows["shots"]] == list(range(1, len(rows["shots"]) + 1))
+    assert [row.sequence for row in rows["shots"]] == list(range(1, len(rows["shots"]) + 1))
     assert len(rows["set_features"]) == 3 * SETS
     assert len(rows["thickness"]) == SETS
 
 
 def test_strikes_come_at_the_due_time_and_four_seconds_apart(finished: Path) -> None:
     with open_catalogue(finished) as catalogue:
-        (row,) = [row for row in catalogue.list_sets("A", limit=None) if row["set_index"] == 5]
-        times = {name: [s["utc_ns"] for s in catalogue.list_shots(name, 5)] for name in "ABCD"}
-    due_ns, step_ns = row["due_utc_ns"], 4_000_000_000
+        (row,) = [row for row in catalogue.rows(SetRow, position="A") if row.set_index == 5]
+        times = {
+            name: [s.utc_ns for s in catalogue.rows(ShotRow, position=name, set_index=5)] for name in "ABCD"
+        }
+    due_ns, step_ns = row.due_utc_ns, 4_000_000_000
     assert times["A"] == [due_ns]
     # One transducer after the other, three strikes each.
     for number, name in enumerate("BCD"):
@@ -57,7 +60,7 @@ def test_strikes_come_at_the_due_time_and_four_seconds_apart(finished: Path) -> 
 
 def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
     """Features computed again from the file alone are those of the catalogue, to the last bit."""
-    stored = {row["sequence"]: row for row in rows_of(finished)["shot_features"]}
+    stored = {row.sequence: row for row in rows_of(finished)["shot_features"]}
     record = read_set(set_files(finished)[7])
     assert len(record.shots) == 9
     for shot in record.shots:
@@ -89,34 +92,32 @@ def test_a_stored_shot_is_what_simulate_gives_at_its_depth_height_and_tilt(finis
 
 def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Path) -> None:
     rows = rows_of(finished)
-    assert [row["position"] for row in rows["baselines"]] == ["B", "C", "D"]
-    assert {row["n_sets"] for row in rows["baselines"]} == {BASELINE_SETS}
-    of_d = [row for row in rows["verdicts"] if row["position"] == "D"]
-    assert [row["set_index"] for row in of_d] == list(range(SETS))
+    assert [row.position for row in rows["baselines"]] == ["B", "C", "D"]
+    assert {row.n_sets for row in rows["baselines"]} == {BASELINE_SETS}
+    of_d = [row for row in rows["verdicts"] if row.position == "D"]
+    assert [row.set_index for row in of_d] == list(range(SETS))
     baseline, judged = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
-    assert all(row["in_baseline"] and row["outlier"] is None for row in baseline)
+    assert all(row.in_baseline and row.outlier is None for row in baseline)
     # Squared distances of a sample from its own mean sum to (n - 1) p, exactly; 1e-9 is rounding.
-    total = sum(row["distance_squared"] for row in baseline)
+    total = sum(row.distance_squared for row in baseline)
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
-    assert all(row["outlier"] is not None and row["limit_f"] is not None for row in judged)
-    assert all(sum(row["contributions"].values()) == pytest.approx(row["distance_squared"]) for row in judged)
+    assert all(row.outlier is not None and row.limit_f is not None for row in judged)
+    assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in judged)
 
 
 def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:
     assert run(small_settings(features={"of_set": "averaged_waveform"}, schedule={"end_h": 2.0}), tmp_path)
     ours = rows_of(tmp_path)
-    usual = [row for row in rows_of(finished)["set_features"] if row["set_index"] < 4]
-    assert ours["shot_features"] == [
-        row for row in rows_of(finished)["shot_features"] if row["set_index"] < 4
-    ]
+    usual = [row for row in rows_of(finished)["set_features"] if row.set_index < 4]
+    assert ours["shot_features"] == [row for row in rows_of(finished)["shot_features"] if row.set_index < 4]
     for averaged, mean in zip(ours["set_features"], usual, strict=True):
-        record = read_set(set_files(tmp_path)[averaged["set_index"]])
-        waveforms = [shot.waveform for shot in record.shots if shot.key.position == averaged["position"]]
-        assert averaged["tof_pp_s"] == extract_from_average(waveforms).tof_pp_s
+        record = read_set(set_files(tmp_path)[averaged.set_index])
+        waveforms = [shot.waveform for shot in record.shots if shot.key.position == averaged.position]
+        assert averaged.tof_pp_s == extract_from_average(waveforms).tof_pp_s
         # Other quantities, but of the same wave: shots of a set scatter by about one per cent.
-        assert averaged["tof_pp_s"] != mean["tof_pp_s"]
-        assert averaged["tof_pp_s"] == pytest.approx(mean["tof_pp_s"], rel=0.01)
-        assert averaged["noise_rms_v"] < 0.8 * mean["noise_rms_v"], "three records are averaged"
+        assert averaged.tof_pp_s != mean.tof_pp_s
+        assert averaged.tof_pp_s == pytest.approx(mean.tof_pp_s, rel=0.01)
+        assert averaged.noise_rms_v < 0.8 * mean.noise_rms_v, "three records are averaged"
 
 
 def test_the_same_seed_repeats_every_row_and_another_does_not(finished: Path, tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_the_same_seed_repeats_every_row_and_another_does_not(finished: Path, tm
     assert rows_of(tmp_path / "same") == rows_of(finished)
     assert run(small_settings(twin={"seed": 2}), tmp_path / "other")
     ours, other = (rows_of(folder)["set_features"] for folder in (finished, tmp_path / "other"))
-    assert all(a["tof_pp_s"] != b["tof_pp_s"] for a, b in zip(ours, other, strict=True))
+    assert all(a.tof_pp_s != b.tof_pp_s for a, b in zip(ours, other, strict=True))
 
 
 @contextmanager
@@ -152,14 +153,14 @@ def test_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
     with _stopping_rig(stop, ShotKey(position="C", set_index=4, shot_index=0)) as rig:
         assert not run(small_settings(), tmp_path, rig=rig, stop=stop)
     with open_catalogue(tmp_path) as catalogue:
-        states = {row["position"]: row for row in catalogue.list_sets(limit=None) if row["set_index"] == 4}
-    assert {name: row["state"] for name, row in states.items()} == {
+        states = {row.position: row for row in catalogue.rows(SetRow) if row.set_index == 4}
+    assert {name: row.state for name, row in states.items()} == {
         "A": "done",
         "B": "done",
         "C": "partial",
         "D": "missed",
     }
-    assert (states["C"]["n_taken"], states["C"]["cause"]) == (1, "the recorder was told to stop")
+    assert (states["C"].n_taken, states["C"].cause) == (1, "the recorder was told to stop")
     assert len(read_set(set_files(tmp_path)[4]).shots) == 4
     assert run(small_settings(), tmp_path)
     assert len(set_files(tmp_path)) == SETS
@@ -184,7 +185,7 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         return store_set(self, record)
 
     def killing_commit(self: RecorderCatalogue, commit: Any) -> Any:
-        if not commit.sets or commit.sets[0]["set_index"] != killed_at:
+        if not commit.sets or commit.sets[0].set_index != killed_at:
             return commit_set(self, commit)
         if boundary == "after the file":
             raise _KilledError
@@ -199,7 +200,7 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         with pytest.raises(_KilledError):
             run(small_settings(), tmp_path)
     if boundary == "before the file":
-        told = {row["set_index"] for row in rows_of(tmp_path)["sets"]}
+        told = {row.set_index for row in rows_of(tmp_path)["sets"]}
         assert killed_at not in told, "nothing may be said of a set whose file is not durable"
     assert run(small_settings(), tmp_path)
     assert rows_of(tmp_path) == rows_of(finished)
@@ -210,7 +211,7 @@ def test_a_stored_set_is_not_struck_again_after_a_kill(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def killing_commit(self: RecorderCatalogue, commit: Any) -> Any:
-        if commit.sets and commit.sets[0]["set_index"] == 3:
+        if commit.sets and commit.sets[0].set_index == 3:
             raise _KilledError
         return commit_set(self, commit)
 
@@ -236,11 +237,11 @@ def test_an_alarm_builds_up_across_a_restart(tmp_path: Path) -> None:
     settings = small_settings(twin={"thinning": THINS_AFTER_THE_BASELINE})
     assert run(settings, tmp_path / "whole")
     whole = rows_of(tmp_path / "whole")
-    (alarm,) = [row for row in whole["alarms"] if row["position"] == "B"]
-    assert alarm["kind"] == "wall_change"
-    assert alarm["proof"]["limit"] == pytest.approx(whole["baselines"][0]["limit_f"])
-    outliers = [row["set_index"] for row in whole["verdicts"] if row["position"] == "B" and row["outlier"]]
-    assert alarm["raised_set_index"] == outliers[2]
+    (alarm,) = [row for row in whole["alarms"] if row.position == "B"]
+    assert alarm.kind == "wall_change"
+    assert alarm.proof["limit"] == pytest.approx(whole["baselines"][0].limit_f)
+    outliers = [row.set_index for row in whole["verdicts"] if row.position == "B" and row.outlier]
+    assert alarm.raised_set_index == outliers[2]
     for last in outliers[:2]:
         stop = threading.Event()
         with _stopping_rig(stop, ShotKey(position="D", set_index=last, shot_index=2)) as rig:
@@ -257,11 +258,11 @@ def test_a_missed_strike_leaves_a_partial_set_with_its_cause(tmp_path: Path) -> 
 
     assert run(small_settings(schedule={"end_h": 2.0}), tmp_path, rig=disturbed_rig(disturb))
     with open_catalogue(tmp_path) as catalogue:
-        (row,) = [row for row in catalogue.list_sets("B", limit=None) if row["set_index"] == 2]
-        shots = catalogue.list_shots("B", 2)
-    assert (row["state"], row["n_taken"], row["n_valid"]) == ("partial", 2, 2)
-    assert row["cause"] == "2 missed: no trigger within 5 s"  # the strike and its repetition
-    assert [shot["shot_index"] for shot in shots] == [0, 2]
+        (row,) = [row for row in catalogue.rows(SetRow, position="B") if row.set_index == 2]
+        shots = catalogue.rows(ShotRow, position="B", set_index=2)
+    assert (row.state, row.n_taken, row.n_valid) == ("partial", 2, 2)
+    assert row.cause == "2 missed: no trigger within 5 s"  # the strike and its repetition
+    assert [shot.shot_index for shot in shots] == [0, 2]
 
 
 def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> None:
@@ -275,10 +276,10 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
     settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     with open_catalogue(tmp_path) as catalogue:
-        rows = catalogue.list_sets(limit=None)
+        rows = catalogue.rows(SetRow)
         assert catalogue.counts()["missed_sets"] == 2
-    assert [row["state"] for row in rows] == ["missed", "missed"]
-    assert all("no trigger within 5 s" in row["cause"] for row in rows)
+    assert [row.state for row in rows] == ["missed", "missed"]
+    assert all("no trigger within 5 s" in row.cause for row in rows)
     assert set_files(tmp_path) == {}
 
 
@@ -293,9 +294,7 @@ def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: 
     assert failure.value.exit_code == 3
     assert len(read_set(set_files(tmp_path)[1]).shots) == 5
     with open_catalogue(tmp_path) as catalogue:
-        states = {
-            row["position"]: row["state"] for row in catalogue.list_sets(limit=None) if row["set_index"] == 1
-        }
+        states = {row.position: row.state for row in catalogue.rows(SetRow) if row.set_index == 1}
     assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
 
 
@@ -303,20 +302,18 @@ def test_a_hole_retires_its_transducer_and_the_others_go_on(tmp_path: Path) -> N
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 5.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
-        states = [row["state"] for row in catalogue.list_sets("B", limit=None)]
-        others = {row["state"] for row in catalogue.list_sets("D", limit=None)}
-        (alarm,) = catalogue.list_alarms(position="B")
+        states = [row.state for row in catalogue.rows(SetRow, position="B")]
+        others = {row.state for row in catalogue.rows(SetRow, position="D")}
+        (alarm,) = catalogue.rows(AlarmRow, position="B")
         counts = catalogue.counts()
     # The hole opens at 3.0 h, the set due then; the second silent one retires the transducer.
     assert states == ["done"] * 7 + ["retired"] * 3
     assert others == {"done"}
-    assert (alarm["kind"], alarm["severity"], alarm["raised_h"]) == ("hole", "critical", 3.5)
+    assert (alarm.kind, alarm.severity, alarm.raised_h) == ("hole", "critical", 3.5)
     assert counts["missed_sets"] == 0
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.list_sets("B", limit=None)[-1]["state"] == "retired", (
-            "a restart must not strike again"
-        )
+        assert catalogue.rows(SetRow, position="B")[-1].state == "retired", "a restart must not strike again"
 
 
 def test_a_shot_that_cannot_be_analysed_stops_nothing(
@@ -332,8 +329,8 @@ def test_a_shot_that_cannot_be_analysed_stops_nothing(
     monkeypatch.setattr(daq_service.acquisition.taken_set, "extract_features", failing)
     assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
     shots = rows_of(tmp_path)["shots"]
-    flagged = [shot for shot in shots if "not_analysed" in shot["flags"]]
-    assert [(shot["position"], shot["shot_index"], shot["valid"]) for shot in flagged] == [("C", 0, False)]
+    flagged = [shot for shot in shots if "not_analysed" in shot.flags]
+    assert [(shot.position, shot.shot_index, shot.valid) for shot in flagged] == [("C", 0, False)]
     assert len(read_set(set_files(tmp_path)[0]).shots) == 9
 
 
@@ -398,14 +395,14 @@ def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tm
         restarted_because="was killed by signal 9",
     )
     with open_catalogue(tmp_path) as catalogue:
-        rows = catalogue.list_sets("D", limit=None)
-        gaps = [event for event in catalogue.events_after(0, ["sets"]) if event["kind"] == "set_missed"]
-    assert [row["state"] for row in rows] == ["done"] * 2 + ["missed"] * 3 + ["done"] * 3
-    assert {row["cause"] for row in rows[2:5]} == {"the recorder was killed by signal 9"}
+        rows = catalogue.rows(SetRow, position="D")
+        gaps = [event for event in catalogue.events_after(0, ["sets"]) if event.kind == "set_missed"]
+    assert [row.state for row in rows] == ["done"] * 2 + ["missed"] * 3 + ["done"] * 3
+    assert {row.cause for row in rows[2:5]} == {"the recorder was killed by signal 9"}
     # The set due at 3.0 h is taken late, at 3.2 h: its time is not over before the next one's.
-    assert rows[5]["started_utc_ns"] - rows[5]["due_utc_ns"] > 0.1 * 3.6e12
+    assert rows[5].started_utc_ns - rows[5].due_utc_ns > 0.1 * 3.6e12
     with open_catalogue(tmp_path) as catalogue:
-        late = [shot["utc_ns"] for shot in catalogue.list_shots("D", 5)]
+        late = [shot.utc_ns for shot in catalogue.rows(ShotRow, position="D", set_index=5)]
     assert np.diff(late).tolist() == [4_000_000_000] * 2, "a late set is not taken in a hurry"
     assert len(gaps) == 3 * 4
 
@@ -419,7 +416,7 @@ def _answer(folder: Path, command_id: int) -> tuple[str, str]:
     with open_catalogue(folder) as catalogue:
         row = catalogue.command(command_id)
     assert row is not None
-    return row["state"], row["result"]
+    return row.state, row.result
 
 
 def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
@@ -445,7 +442,7 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     with open_catalogue(tmp_path) as catalogue:
         alarm = catalogue.alarm(1)
     assert alarm is not None
-    assert (alarm["state"], alarm["acknowledged_by"], alarm["note"]) == (
+    assert (alarm.state, alarm.acknowledged_by, alarm.note) == (
         "acknowledged",
         "ann",
         "plate inspected",
@@ -456,12 +453,12 @@ def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:
     assert run(small_settings(baseline={"hours": 3.0}, schedule={"end_h": 5.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
         baseline = catalogue.baseline("D")
-        verdict = catalogue.list_verdicts("D")[-1]
+        verdict = catalogue.rows(VerdictRow, position="D")[-1]
     assert baseline is not None
-    assert (baseline["limit_f"], baseline["limit_paper"], baseline["n_sets"]) == (None, None, 6)
-    assert "6 sets" in baseline["limit_reason"]
-    assert (verdict["outlier"], verdict["distance_squared"]) == (None, None)
-    assert verdict["reason"] == baseline["limit_reason"]
+    assert (baseline.limit_f, baseline.limit_paper, baseline.n_sets) == (None, None, 6)
+    assert "6 sets" in baseline.limit_reason
+    assert (verdict.outlier, verdict.distance_squared) == (None, None)
+    assert verdict.reason == baseline.limit_reason
 
 
 def test_a_test_carried_on_for_longer_has_the_same_rows(finished: Path, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from support.small_experiment import SETS, run, small_settings
 from support.stored_files import read_waveform, set_files
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow
 from daq_service.cli.reproduce.causes import cause_of
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE
 from daq_service.cli.reproduce.item import Item, Job
@@ -153,16 +154,16 @@ def test_csv_holds_the_catalogues_numbers(whole, small: Path):
         ):
             table = columns(out / f"{stem}.csv")
             for position in "BCD":
-                stored = catalogue.feature_columns(position, ["due_h", column])
+                stored = catalogue.columns(FeatureRow, ["due_h", column], position=position, scope="set")
                 rows = [k for k, name in enumerate(table["position"]) if name == position]
                 assert [float(table["due_h"][k]) for k in rows] == stored["due_h"]
                 # Bit for bit: every digit is written.
                 assert [float(table[column][k]) for k in rows] == stored[column]
-        echoes = catalogue.thickness_columns("A", ["travel_time_s", "thickness_m"])
+        echoes = catalogue.columns(ThicknessRow, ["travel_time_s", "thickness_m"], position="A")
         table = columns(out / "fig15.csv")
         assert [float(x) for x in table["travel_time_s"]] == echoes["travel_time_s"]
         assert [float(x) for x in table["thickness_m"]] == echoes["thickness_m"]
-        verdicts = catalogue.verdict_columns("B", ["distance_squared", "outlier"])
+        verdicts = catalogue.columns(VerdictRow, ["distance_squared", "outlier"], position="B")
         table = columns(out / "fig14.csv")
         rows = [k for k, name in enumerate(table["position"]) if name == "B"]
         assert [float(table["distance_squared"][k]) for k in rows] == verdicts["distance_squared"]
@@ -265,7 +266,7 @@ def test_slips_alone_take_the_limits_of_the_test_they_are_given(
     (told,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
     with open_catalogue(small) as catalogue:
         for position in "BCD":
-            assert f"{position}: {catalogue.baseline(position)['limit_paper']:.1f} (" in told
+            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in told
     without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
     (told,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
     assert told == "not available: no test was run or read"

@@ -10,6 +10,7 @@ from support.small_experiment import small_settings
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
@@ -92,12 +93,12 @@ def run(
 
 def environment(folder: Path) -> list[dict[str, Any]]:
     with open_catalogue(folder) as catalogue:
-        return catalogue.list_environment()
+        return catalogue.rows(EnvironmentRow)
 
 
 def alarms(folder: Path) -> dict[str, dict[str, Any]]:
     with open_catalogue(folder) as catalogue:
-        return {row["kind"]: row for row in catalogue.list_alarms()}
+        return {row.kind: row for row in catalogue.rows(AlarmRow)}
 
 
 def switchings(instruments: SerialInstruments) -> list[tuple[bool, str]]:
@@ -112,18 +113,18 @@ def test_a_person_switches_it_on_each_set_logs_it_and_the_end_switches_it_off(
     assert switchings(instruments) == [(True, "command"), (False, "command")]
     rows = environment(folder)
     assert len(rows) == 6
-    assert rows[0]["supply_state"] == "off"
+    assert rows[0].supply_state == "off"
     last = rows[-1]
-    assert (last["supply_state"], last["supply_quality"]) == ("on", "good")
-    assert last["voltage_v"] == pytest.approx(10.0, abs=1e-9)  # no noise, read back as set
+    assert (last.supply_state, last.supply_quality) == ("on", "good")
+    assert last.voltage_v == pytest.approx(10.0, abs=1e-9)  # no noise, read back as set
     # Trapezoid of a nearly constant current over the four seconds and more after the order.
-    assert 3.0 * last["current_a"] < last["charge_coulomb"] < 6.0 * last["current_a"]
-    assert last["supply_age_s"] < 1.0
-    assert last["climate_quality"] == "good"
-    assert 0.0 < last["relative_humidity"] < 1.0
+    assert 3.0 * last.current_a < last.charge_coulomb < 6.0 * last.current_a
+    assert last.supply_age_s < 1.0
+    assert last.climate_quality == "good"
+    assert 0.0 < last.relative_humidity < 1.0
     stored = read_set(set_files(folder)[5])
     assert stored.environment["supply_state"] == "on"
-    assert stored.environment["charge_coulomb"] == pytest.approx(last["charge_coulomb"], rel=0.2)
+    assert stored.environment["charge_coulomb"] == pytest.approx(last.charge_coulomb, rel=0.2)
     assert alarms(folder) == {}
 
 
@@ -160,14 +161,12 @@ def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
         (False, "command"),  # the end
     ]
     found = alarms(folder)
-    assert found["hole"]["position"] == "B"
-    assert found["interlock_tripped"]["raised_h"] == found["hole"]["raised_h"]
-    assert found["interlock_tripped"]["severity"] == "critical"
-    assert "hole" in found["interlock_tripped"]["message"]
-    assert found["interlock_tripped"]["state"] == "returned_unacknowledged", (
-        "closed by the order, not yet seen"
-    )
-    tripped = [row["supply_tripped"] for row in environment(folder)]
+    assert found["hole"].position == "B"
+    assert found["interlock_tripped"].raised_h == found["hole"].raised_h
+    assert found["interlock_tripped"].severity == "critical"
+    assert "hole" in found["interlock_tripped"].message
+    assert found["interlock_tripped"].state == "returned_unacknowledged", "closed by the order, not yet seen"
+    tripped = [row.supply_tripped for row in environment(folder)]
     assert tripped[0] is None
     assert "no reflected wave" in tripped[4]
 
@@ -189,7 +188,7 @@ def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tm
     assert run(settings, folder)
     assert [on for on, _ in switchings(instruments)] == [True, False, True, False]
     assert not instruments.supply.on
-    assert environment(folder)[-1]["supply_tripped"] is not None
+    assert environment(folder)[-1].supply_tripped is not None
 
 
 def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
@@ -200,14 +199,14 @@ def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
     assert run(
         settings_with(instruments, 8), folder, orders={1: ("supply_on", {"voltage_v": 6.0})}, act=actions
     )
-    states = [row["supply_state"] for row in environment(folder)]
+    states = [row.supply_state for row in environment(folder)]
     assert "unknown" in states, "an output nobody can ask is not told as off"
     assert switchings(instruments)[:2] == [(True, "command"), (False, "command")]
     assert sum(on for on, _ in switchings(instruments)) == 1, "it was never switched on again"
     found = alarms(folder)
-    assert found["supply_lost"]["state"] == "returned_unacknowledged"
-    assert found["interlock_tripped"]["state"] == "unacknowledged"
-    assert environment(folder)[-1]["unknown_s"] > 0.0
+    assert found["supply_lost"].state == "returned_unacknowledged"
+    assert found["interlock_tripped"].state == "unacknowledged"
+    assert environment(folder)[-1].unknown_s > 0.0
 
 
 def test_orders_beyond_the_caps_are_refused(instruments: SerialInstruments, tmp_path: Path) -> None:

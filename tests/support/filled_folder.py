@@ -12,8 +12,18 @@ from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Change, Moment, acknowledge, reset
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    EnvironmentRow,
+    EventRow,
+    FeatureRow,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
+    values,
+)
 from daq_service.clock import NS_PER_H, parse_utc
-from daq_service.judgement.transaction import set_row, shot_row
+from daq_service.judgement.transaction import shot_row
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
@@ -98,9 +108,7 @@ class FilledFolder:
     ) -> list[int]:
         """One set of all positions; returns its events' ids."""
         due = self.due[index]
-        rows: dict[str, list] = {
-            name: [] for name in ("sets", "shots", "features", "thickness", "verdicts", "events")
-        }
+        commit = SetCommit()
         records = self._records(due)
         file = None
         if stored:
@@ -108,13 +116,14 @@ class FilledFolder:
             file = stored_set.file
         for position, place in self.settings.positions.items():
             its = [record for record in records if record.key.position == position]
-            rows["sets"].append(
-                set_row(
-                    due,
-                    position,
+            commit.sets.append(
+                SetRow(
+                    set_index=index,
+                    position=position,
                     method=place.method,
+                    due_utc_ns=due.due_utc_ns,
+                    due_h=due.due_h,
                     state="done",
-                    cause=None,
                     n_planned=len(its),
                     n_taken=len(its),
                     n_valid=len(its),
@@ -123,7 +132,7 @@ class FilledFolder:
                     file=file,
                 )
             )
-            rows["shots"] += [shot_row(record, valid=True, flags=()) for record in its]
+            commit.shots += [shot_row(record, valid=True, flags=()) for record in its]
             common = {
                 "set_index": index,
                 "position": position,
@@ -132,28 +141,28 @@ class FilledFolder:
                 "extractor_version": "1",
             }
             if place.method == "pulse_echo":
-                rows["thickness"].append(
-                    {**common, "sequence": its[0].sequence, **self.thickness(index, due.due_h)}
+                commit.thickness.append(
+                    ThicknessRow(**common, sequence=its[0].sequence, **self.thickness(index, due.due_h))
                 )
             else:
-                values = self.features(position, index, due.due_h)
+                found = self.features(position, index, due.due_h)
                 for record in its:
-                    rows["features"].append(
-                        {
+                    commit.features.append(
+                        FeatureRow(
                             **common,
-                            "shot_index": record.key.shot_index,
-                            "sequence": record.sequence,
-                            "n_valid": 1,
-                            **values,
-                        }
+                            shot_index=record.key.shot_index,
+                            sequence=record.sequence,
+                            n_valid=1,
+                            **found,
+                        )
                     )
-                rows["features"].append(
-                    {**common, "shot_index": None, "sequence": None, "n_valid": len(its), **values}
+                commit.features.append(
+                    FeatureRow(**common, shot_index=None, sequence=None, n_valid=len(its), **found)
                 )
                 if judged:
-                    rows["verdicts"].append(self.verdict(position, index, due.due_h))
-            rows["events"] += self._events(due, position, place.method)
-        committed = self.catalogue.commit_set(SetCommit(**rows))
+                    commit.verdicts.append(self.verdict(position, index, due.due_h))
+            commit.events += self._events(due, position, place.method)
+        committed = self.catalogue.commit_set(commit)
         if shown:
             self.show(records, due.due_h)
         return committed.event_ids
@@ -168,25 +177,25 @@ class FilledFolder:
             "correlation_coefficient": 0.98,
         }
 
-    def verdict(self, position: str, index: int, hour: float) -> dict[str, object]:
+    def verdict(self, position: str, index: int, hour: float) -> VerdictRow:
         in_baseline = index < N_BASELINE
         rng = np.random.default_rng([ord(position), index, 1])
         distance = float(rng.chisquare(5)) + (120.0 * depth(position, hour)) ** 2 / 4.0
-        return {
-            "set_index": index,
-            "position": position,
-            "due_h": hour,
-            "baseline_id": None,
-            "in_baseline": in_baseline,
-            "distance_squared": distance,
-            "limit_name": "f_predictive",
-            "limit_f": LIMIT_F,
-            "limit_paper": LIMIT_PAPER,
-            "outlier": None if in_baseline else distance > LIMIT_F,
-            "outlier_paper": None if in_baseline else distance > LIMIT_PAPER,
-            "reason": None,
-            "contributions": {"tof_pp_s": distance},
-        }
+        return VerdictRow(
+            set_index=index,
+            position=position,
+            due_h=hour,
+            baseline_id=None,
+            in_baseline=in_baseline,
+            distance_squared=distance,
+            limit_name="f_predictive",
+            limit_f=LIMIT_F,
+            limit_paper=LIMIT_PAPER,
+            outlier=None if in_baseline else distance > LIMIT_F,
+            outlier_paper=None if in_baseline else distance > LIMIT_PAPER,
+            reason=None,
+            contributions={"tof_pp_s": distance},
+        )
 
     def add_alarm(
         self,
@@ -199,20 +208,20 @@ class FilledFolder:
         state: str = "unacknowledged",
     ) -> int:
         due = self.due[index]
-        row = {
-            "position": position,
-            "kind": kind,
-            "family": "damage" if position else "device",
-            "severity": severity,
-            "state": state,
-            "raised_utc_ns": due.due_utc_ns,
-            "raised_h": due.due_h,
-            "raised_set_index": index,
-            "changed_utc_ns": due.due_utc_ns,
-            "message": message
+        row = AlarmRow(
+            position=position,
+            kind=kind,
+            family="damage" if position else "device",
+            severity=severity,
+            state=state,
+            raised_utc_ns=due.due_utc_ns,
+            raised_h=due.due_h,
+            raised_set_index=index,
+            changed_utc_ns=due.due_utc_ns,
+            message=message
             or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
             "wall or transducer has changed; inspect",
-            "proof": {
+            proof={
                 "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
                 "rule": {"k": 3, "n": 5},
                 "set_index": index,
@@ -220,43 +229,49 @@ class FilledFolder:
                 "limit": LIMIT_F,
                 "contributions": {"tof_pp_s": 21.4, "amplitude_ratio": 9.1},
             },
-        }
-        event = {
-            "utc_ns": due.due_utc_ns,
-            "topic": "alarms",
-            "kind": "alarm_raised",
-            "position": position,
-            "set_index": index,
-            "payload": {"message": row["message"]},
-            "alarm_index": 0,
-        }
-        return self.catalogue.commit_set(SetCommit(alarms=[row], events=[event])).alarm_ids[0]
+        )
+        event = EventRow(
+            utc_ns=due.due_utc_ns,
+            topic="alarms",
+            kind="alarm_raised",
+            position=position,
+            set_index=index,
+            payload={"message": row.message},
+        )
+        commit = SetCommit(alarms=[row], events=[event], alarm_of_event={0: 0})
+        return self.catalogue.commit_set(commit).alarm_ids[0]
 
     def add_environment(self, index: int) -> None:
         """Supply and climate around a set: 10 V and 5 mA, the probe a little late and without humidity."""
         due = self.due[index]
-        row = {
-            "set_index": index,
-            "due_h": due.due_h,
-            "supply_state": "on",
-            "supply_quality": "good",
-            "supply_age_s": 0.5,
-            "supply_tripped": None,
-            "voltage_v": 10.0,
-            "voltage_min_v": 9.98,
-            "voltage_max_v": 10.02,
-            "current_a": 0.005,
-            "current_min_a": 0.0049,
-            "current_max_a": 0.0051,
-            "charge_coulomb": 18.0 * due.due_h,
-            "unknown_s": 0.0,
-            "climate_quality": "stale",
-            "climate_age_s": 95.0,
-            "temperature_c": 21.5,
-            "relative_humidity": None,
-        }
-        event = {"utc_ns": due.due_utc_ns, "topic": "environment", "kind": "environment_read", "payload": row}
-        event |= {"set_index": index}
+        row = EnvironmentRow(
+            set_index=index,
+            due_h=due.due_h,
+            supply_state="on",
+            supply_quality="good",
+            supply_age_s=0.5,
+            supply_tripped=None,
+            voltage_v=10.0,
+            voltage_min_v=9.98,
+            voltage_max_v=10.02,
+            current_a=0.005,
+            current_min_a=0.0049,
+            current_max_a=0.0051,
+            charge_coulomb=18.0 * due.due_h,
+            unknown_s=0.0,
+            climate_quality="stale",
+            climate_age_s=95.0,
+            temperature_c=21.5,
+            relative_humidity=None,
+        )
+        payload = {name: value for name, value in values(row).items() if name != "id"}
+        event = EventRow(
+            utc_ns=due.due_utc_ns,
+            topic="environment",
+            kind="environment_read",
+            set_index=index,
+            payload=payload,
+        )
         self.catalogue.commit_set(SetCommit(environment=[row], events=[event]))
 
     def show(self, records, hour: float) -> None:
@@ -269,28 +284,49 @@ class FilledFolder:
         """Retire a transducer: its alarm, and the row of a planned set that it did not take."""
         self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
         due, method = self.due[index], self.settings.positions[position].method
-        row = set_row(due, position, method=method, state="retired", cause="hole", n_planned=0)
-        event = {"utc_ns": due.due_utc_ns, "topic": "sets", "kind": "set_retired", "payload": {}}
-        event |= {"position": position, "set_index": index}
+        row = SetRow(
+            set_index=index,
+            position=position,
+            method=method,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            state="retired",
+            cause="hole",
+            n_planned=0,
+        )
+        event = EventRow(
+            utc_ns=due.due_utc_ns,
+            topic="sets",
+            kind="set_retired",
+            position=position,
+            set_index=index,
+            payload={},
+        )
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
     def reinstate(self, position: str) -> None:
         """Reset the alarm that retired a transducer, as the recorder does."""
-        row = self.catalogue.alarms_of(position)["retired"]
-        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
+        alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
+        (row,) = [alarm for alarm in alarms if alarm.kind == "retired"]
+        moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         self._change(reset(row, "ann", "put right", moment), moment)
 
     def _change(self, change: Change, moment: Moment) -> None:
-        event = {"utc_ns": moment.utc_ns, "topic": "alarms", "kind": change.event_kind, "payload": {}}
-        event |= {"position": change.row["position"], "alarm_index": 0}
-        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event]))
+        event = EventRow(
+            utc_ns=moment.utc_ns,
+            topic="alarms",
+            kind=change.event_kind,
+            position=change.row.position,
+            payload={},
+        )
+        self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
-        moment = Moment(utc_ns=row["raised_utc_ns"], due_h=row["raised_h"], set_index=None)
-        self._change(acknowledge(row, command["author"], command["arguments"]["note"], moment), moment)
-        self.catalogue.finish_command(command["id"], "done", "acknowledged")
+        moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
+        self._change(acknowledge(row, command.author, command.arguments["note"], moment), moment)
+        self.catalogue.finish_command(command.id, "done", "acknowledged")
 
     def records(self, index: int):
         """The records of a set, the same at every call."""
@@ -350,16 +386,20 @@ class FilledFolder:
             echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         )
 
-    def _events(self, due, position: str, method: str) -> list[dict[str, object]]:
-        at = {
-            "utc_ns": due.due_utc_ns,
-            "position": position,
-            "set_index": due.set_index,
-            "payload": {"due_h": due.due_h},
-        }
+    def _events(self, due, position: str, method: str) -> list[EventRow]:
         kinds = (
             [("sets", "set_done"), ("thickness", "thickness_read")]
             if method == "pulse_echo"
             else [("sets", "set_done"), ("features", "set_features"), ("verdicts", "set_judged")]
         )
-        return [{**at, "topic": topic, "kind": kind} for topic, kind in kinds]
+        return [
+            EventRow(
+                utc_ns=due.due_utc_ns,
+                topic=topic,
+                kind=kind,
+                position=position,
+                set_index=due.set_index,
+                payload={"due_h": due.due_h},
+            )
+            for topic, kind in kinds
+        ]

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    FeatureRow,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+)
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
@@ -61,29 +70,19 @@ def run(
         )
 
 
-TIMELESS = {"wall_utc_ns", "created_utc_ns", "finished_wall_utc_ns"}
-"""Columns that say when something was written, not what."""
-
-
-def rows_of(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Every row of the catalogue that a repeated experiment must repeat."""
+def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
+    """Every row of the catalogue that a repeated experiment must repeat, without when it was written."""
     with open_catalogue(folder) as catalogue:
-        tables = {
-            "sets": catalogue.list_sets(limit=None),
-            "set_features": catalogue.list_features(scope="set"),
-            "shot_features": catalogue.list_features(scope="shot"),
-            "thickness": catalogue.list_thickness(),
-            "verdicts": catalogue.list_verdicts(),
-            "baselines": catalogue.list_baselines(),
-            "alarms": catalogue.list_alarms(),
+        return {
+            "sets": catalogue.rows(SetRow),
+            "set_features": catalogue.rows(FeatureRow, scope="set"),
+            "shot_features": catalogue.rows(FeatureRow, scope="shot"),
+            "thickness": catalogue.rows(ThicknessRow),
+            "verdicts": catalogue.rows(VerdictRow),
+            "baselines": [replace(row, created_utc_ns=0) for row in catalogue.rows(BaselineRow)],
+            "alarms": catalogue.rows(AlarmRow),
+            "shots": catalogue.rows(ShotRow),
         }
-        tables["shots"] = [
-            shot for row in tables["sets"] for shot in catalogue.list_shots(row["position"], row["set_index"])
-        ]
-    return {
-        name: [{key: value for key, value in row.items() if key not in TIMELESS} for row in rows]
-        for name, rows in tables.items()
-    }
 
 
 class DisturbedDigitizer:

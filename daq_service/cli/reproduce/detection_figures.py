@@ -79,7 +79,7 @@ def draw_fig14(material: Material) -> Product:
         tables={"": Table(columns=columns)},
         found=_outliers(test),
         notes=tuple(
-            f"{name}: baseline of {p.baseline['n_sets']} sets, {_share_text(p)}."
+            f"{name}: baseline of {p.baseline.n_sets} sets, {_share_text(p)}."
             for name, p in test.pulses.items()
             if p.baseline is not None
         ),
@@ -106,7 +106,7 @@ def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colo
 
 
 def _limit(pulses: SolitaryWaves, column: str) -> float | None:
-    limit: float | None = None if pulses.baseline is None else pulses.baseline[column]
+    limit: float | None = None if pulses.baseline is None else getattr(pulses.baseline, column)
     return limit
 
 
@@ -145,7 +145,7 @@ def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, 
         return missing(f"no baseline was frozen at {name} up to hour {test.last_h:g}")
     if key.startswith("limit"):
         limit = _limit(pulses, "limit_paper")
-        return found(limit, f"{pulses.baseline['n_sets']} sets", reason=str(pulses.baseline["limit_reason"]))
+        return found(limit, f"{pulses.baseline.n_sets} sets", reason=str(pulses.baseline.limit_reason))
     from_h = LATE_H if key == "outliers_late" else SPLIT_H
     share, n = _share(pulses, pulses.outlier if key == "outliers_f" else pulses.outlier_paper, from_h)
     return found(

@@ -87,17 +87,17 @@ def _checks(test: Evidence) -> Sequence[str]:
 def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
     """Largest relative difference between the stored distances and eq. 16 solved anew, and how many."""
     baseline = pulses.baseline
-    if baseline is None or None in baseline["mean"]:
+    if baseline is None or None in baseline.mean:
         return None
-    vectors = np.column_stack([pulses.values[name] for name in baseline["feature_names"]])
+    vectors = np.column_stack([pulses.values[name] for name in baseline.feature_names])
     stored = pulses.values["distance_squared"]
     present = np.isfinite(vectors).all(axis=1) & np.isfinite(stored)
     if not present.any():
         return None
-    off = vectors[present] - np.array(baseline["mean"])
+    off = vectors[present] - np.array(baseline.mean)
     # Features differ by ten powers of ten: scaled to unit variance the solve keeps its digits.
-    sd = np.sqrt(np.diag(np.array(baseline["covariance"])))
-    correlation = np.array(baseline["covariance"]) / np.outer(sd, sd)
+    sd = np.sqrt(np.diag(np.array(baseline.covariance)))
+    correlation = np.array(baseline.covariance) / np.outer(sd, sd)
     scaled = off / sd
     again = np.einsum("ij,ij->i", scaled, np.linalg.solve(correlation, scaled.T).T)
     return float(np.max(np.abs(again / stored[present] - 1.0))), int(present.sum())

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from daq_service.archive import ArchiveError, FolderSetReader, SetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, FeatureRow, SetRow, ThicknessRow, VerdictRow
 from daq_service.errors import StorageError
 
 FloatArray = NDArray[np.float64]
@@ -62,7 +63,7 @@ class SolitaryWaves:
     in_baseline: FloatArray
     outlier: FloatArray
     outlier_paper: FloatArray
-    baseline: Mapping[str, Any] | None
+    baseline: BaselineRow | None
     first_alarm_h: float | None
 
 
@@ -167,8 +168,8 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     try:
         with open_catalogue(folder) as catalogue:
             row = catalogue.experiment_row()
-            configuration = row["configuration"]
-            sets = catalogue.list_sets(limit=None)
+            configuration = row.configuration
+            sets = catalogue.rows(SetRow)
             places = _places(configuration, sets)
             pulses = {
                 name: _solitary_waves(catalogue, name, place)
@@ -193,9 +194,9 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     from_twin = rig.get("kind") == "simulated" or bool(rig.get("on_doubles"))
     return Evidence(
         folder=folder,
-        name=row["name"],
-        configuration_hash=row["configuration_hash"],
-        solimon_version=row["solimon_version"],
+        name=row.name,
+        configuration_hash=row.configuration_hash,
+        solimon_version=row.solimon_version,
         from_twin=from_twin,
         seed=twin.get("seed") if from_twin else None,
         baseline_h=configuration.get("baseline", {}).get("hours"),
@@ -207,9 +208,9 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     )
 
 
-def _places(configuration: Mapping[str, Any], sets: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[str, dict[str, Any]]:
     """Positions of the configuration that have sets, each with the method that took them."""
-    methods = {row["position"]: row["method"] for row in sets}
+    methods = {row.position: row.method for row in sets}
     configured = configuration.get("positions", {})
     names = [name for name in configured if name in methods]
     names += sorted(set(methods) - set(names))
@@ -226,9 +227,9 @@ def _array(values: Sequence[float | bool | None]) -> FloatArray:
 
 
 def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
-    columns = catalogue.feature_columns(position, ["set_index", "due_h", *PULSES])
-    verdicts = catalogue.verdict_columns(
-        position, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED]
+    columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
+    verdicts = catalogue.columns(
+        VerdictRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *JUDGED], position=position
     )
     row_of = {index: row for row, index in enumerate(verdicts["set_index"])}
     rows = [row_of.get(index) for index in columns["set_index"]]
@@ -258,7 +259,7 @@ def _pulse_echoes(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], configuration: Mapping[str, Any]
 ) -> PulseEchoes:
     names = ("travel_time_s", "thickness_m", "thickness_loss_m")
-    columns = catalogue.thickness_columns(position, ["set_index", "due_h", *names])
+    columns = catalogue.columns(ThicknessRow, ["set_index", "due_h", *names], position=position)
     ultrasound = configuration.get("ultrasound", {})
     return PulseEchoes(
         position=position,
@@ -277,16 +278,14 @@ def _pulse_echoes(
 
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
-    hours = [row["raised_h"] for row in catalogue.list_alarms(position=position) if row["family"] == "damage"]
+    hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return min(hours) if hours else None
 
 
-def _traces(
-    archive: SetReader, sets: Sequence[Mapping[str, Any]]
-) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
+def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:
     """Average records of sets evenly spread over the hours, first and last included."""
-    files = {row["set_index"]: SetReference(row["file"]) for row in sets if row["file"] is not None}
-    hour_of = {row["set_index"]: row["due_h"] for row in sets}
+    files = {row.set_index: SetReference(row.file) for row in sets if row.file is not None}
+    hour_of = {row.set_index: row.due_h for row in sets}
     stored = sorted(files)
     hours = np.array([hour_of[index] for index in stored])
     wanted = np.linspace(hours[0], hours[-1], TRACES) if stored else np.empty(0)

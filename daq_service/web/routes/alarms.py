@@ -2,46 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 
+from daq_service.catalogue.rows import AlarmRow
 from daq_service.orders.kinds import LARGEST_ID
-from daq_service.web.answers import cursors
+from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import AlarmPage, AlarmRow, problems
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import CursorText, Limit, PositionFilter, listing_name, page
+from daq_service.web.routes.listing import POSITION, add_listing
 
 router = APIRouter(tags=["alarms"])
-ERRORS = problems(404, 422, 503)
+ERRORS = models.problems(404, 422, 503)
 WAITING = ("unacknowledged", "returned_unacknowledged")
+ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
+add_listing(
+    router,
+    "alarms",
+    AlarmRow,
+    models.AlarmPage,
+    "List alarms in the order they were raised.",
+    POSITION | {"active": (ACTIVE, None)},
+)
 
 
-@router.get("/alarms", operation_id="list_alarms", response_model=AlarmPage, responses=ERRORS)
-def list_alarms(
-    context: ContextOf,
-    position: PositionFilter = None,
-    active: Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")] = None,
-    cursor: CursorText = None,
-    limit: Limit = 100,
-) -> JsonAnswer:
-    """List alarms in the order they were raised."""
-    if position is not None:
-        context.known(position)
-    name = listing_name("alarms", position=position, active=active)
-    after = cursors.decode(name, cursor)
-    rows = context.catalogue().list_alarms(
-        position=position, active=active, after_id=after or 0, limit=limit + 1
-    )
-    return page(context.freshness(), name, rows, limit, at="raised_h")
-
-
-@router.get("/alarms/{alarm_id}", operation_id="get_alarm", response_model=AlarmRow, responses=ERRORS)
+@router.get("/alarms/{alarm_id}", operation_id="get_alarm", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Tell one alarm with its proof."""
-    return JsonAnswer(context.freshness().row(_alarm(context, alarm_id), at="raised_h"))
+    return JsonAnswer(context.freshness().row(_alarm(context, alarm_id)))
 
 
 def check_waiting(context: Context, alarm_id: int) -> None:
@@ -52,7 +42,7 @@ def check_waiting(context: Context, alarm_id: int) -> None:
     Problem
         404 or 409.
     """
-    state = _alarm(context, alarm_id)["state"]
+    state = _alarm(context, alarm_id).state
     if state not in WAITING:
         raise conflict(
             f"Alarm {alarm_id} is {state}: there is nothing to acknowledge.",
@@ -60,7 +50,7 @@ def check_waiting(context: Context, alarm_id: int) -> None:
         )
 
 
-def _alarm(context: Context, alarm_id: int) -> dict[str, Any]:
+def _alarm(context: Context, alarm_id: int) -> AlarmRow:
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")

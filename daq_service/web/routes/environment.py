@@ -4,36 +4,21 @@ from __future__ import annotations
 
 from fastapi import APIRouter
 
-from daq_service.web.answers import cursors
+from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import EnvironmentNow, EnvironmentPage, problems
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import CursorText, FromHour, Limit, ToHour, last_hour, listing_name, page
+from daq_service.web.routes.listing import HOURS, add_listing
 
 router = APIRouter(tags=["environment"])
-
-
-@router.get(
-    "/environment",
-    operation_id="list_environment",
-    response_model=EnvironmentPage,
-    responses=problems(422, 503),
+add_listing(
+    router,
+    "environment",
+    EnvironmentRow,
+    EnvironmentPage,
+    "List supply and climate, one row a set; no rows where neither is configured.",
+    HOURS,
 )
-def list_environment(
-    context: ContextOf,
-    from_h: FromHour = None,
-    to_h: ToHour = None,
-    cursor: CursorText = None,
-    limit: Limit = 100,
-) -> JsonAnswer:
-    """List supply and climate, one row a set; no rows where neither is configured."""
-    last_h = last_hour(from_h, to_h)
-    name = listing_name("environment", from_h=from_h, to_h=to_h)
-    after = cursors.decode(name, cursor)
-    rows = context.catalogue().list_environment(
-        after_id=after or 0, limit=limit + 1, first_h=from_h, last_h=last_h
-    )
-    return page(context.freshness(), name, rows, limit)
 
 
 @router.get(

@@ -30,9 +30,9 @@ def get_info(context: ContextOf) -> JsonAnswer:
     hours = list(schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
     return JsonAnswer(
         {
-            "name": row["name"],
+            "name": row.name,
             "version": distribution_version(),
-            "configuration_hash": row["configuration_hash"],
+            "configuration_hash": row.configuration_hash,
             "rig": settings.rig.kind,
             "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
             "clock": {
@@ -65,7 +65,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 for name, place in settings.positions.items()
             ],
             "held": catalogue.held(),
-            "dry_run": None if started is None else started["payload"].get("dry_run"),
+            "dry_run": None if started is None else started.payload.get("dry_run"),
             "last_event_id": fresh.last_event_id,
             "as_of": fresh.as_of(),
         }

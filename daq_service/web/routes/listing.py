@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Mapping, Sequence
+from inspect import Parameter, Signature
+from typing import Annotated, Any, cast
 
-from fastapi import Query
+from fastapi import APIRouter, Query
 
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import Row, SetRow
 from daq_service.web.answers import cursors
-from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.json_answer import NS_PER_H, JsonAnswer
+from daq_service.web.answers.models import Page, problems
 from daq_service.web.answers.problem import Problem
-from daq_service.web.context import Freshness
+from daq_service.web.context import Context, ContextOf, Freshness
 
 LARGEST_PAGE = 1000
 LARGEST_HOUR = 1e7
@@ -28,6 +32,9 @@ ToHour = Annotated[
     Query(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="Last hour, excluded"),
 ]
 PositionFilter = Annotated[str | None, Query(max_length=16, description="Only this position")]
+HOURS = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
+POSITION = {"position": (PositionFilter, None)}
+SET_INDEX = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
 
 
 def last_hour(from_h: float | None, to_h: float | None) -> float | None:
@@ -51,28 +58,78 @@ def last_hour(from_h: float | None, to_h: float | None) -> float | None:
     return math.nextafter(to_h, -math.inf)
 
 
+def add_listing(
+    router: APIRouter,
+    resource: str,
+    kind: type[Row],
+    page: type[Page],
+    told: str,
+    filters: Mapping[str, tuple[Any, Any]],
+    answers: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
+) -> None:
+    """Serve a table at ``/{resource}``: bounded pages in the order of its ids.
+
+    Parameters
+    ----------
+    kind, page
+        Its rows, and the shape of the answer.
+    told
+        What the listing is for, as the description of the interface says it.
+    filters
+        Query parameters beside ``cursor`` and ``limit``, by the names of `Filters` but for the hours
+        ``from_h`` and ``to_h``: type and default of each.
+    answers
+        How rows leave the service; None: with their age.
+    """
+
+    def listing(context: Context, cursor: str | None, limit: int, **given: Any) -> JsonAnswer:
+        if given.get("position") is not None:
+            context.known(given["position"])
+        last_hour(given.get("from_h"), given.get("to_h"))
+        name = listing_name(resource, **given)
+        given["after_id"] = cursors.decode(name, cursor)
+        catalogue, fresh = context.catalogue(), context.freshness()
+        rows = catalogue.rows(kind, limit=limit + 1, **_filters(kind, fresh, given))
+        of_page = rows[:limit]
+        shown = answers(context, fresh, of_page) if answers else [fresh.row(row) for row in of_page]
+        following = cursors.encode(name, shown[-1]["id"]) if len(rows) > limit else None
+        return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": following, "items": shown})
+
+    parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
+    # FastAPI reads from the signature which parameters there are.
+    listing.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
+        [
+            Parameter("context", Parameter.KEYWORD_ONLY, annotation=ContextOf),
+            *(
+                Parameter(name, Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+                for name, (annotation, default) in parameters.items()
+            ),
+        ]
+    )
+    listing.__doc__ = told
+    router.get(
+        f"/{resource}",
+        operation_id=f"list_{resource}",
+        name=f"list_{resource}",
+        response_model=page,
+        responses=problems(404, 422, 503) if "position" in filters else problems(422, 503),
+    )(listing)
+
+
+def _filters(kind: type[Row], fresh: Freshness, given: Mapping[str, Any]) -> Filters:
+    """Translate for the catalogue; sets are dated to the nanosecond, the rest by the hour they belong to."""
+    from_h, to_h = given.get("from_h"), given.get("to_h")
+    chosen: dict[str, Any] = {name: given[name] for name in given if name not in HOURS}
+    if kind is SetRow:
+        chosen["since_utc_ns"] = None if from_h is None else fresh.epoch_utc_ns + round(from_h * NS_PER_H)
+        chosen["until_utc_ns"] = None if to_h is None else fresh.epoch_utc_ns + round(to_h * NS_PER_H)
+    else:
+        chosen |= {"first_h": from_h, "last_h": last_hour(from_h, to_h)}
+    return cast(Filters, chosen)
+
+
 def listing_name(resource: str, **filters: object) -> str:
     """Name of a listing with its filters, to which its cursors are tied."""
     return resource + "".join(
         f"&{key}={value}" for key, value in sorted(filters.items()) if value is not None
-    )
-
-
-def page(
-    fresh: Freshness,
-    name: str,
-    rows: Sequence[dict[str, Any]],
-    limit: int,
-    *,
-    at: str = "due_h",
-) -> JsonAnswer:
-    """Answer of one page; ``rows`` holds one row more than the page where there are more."""
-    shown = rows[:limit]
-    following = cursors.encode(name, shown[-1]["id"]) if len(rows) > limit else None
-    return JsonAnswer(
-        {
-            "as_of": fresh.as_of(),
-            "next_cursor": following,
-            "items": [fresh.row(row, at=at) for row in shown],
-        }
     )

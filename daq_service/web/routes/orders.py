@@ -9,6 +9,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import Response
 
 from daq_service.alarms.states import retired_positions
+from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.orders.kinds import (
     _STRICT,
     LARGEST_ID,
@@ -108,7 +109,9 @@ def _check_transducer(context: Context, command: Retire | Reinstate) -> None:
         raise conflict(
             f"There is no solitary-wave transducer {position!r}.", f"There are: {', '.join(names) or 'none'}."
         )
-    retired = retired_positions(context.catalogue().list_alarms(position, active=True)).get(position)
+    retired = retired_positions(context.catalogue().rows(AlarmRow, position=position, active=True)).get(
+        position
+    )
     if isinstance(command, Retire) and retired is not None:
         raise conflict(f"{position} is retired already: {retired}.", "Reinstate it when it is put right.")
     if isinstance(command, Reinstate) and retired is None:
@@ -128,4 +131,4 @@ def _row(context: Context, command_id: int) -> dict[str, Any]:
         raise not_found(
             f"There is no command {command_id}.", "Ids come from the answer that accepted the command."
         )
-    return with_utc(row, 0)
+    return with_utc(values(row), 0)

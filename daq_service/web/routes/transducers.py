@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
+from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.rows import AlarmRow, Row, SetRow, VerdictRow
 from daq_service.settings.tree import ScheduleSettings
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import PositionList, PositionState, problems
@@ -45,18 +48,17 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] | None) -> dict[str, Any]:
+def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None) -> dict[str, Any]:
     place = context.settings.positions[name]
-    parts = found or {}
-    last_set = parts.get("last_set")
-    verdict = parts.get("last_verdict")
-    alarms = parts.get("active_alarms", [])
+    last = found or LastWord(position=name, method=place.method)
+    verdict, alarms = last.last_verdict, last.active_alarms
     # A set that was missed, or planned for a retired transducer, brings no data: they age on.
-    measured = [row["due_h"] for row in (parts.get("last_feature"), parts.get("last_thickness")) if row]
-    data_h = max(measured, default=None)
+    data_h = max(
+        (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None
+    )
     age_h = None if data_h is None else fresh.age_h(data_h)
     retired = retired_positions(alarms).get(name)
-    word = "retired" if retired else state_word(last_set, verdict, alarms)
+    word = "retired" if retired else state_word(last.last_set, verdict, alarms)
     return {
         "position": name,
         "label": place.label,
@@ -67,31 +69,29 @@ def _state(context: Context, fresh: Freshness, name: str, found: dict[str, Any] 
         "data_h": data_h,
         "data_utc": None if data_h is None else fresh.utc_of(data_h),
         "age_h": age_h,
-        "last_set": None if last_set is None else fresh.row(last_set),
-        "last_feature": _row(fresh, parts.get("last_feature")),
-        "last_thickness": _row(fresh, parts.get("last_thickness")),
-        "last_verdict": None if verdict is None else fresh.row(with_quality(context, [verdict])[0]),
+        "last_set": _row(fresh, last.last_set),
+        "last_feature": _row(fresh, last.last_feature),
+        "last_thickness": _row(fresh, last.last_thickness),
+        "last_verdict": None if verdict is None else with_quality(context, fresh, [verdict])[0],
         "retired_because": retired,
         "active_alarms": len(alarms),
-        "highest_severity": max((row["severity"] for row in alarms), key=SEVERITIES.index, default=None),
+        "highest_severity": max((row.severity for row in alarms), key=SEVERITIES.index, default=None),
     }
 
 
-def _row(fresh: Freshness, row: dict[str, Any] | None) -> dict[str, Any] | None:
+def _row(fresh: Freshness, row: Row | None) -> dict[str, Any] | None:
     return None if row is None else fresh.row(row)
 
 
-def state_word(
-    last_set: dict[str, Any] | None, verdict: dict[str, Any] | None, alarms: list[dict[str, Any]]
-) -> str:
+def state_word(last_set: SetRow | None, verdict: VerdictRow | None, alarms: Sequence[AlarmRow]) -> str:
     """One word for a position that strikes, the gravest first."""
     if last_set is None:
         return "no_data"
     if alarms:
         return "alarm"
-    if verdict is not None and verdict["outlier"]:
+    if verdict is not None and verdict.outlier:
         return "outlier"
-    if last_set["method"] == "pulse_echo" or (verdict is not None and verdict["outlier"] is not None):
+    if last_set.method == "pulse_echo" or (verdict is not None and verdict.outlier is not None):
         return "normal"
     return "learning"
 

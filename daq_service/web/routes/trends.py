@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 
+from analysis.waves.features import ALL_FEATURE_NAMES
+from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow
 from daq_service.web.answers.json_answer import NS_PER_S, JsonAnswer, rfc3339
 from daq_service.web.answers.models import Trend, problems
 from daq_service.web.answers.problem import Problem
@@ -15,27 +17,10 @@ from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 
 router = APIRouter(tags=["trends"])
 
-FEATURES = (
-    "tof_pp_s",
-    "tof_ac_s",
-    "amplitude_ratio",
-    "autocorrelation_coefficient",
-    "psw_area_v_s",
-    "tof_mf_s",
-    "isw_amplitude_v",
-    "psw_amplitude_v",
-    "ssw_amplitude_v",
-    "isw_time_s",
-    "psw_time_s",
-    "ssw_time_s",
-    "isw_fwhm_s",
-    "psw_isw_area_ratio",
-    "noise_rms_v",
-)
 THICKNESS = ("travel_time_s", "thickness_m", "thickness_loss_m", "correlation_coefficient")
 VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
 COMMON = ("set_index", "due_h", "quality")
-MEASURED = {"solitary_wave": FEATURES, "pulse_echo": THICKNESS}
+MEASURED = {"solitary_wave": ALL_FEATURE_NAMES, "pulse_echo": THICKNESS}
 
 
 def unit_of(field: str) -> str:
@@ -108,18 +93,31 @@ def get_trend(
 _UNITLESS = frozenset({"outlier", "outlier_paper", "in_baseline", "reason"})
 
 
+def measured_columns(
+    context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
+) -> dict[str, list[Any]]:
+    """Read columns of what the position's method measured, one entry a set."""
+    if context.settings.positions[position].method == "pulse_echo":
+        return context.catalogue().columns(
+            ThicknessRow, names, position=position, first_h=first_h, last_h=last_h
+        )
+    return context.catalogue().columns(
+        FeatureRow, names, position=position, scope="set", first_h=first_h, last_h=last_h
+    )
+
+
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> dict[str, list[Any]]:
     """Read `COMMON` and the chosen columns; a set without verdict has null in the verdict's columns."""
-    catalogue = context.catalogue()
     method = context.settings.positions[position].method
     measured = [name for name in fields if name in MEASURED[method]]
     judged = [name for name in fields if name in VERDICTS]
-    read = catalogue.feature_columns if method == "solitary_wave" else catalogue.thickness_columns
-    columns = read(position, [*COMMON, *measured], first_h=from_h, last_h=last_h)
+    columns = measured_columns(context, position, [*COMMON, *measured], from_h, last_h)
     if judged:
-        verdicts = catalogue.verdict_columns(position, ["set_index", *judged], first_h=from_h, last_h=last_h)
+        verdicts = context.catalogue().columns(
+            VerdictRow, ["set_index", *judged], position=position, first_h=from_h, last_h=last_h
+        )
         row_of = {index: row for row, index in enumerate(verdicts["set_index"])}
         rows = [row_of.get(index) for index in columns["set_index"]]
         for name in judged:

@@ -6,14 +6,16 @@ import asyncio
 import io
 import itertools
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
+from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, SetReference
+from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
@@ -85,15 +87,16 @@ def get_waveform(
     """Read one stored record, of a repeated shot the accepted one; pulse-echo records have shot index 0."""
     context.known(position)
     catalogue = context.catalogue()
-    row = _accepted(catalogue.list_shots(position, set_index), shot_index)
-    its_set = _set_with_file(context, position, set_index)
-    if row is None or its_set is None:
+    shots = catalogue.rows(ShotRow, position=position, set_index=set_index)
+    row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
+    its_set = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
+    if row is None or its_set is None or its_set.file is None:
         raise not_found(
             f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
     try:
-        waveform = context.archive.read_waveform(SetReference(its_set["file"]), position, shot_index)
+        waveform = context.archive.read_waveform(SetReference(its_set.file), position, shot_index)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'
@@ -121,20 +124,19 @@ def get_waveform(
             buffer.getvalue(), media_type=NPY, headers={"Content-Disposition": disposition + '.npy"'}
         )
     fresh = context.freshness()
-    quality = _quality(context, position, set_index, row["sequence"])
-    shot = with_utc(row, fresh.epoch_utc_ns)
-    place = with_utc({"due_h": its_set["due_h"]}, fresh.epoch_utc_ns)
+    quality = _quality(context, position, set_index, row.sequence)
+    place = with_utc({"due_h": its_set.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(
         {
             "position": position,
-            "method": its_set["method"],
+            "method": its_set.method,
             "set_index": set_index,
             "shot_index": shot_index,
-            "sequence": row["sequence"],
-            "utc": shot["utc"],
+            "sequence": row.sequence,
+            "utc": rfc3339(row.utc_ns),
             **place,
-            "valid": row["valid"],
-            "flags": row["flags"],
+            "valid": row.valid,
+            "flags": row.flags,
             "quality": quality,
             "sample_rate_hz": waveform.sample_rate_hz,
             "pretrigger_samples": waveform.pretrigger_samples,
@@ -143,7 +145,7 @@ def get_waveform(
             "time_s": np.ascontiguousarray(time_s),
             "voltage_v": np.ascontiguousarray(voltage_v),
             "as_of": fresh.as_of(),
-            "age_h": fresh.age_h(its_set["due_h"]),
+            "age_h": fresh.age_h(its_set.due_h),
         }
     )
 
@@ -168,26 +170,14 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
     return np.unique(np.asarray(kept, dtype=np.intp))
 
 
-def _set_with_file(context: Context, position: str, set_index: int) -> dict[str, Any] | None:
-    """Row of one set, if its file is known."""
-    rows = context.catalogue().list_sets(position=position, limit=None)
-    return next((row for row in rows if row["set_index"] == set_index and row["file"]), None)
-
-
-def _accepted(shots: Sequence[dict[str, Any]], shot_index: int) -> dict[str, Any] | None:
-    """Row of the attempt that counts."""
-    found = (row for row in shots if row["shot_index"] == shot_index and row["outcome"] == "accepted")
-    return next(found, None)
-
-
 def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
-    catalogue = context.catalogue()
+    """Quality of the features, or of the thickness, that a record gave."""
+    rows: Sequence[ThicknessRow | FeatureRow]
     if context.settings.positions[position].method == "pulse_echo":
-        rows = catalogue.list_thickness(position=position, set_index=set_index)
+        rows = context.catalogue().rows(ThicknessRow, position=position, set_index=set_index)
     else:
-        found = catalogue.list_features(position=position, scope="shot", set_index=set_index)
-        rows = [row for row in found if row["sequence"] == sequence]
-    return rows[0]["quality"] if rows else None
+        rows = context.catalogue().rows(FeatureRow, position=position, set_index=set_index)
+    return next((row.quality for row in rows if row.sequence == sequence), None)
 
 
 @router.websocket("/waveforms/live")

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from daq_service.alarms.states import (
     retired_positions,
     update,
 )
+from daq_service.catalogue.rows import AlarmRow, AlarmState
 
 
 def condition(present: bool, **values: Any) -> Condition:
@@ -30,19 +32,19 @@ def moment(set_index: int = 0) -> Moment:
     return Moment(utc_ns=1_000 + set_index, due_h=0.5 * set_index, set_index=set_index)
 
 
-def raised(**values: Any) -> dict[str, Any]:
+def raised(**values: Any) -> AlarmRow:
     change = update(None, condition(True, **values), moment())
     assert change is not None
-    return {"id": 7, **change.row}
+    return replace(change.row, id=7)
 
 
 def test_a_condition_raises_an_unacknowledged_alarm() -> None:
     change = update(None, condition(True, proof={"limit": 24.3}), moment(3))
     assert change is not None
     assert change.event_kind == "alarm_raised"
-    assert change.row["state"] == "unacknowledged"
-    assert (change.row["raised_h"], change.row["raised_set_index"]) == (1.5, 3)
-    assert change.row["proof"] == {"limit": 24.3}
+    assert change.row.state == "unacknowledged"
+    assert (change.row.raised_h, change.row.raised_set_index) == (1.5, 3)
+    assert change.row.proof == {"limit": 24.3}
 
 
 def test_no_condition_and_no_alarm_is_no_change() -> None:
@@ -56,10 +58,10 @@ def test_a_standing_condition_is_told_once() -> None:
 def test_a_cleared_alarm_waits_for_its_acknowledgement() -> None:
     change = update(raised(), condition(False), moment(4))
     assert change is not None
-    assert change.row["state"] == "returned_unacknowledged"
-    assert change.row["cleared_utc_ns"] == moment(4).utc_ns
+    assert change.row.state == "returned_unacknowledged"
+    assert change.row.cleared_utc_ns == moment(4).utc_ns
     seen = acknowledge(change.row, "ann", "looked at it", moment(5))
-    assert (seen.row["state"], seen.row["acknowledged_by"], seen.row["note"]) == (
+    assert (seen.row.state, seen.row.acknowledged_by, seen.row.note) == (
         "normal",
         "ann",
         "looked at it",
@@ -68,10 +70,10 @@ def test_a_cleared_alarm_waits_for_its_acknowledgement() -> None:
 
 def test_an_acknowledged_alarm_ends_with_its_condition() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
-    assert seen["state"] == "acknowledged"
+    assert seen.state == "acknowledged"
     change = update(seen, condition(False), moment(2))
     assert change is not None
-    assert change.row["state"] == "normal"
+    assert change.row.state == "normal"
 
 
 def test_a_condition_that_returns_asks_for_attention_again() -> None:
@@ -79,14 +81,14 @@ def test_a_condition_that_returns_asks_for_attention_again() -> None:
     assert cleared is not None
     again = update(cleared.row, condition(True), moment(2))
     assert again is not None
-    assert (again.row["state"], again.event_kind) == ("unacknowledged", "alarm_returned")
+    assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_returned")
 
 
 def test_a_closed_alarm_stays_in_the_history() -> None:
-    closed = {**raised(), "state": "normal"}
+    closed = replace(raised(), state="normal")
     change = update(closed, condition(True), moment(9))
     assert change is not None
-    assert "id" not in change.row, "a new appearance is a new row"
+    assert change.row.id is None, "a new appearance is a new row"
 
 
 def test_a_hole_does_not_heal() -> None:
@@ -98,7 +100,7 @@ def test_severity_only_rises_and_asks_for_attention() -> None:
     assert update(seen, condition(True, severity="low"), moment(2)) is None
     worse = update(seen, condition(True, severity="critical"), moment(2))
     assert worse is not None
-    assert (worse.row["severity"], worse.row["state"]) == ("critical", "unacknowledged")
+    assert (worse.row.severity, worse.row.state) == ("critical", "unacknowledged")
 
 
 def test_nothing_to_acknowledge_is_said() -> None:
@@ -111,20 +113,20 @@ def test_a_reset_ends_a_latched_alarm_in_the_name_of_who_did_it() -> None:
     change = reset(raised(kind="hole"), "ann", "contact put right", moment(6))
     assert change.event_kind == "alarm_reset"
     row = change.row
-    assert (row["id"], row["state"], row["cleared_utc_ns"]) == (7, "normal", moment(6).utc_ns)
-    assert (row["acknowledged_by"], row["acknowledged_utc_ns"]) == ("ann", moment(6).utc_ns)
-    assert row["note"] == "contact put right"
+    assert (row.id, row.state, row.cleared_utc_ns) == (7, "normal", moment(6).utc_ns)
+    assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("ann", moment(6).utc_ns)
+    assert row.note == "contact put right"
     again = update(row, condition(True, kind="hole", latched=True), moment(7))
     assert again is not None
-    assert (again.event_kind, "id" in again.row) == ("alarm_raised", False)
+    assert (again.event_kind, again.row.id) == ("alarm_raised", None)
 
 
 def test_a_reset_keeps_who_saw_the_alarm_first_and_an_old_note_where_there_is_no_new_one() -> None:
     seen = acknowledge(raised(kind="hole"), "bob", "looked at it", moment(2)).row
     row = reset(seen, "ann", "", moment(6)).row
-    assert (row["acknowledged_by"], row["acknowledged_utc_ns"]) == ("bob", moment(2).utc_ns)
-    assert row["note"] == "looked at it"
-    assert reset(seen, "ann", "new coil", moment(6)).row["note"] == "new coil"
+    assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("bob", moment(2).utc_ns)
+    assert row.note == "looked at it"
+    assert reset(seen, "ann", "new coil", moment(6)).row.note == "new coil"
 
 
 def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
@@ -137,18 +139,18 @@ def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
 def test_an_alarm_is_active_exactly_while_its_condition_stands_or_nobody_has_seen_it(
     history: list[bool],
 ) -> None:
-    row: dict[str, Any] | None = None
+    row: AlarmRow | None = None
     for index, present in enumerate(history):
         change = update(row, condition(present), moment(index))
-        row = row if change is None else {"id": index, **change.row}
+        row = row if change is None else replace(change.row, id=index)
     appeared = any(history)
-    assert (row is not None and row["state"] in ACTIVE_STATES) == appeared
+    assert (row is not None and row.state in ACTIVE_STATES) == appeared
     if row is not None:
-        assert (row["state"] == "unacknowledged") == history[-1]
+        assert (row.state == "unacknowledged") == history[-1]
 
 
-def standing(position: str | None, kind: str, state: str = "unacknowledged") -> dict[str, Any]:
-    return {"position": position, "kind": kind, "state": state, "message": f"{kind} at {position}"}
+def standing(position: str | None, kind: str, state: AlarmState = "unacknowledged") -> AlarmRow:
+    return replace(raised(position=position, kind=kind, message=f"{kind} at {position}"), state=state)
 
 
 @pytest.mark.parametrize("kind", ["hole", "retired"])

@@ -17,6 +17,7 @@ from sqlalchemy import create_engine, event
 import daq_service.catalogue.migrations as migrations
 from daq_service.catalogue import connection, open_catalogue
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
+from daq_service.catalogue.rows import EnvironmentRow, ShotRow
 from daq_service.catalogue.tables import metadata
 
 
@@ -152,8 +153,8 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
         assert rows_of(path, table, names) == [(*row, *new) for row in rows], table
     assert rows_of(path, "alembic_version") == [("0002",)]
     with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.list_environment() == []
-        assert [row["outcome"] for row in catalogue.list_shots("B", 0)] == ["accepted"] * 2
+        assert catalogue.rows(EnvironmentRow) == []
+        assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2
     migrated, described = schema_of(path), tmp_path / "described.sqlite"
     engine = create_engine(f"sqlite:///{described}")
     metadata.create_all(engine)

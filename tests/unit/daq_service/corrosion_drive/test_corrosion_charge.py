@@ -3,11 +3,13 @@
 import functools
 import itertools
 import math
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.charge import Charge, DriveState, add_interval, elapsed_s, restored_state
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
@@ -94,14 +96,17 @@ def test_time_is_monotonic_within_a_boot_and_utc_across():
 
 
 def row(**changes):
-    return {
-        "supply_state": "on",
-        "supply_age_s": 4.0,
-        "supply_tripped": None,
-        "charge_coulomb": 123.0,
-        "unknown_s": 7.0,
-        **changes,
-    }
+    newest = EnvironmentRow(
+        set_index=3,
+        due_h=1.5,
+        supply_state="on",
+        supply_quality="good",
+        supply_age_s=4.0,
+        charge_coulomb=123.0,
+        unknown_s=7.0,
+        climate_quality="absent",
+    )
+    return replace(newest, **changes)
 
 
 @pytest.mark.parametrize(

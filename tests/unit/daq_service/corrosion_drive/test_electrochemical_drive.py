@@ -488,19 +488,19 @@ def test_a_supply_that_cannot_read_back_is_judged_by_the_order():
 
 
 def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energised):
-    row = energised.drive.summary()
+    row = energised.drive.row(0, 0.0)
     written_ns = energised.clock.utc_ns()
     bench = Bench(restored_state(row, written_utc_ns=written_ns, parameters=PARAMETERS), on=True)
     bench.clock.now_ns = written_ns
     bench.clock.advance(1000.0)
     bench.run(INTERVAL_S)
     after = bench.drive.summary()
-    assert after["charge_coulomb"] == row["charge_coulomb"]
-    assert after["unknown_s"] == pytest.approx(row["unknown_s"] + 1000.0 + row["supply_age_s"], abs=1.0)
+    assert after["charge_coulomb"] == row.charge_coulomb
+    assert after["unknown_s"] == pytest.approx(row.unknown_s + 1000.0 + row.supply_age_s, abs=1.0)
     assert bench.supply.calls == ["read", "read_back"]
     assert bench.active() == set()
     bench.run(INTERVAL_S)
-    assert bench.drive.summary()["charge_coulomb"] == pytest.approx(row["charge_coulomb"] + 2.0, rel=1e-6)
+    assert bench.drive.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
 
 
 def test_a_supply_that_is_off_after_a_restart_is_told_and_stays_off():

@@ -47,8 +47,8 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     assessed(made, echo_volts(6.35e-3, STRAIGHT))
     found = assessed(made, echo_volts(4.2e-3, STRAIGHT), sequence=2)
     (row,) = found.thickness
-    assert row["thickness_m"] == pytest.approx(4.2e-3, abs=1e-6)
-    assert row["quality"] == "good"
+    assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
+    assert row.quality == "good"
     assert found.shot_flags == {2: ()}
     proof = found.conditions[0].proof
     low_m, high_m = proof["interval_m"]
@@ -63,8 +63,8 @@ def test_without_a_back_wall_there_is_a_flag_and_no_number():
     noise_v = 2.5e-3 * np.random.default_rng(1).standard_normal(2_048)
     found = assessed(made, noise_v, sequence=2)
     (row,) = found.thickness
-    assert row["quality"] == "bad"
-    assert [row[name] for name in ("travel_time_s", "thickness_m", "thickness_loss_m")] == [None] * 3
+    assert row.quality == "bad"
+    assert (row.travel_time_s, row.thickness_m, row.thickness_loss_m) == (None, None, None)
     assert found.shot_flags == {2: ("no_echo",)}
     assert (found.n_valid, found.invalid) == (0, frozenset({2}))
     assert found.conditions[0].proof["thickness_m"] is None
@@ -80,9 +80,9 @@ def test_clipping_is_told_whether_the_mean_shows_it_or_only_the_instrument_does(
     found = assessed(made, gain * echo_volts(5e-3, STRAIGHT), sequence=2, settings=settings)
     (row,) = found.thickness
     assert found.shot_flags == {2: ("clipped",)}
-    assert row["quality"] == "suspect"
+    assert row.quality == "suspect"
     assert found.n_valid == 1
-    assert row["thickness_m"] == pytest.approx(5e-3, abs=5e-6)  # what is cut off is cut alike on both sides
+    assert row.thickness_m == pytest.approx(5e-3, abs=5e-6)  # what is cut off is cut alike on both sides
     assert "clipped" in found.note
 
 
@@ -93,7 +93,7 @@ def test_the_separation_of_the_elements_is_taken_off_where_it_is_known():
         made = assessor(element_separation_m=known_m)
         assessed(made, echo_volts(6.35e-3, echo))
         (row,) = assessed(made, echo_volts(3.8e-3, echo), sequence=2).thickness
-        read_m[known_m] = row["thickness_m"]
-        assert row["thickness_m"] + row["thickness_loss_m"] == pytest.approx(6.35e-3, rel=1e-12)
+        read_m[known_m] = row.thickness_m
+        assert row.thickness_m + row.thickness_loss_m == pytest.approx(6.35e-3, rel=1e-12)
     assert read_m[2.7e-3] == pytest.approx(3.8e-3, abs=1e-6)
     assert read_m[0.0] == pytest.approx(3.945e-3, abs=1e-6)

@@ -256,7 +256,7 @@ def test_order_becomes_a_row_and_is_followed(api, filled):
     assert answer.status_code == 202
     row = CommandRow.model_validate_json(answer.content, strict=True)
     assert (row.kind, row.author, row.state, row.arguments) == ("finish_now", "Ada", "pending", {})
-    assert filled.catalogue.command(row.id)["kind"] == "finish_now"
+    assert filled.catalogue.command(row.id).kind == "finish_now"
     filled.catalogue.finish_command(row.id, "done", "no pacing from here on")
     followed = api.get(answer.headers["location"]).json()
     assert (followed["state"], followed["result"]) == ("done", "no pacing from here on")
@@ -276,10 +276,10 @@ def test_acknowledgement_becomes_a_row(api, filled, as_command):
         answer = api.post("/api/v1/alarms/1/acknowledge", json={"author": "Ada", "note": "seen"})
     assert answer.status_code == 202, answer.text
     row = filled.catalogue.command(answer.json()["id"])
-    assert row["kind"] == "acknowledge_alarm"
-    assert row["arguments"] == {"alarm_id": 1, "note": "seen"}
+    assert row.kind == "acknowledge_alarm"
+    assert row.arguments == {"alarm_id": 1, "note": "seen"}
     # The service writes the order only: the recorder changes the alarm.
-    assert filled.catalogue.alarm(1)["state"] == "unacknowledged"
+    assert filled.catalogue.alarm(1).state == "unacknowledged"
 
 
 def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
@@ -341,12 +341,12 @@ def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
     problem(ordered(api, "release"), 409, "conflict")
     assert ordered(api, "hold", note="door open").status_code == 202
     (row,) = filled.catalogue.pending_commands()
-    assert (row["kind"], row["author"], row["arguments"]) == ("hold", "Ada", {"note": "door open"})
+    assert (row.kind, row.author, row.arguments) == ("hold", "Ada", {"note": "door open"})
     filled.say("hold", held="held by Ada: door open", author="Ada")
     refusal = problem(ordered(api, "hold"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
     assert ordered(api, "release").status_code == 202
-    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
     assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
 
 
@@ -362,7 +362,7 @@ def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(l
     refusal = problem(ordered(api, "retire", position="B"), 409, "conflict")
     assert "10 sets running with nothing at B" in refusal["detail"]
     assert ordered(api, "reinstate", position="B").status_code == 202
-    kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+    kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
     assert kinds == [
         ("retire", {"position": "B", "note": "coil is hot"}),
         ("reinstate", {"position": "B", "note": ""}),
@@ -381,7 +381,7 @@ def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, la
     with served(filled.settings, tmp_path / "with") as service, service.client() as api:
         assert ordered(api, "supply_on", voltage_v=5.0).status_code == 202
         assert ordered(api, "supply_off").status_code == 202
-        kinds = [(row["kind"], row["arguments"]) for row in filled.catalogue.pending_commands()]
+        kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
     filled.close()
     assert kinds == [
         ("supply_on", {"voltage_v": 5.0, "current_limit_a": None, "note": ""}),

@@ -1,6 +1,7 @@
 """Every reading route of the service against a folder filled through the real catalogue and archive."""
 
 import math
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import httpx
@@ -9,6 +10,7 @@ import pytest
 from support.filled_folder import LIMIT_F, FilledFolder
 from support.served_web import served
 
+from daq_service.catalogue.rows import EnvironmentRow, FeatureRow, SetRow, VerdictRow, values
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
@@ -155,8 +157,8 @@ def test_pages_together_are_the_whole_listing(api, path, total):
 
 def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     (row,) = get(api, "/api/v1/environment?from_h=10&to_h=10.25")["items"]
-    (stored,) = filled.catalogue.list_environment(first_h=10.0, last_h=10.0)
-    assert {name: row[name] for name in stored} == stored
+    (stored,) = filled.catalogue.rows(EnvironmentRow, first_h=10.0, last_h=10.0)
+    assert {name: row[name] for name in values(stored)} == values(stored)
     assert (row["voltage_v"], row["charge_coulomb"]) == (10.0, 180.0)
     assert (row["climate_quality"], row["temperature_c"], row["relative_humidity"]) == ("stale", 21.5, None)
     assert (row["due_utc"], row["age_h"]) == ("2024-01-01T10:00:00Z", 20.0)
@@ -196,13 +198,13 @@ def test_info_tells_a_hold_and_whether_this_is_a_rehearsal(tmp_path):
 
 def test_trend_columns_are_the_catalogues_rows(api, filled):
     trend = get(api, "/api/v1/trends/B")
-    rows = filled.catalogue.list_features("B")
-    verdicts = filled.catalogue.list_verdicts("B")
+    rows = filled.catalogue.rows(FeatureRow, position="B", scope="set")
+    verdicts = filled.catalogue.rows(VerdictRow, position="B")
     columns = trend["columns"]
     assert {len(column) for column in columns.values()} == {N_SETS}
-    assert columns["tof_pp_s"] == [row["tof_pp_s"] for row in rows]
-    assert columns["distance_squared"] == [row["distance_squared"] for row in verdicts]
-    assert columns["outlier"] == [row["outlier"] for row in verdicts]
+    assert columns["tof_pp_s"] == [row.tof_pp_s for row in rows]
+    assert columns["distance_squared"] == [row.distance_squared for row in verdicts]
+    assert columns["outlier"] == [row.outlier for row in verdicts]
     assert trend["units"]["tof_pp_s"] == "s"
     assert trend["units"]["psw_area_v_s"] == "V s"
     assert trend["units"]["amplitude_ratio"] == "1"
@@ -215,8 +217,8 @@ def test_trend_gives_the_chosen_fields_only(api):
 
 def test_fit_is_the_least_squares_parabola(api, filled):
     fit = get(api, "/api/v1/fits/B?field=tof_pp_s")
-    rows = filled.catalogue.list_features("B")
-    hours, values = [row["due_h"] for row in rows], [row["tof_pp_s"] for row in rows]
+    rows = filled.catalogue.rows(FeatureRow, position="B", scope="set")
+    hours, values = [row.due_h for row in rows], [row.tof_pp_s for row in rows]
     expected = np.polynomial.Polynomial.fit(hours, values, 2).convert().coef
     at = np.array([0.0, 15.0, 30.0])
     # Two orthogonalisations of the same problem: their values differ by rounding only.
@@ -348,8 +350,22 @@ def test_hours_get_their_time_beside_them():
     }
 
 
-SET = {"state": "done", "method": "solitary_wave"}
-ECHO_SET = {"state": "done", "method": "pulse_echo"}
+SET = SetRow(
+    set_index=0,
+    position="B",
+    method="solitary_wave",
+    due_utc_ns=0,
+    due_h=0.0,
+    state="done",
+    n_planned=1,
+)
+ECHO_SET = replace(SET, method="pulse_echo")
+
+
+def judged(outlier):
+    return VerdictRow(
+        set_index=0, position="B", due_h=0.0, in_baseline=False, limit_name="f_predictive", outlier=outlier
+    )
 
 
 @pytest.mark.parametrize(
@@ -357,11 +373,11 @@ ECHO_SET = {"state": "done", "method": "pulse_echo"}
     [
         (None, None, [], "no_data"),
         # It was reinstated after this set: what it is now is told by its alarms.
-        ({"state": "retired", "method": "solitary_wave"}, {"outlier": False}, [], "normal"),
-        (SET, {"outlier": False}, [{}], "alarm"),
-        (SET, {"outlier": True}, [], "outlier"),
-        (SET, {"outlier": False}, [], "normal"),
-        (SET, {"outlier": None}, [], "learning"),
+        (replace(SET, state="retired"), judged(False), [], "normal"),
+        (SET, judged(False), ["an alarm"], "alarm"),
+        (SET, judged(True), [], "outlier"),
+        (SET, judged(False), [], "normal"),
+        (SET, judged(None), [], "learning"),
         (SET, None, [], "learning"),
         (ECHO_SET, None, [], "normal"),
     ],

@@ -39,7 +39,7 @@ def connected(service, query="", **headers):
 
 
 def stored_ids(filled, topics=None):
-    return [row["id"] for row in filled.catalogue.events_after(0, topics, None)]
+    return [row.id for row in filled.catalogue.events_after(0, topics, None)]
 
 
 def test_events_arrive_as_they_are_committed(filled, service):
@@ -50,7 +50,7 @@ def test_events_arrive_as_they_are_committed(filled, service):
         arrived = take(events, len(new))
     assert [event.id for event in arrived] == new
     rows = filled.catalogue.events_after(history[-1], None, None)
-    assert [event.event for event in arrived] == [row["topic"] for row in rows]
+    assert [event.event for event in arrived] == [row.topic for row in rows]
     assert arrived[0].data["position"] == "A"
     assert arrived[0].data["kind"] == "set_done"
     assert arrived[0].data["utc"] == "2024-01-01T01:00:00Z"

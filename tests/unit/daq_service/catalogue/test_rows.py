@@ -1,0 +1,99 @@
+"""A row, its table, its answer and its event say the same columns."""
+
+import dataclasses
+from types import NoneType
+from typing import Literal, get_args, get_origin
+
+import pytest
+from sqlalchemy import JSON, BigInteger, Boolean, Float, Integer, String
+
+from analysis.waves.features import ALL_FEATURE_NAMES
+from daq_service.catalogue import rows
+from daq_service.catalogue.tables import metadata, table_of
+from daq_service.judgement.transaction import payload_of
+from daq_service.web.answers import models
+from daq_service.web.answers.json_answer import with_utc
+
+KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
+KINDS.remove(rows.Row)
+ANSWERED = [kind for kind in KINDS if hasattr(models, kind.__name__)]
+EXAMPLES = {bool: True, dict: {}, float: 1.5, int: 7, list: [], str: "text"}
+
+
+def example(kind):
+    """Return a row with something in every column."""
+    given = {}
+    for column in rows.columns_of(kind):
+        (of_type,) = [part for part in alternatives(column.type) if part is not NoneType]
+        origin = get_origin(of_type) or of_type
+        given[column.name] = get_args(of_type)[0] if origin is Literal else EXAMPLES[origin]
+    return kind(**given)
+
+
+def alternatives(of_type):
+    return (of_type,) if get_origin(of_type) in (Literal, list, dict) else get_args(of_type) or (of_type,)
+
+
+def test_every_table_holds_one_kind_of_row():
+    assert len(KINDS) == 11
+    assert {table_of(kind).name for kind in KINDS} == set(metadata.tables)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
+    table = table_of(kind)
+    assert list(table.columns.keys()) == [field.name for field in dataclasses.fields(kind)]
+    assert [column.name for column in table.primary_key] == [dataclasses.fields(kind)[0].name]
+    hints = {column.name: alternatives(column.type) for column in rows.columns_of(kind)}
+    for column in table.columns:
+        if not column.primary_key:
+            assert column.nullable == (NoneType in hints[column.name]), column.name
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "of_type"),
+    [
+        (rows.ShotRow, "utc_ns", BigInteger),
+        (rows.ShotRow, "crc32", BigInteger),
+        (rows.ShotRow, "valid", Boolean),
+        (rows.ShotRow, "flags", JSON),
+        (rows.SetRow, "n_taken", Integer),
+        (rows.SetRow, "method", String),
+        (rows.SetRow, "ended_utc_ns", BigInteger),
+        (rows.FeatureRow, "tof_pp_s", Float),
+        (rows.VerdictRow, "outlier", Boolean),
+        (rows.VerdictRow, "contributions", JSON),
+        (rows.AlarmRow, "proof", JSON),
+    ],
+)
+def test_a_column_is_of_the_type_that_holds_its_values(kind, name, of_type):
+    assert type(table_of(kind).c[name].type) is of_type
+
+
+def test_features_are_the_columns_of_a_feature_row():
+    names = [field.name for field in dataclasses.fields(rows.FeatureRow)]
+    assert tuple(names[-len(ALL_FEATURE_NAMES) :]) == ALL_FEATURE_NAMES
+
+
+@pytest.mark.parametrize("kind", ANSWERED)
+def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
+    assert len(ANSWERED) == 9
+    row = example(kind)
+    answer = with_utc(rows.values(row), 0)
+    if {"due_h", "raised_h"} & answer.keys():
+        answer["age_h"] = 0.0
+    if kind is rows.VerdictRow:
+        answer["quality"] = "good"
+    model = getattr(models, kind.__name__)
+    assert model.model_validate(answer, strict=True).model_dump() == answer
+    for column in rows.columns_of(kind):
+        if column.told is not None:
+            assert model.model_fields[column.name].description == column.told
+
+
+def test_an_event_tells_a_row_without_an_id_that_is_not_given_out():
+    row = example(rows.AlarmRow)
+    assert payload_of(row) == rows.values(row)
+    assert list(payload_of(row, last="id"))[-1] == "id"
+    new = dataclasses.replace(row, id=None)
+    assert payload_of(new) == {name: value for name, value in rows.values(row).items() if name != "id"}
