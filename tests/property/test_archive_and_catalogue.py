@@ -20,7 +20,6 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.memory_archive import MemoryArchive, bits
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.archive import (
     ConflictingSetError,
     FolderArchive,
@@ -30,7 +29,8 @@ from daq_service.archive import (
 )
 from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
 from daq_service.catalogue.errors import CatalogueError
-from daq_service.judgement.transaction import set_row, shot_row
+from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow, ShotRow
+from daq_service.judgement.transaction import shot_row
 
 INDICES = range(SET_INDEX, SET_INDEX + 5)
 RECORDS = {index: other_set(make_set(), index) for index in INDICES}
@@ -46,19 +46,19 @@ class Killed(BaseException):
 
 
 def column(row, name):
-    return row[name]
+    return getattr(row, name)
 
 
 def event(kind, set_index):
-    return {"utc_ns": 0, "topic": "sets", "kind": kind, "set_index": set_index, "payload": {}}
+    return EventRow(utc_ns=0, topic="sets", kind=kind, set_index=set_index, payload={})
 
 
 def commit_of(record, file):
-    due = DueSet(set_index=record.set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
-    planned = {"state": "done", "cause": None, "n_planned": 2}
+    due = {"set_index": record.set_index, "due_h": record.due_h, "due_utc_ns": record.due_utc_ns}
+    planned = {"state": "done", "n_planned": 2}
     return SetCommit(
         sets=[
-            set_row(due, place.position, method=place.method, file=file, **planned)
+            SetRow(position=place.position, method=place.method, file=file, **due, **planned)
             for place in record.positions
         ],
         shots=[shot_row(item, valid=True, flags=()) for item in record.records],
@@ -68,7 +68,20 @@ def commit_of(record, file):
 
 def impossible():
     """Return what no commit can hold: a change of an alarm that was never raised."""
-    return {"alarms": [{"id": 999, "state": "cleared"}]}
+    alarm = AlarmRow(
+        id=999,
+        position="B",
+        kind="hole",
+        family="damage",
+        severity="critical",
+        state="normal",
+        raised_utc_ns=0,
+        raised_h=0.0,
+        changed_utc_ns=0,
+        message="never raised",
+        proof={},
+    )
+    return {"alarms": [alarm]}
 
 
 class ArchiveAndCatalogue(RuleBasedStateMachine):
@@ -181,7 +194,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
     def rows_and_files_belong_together(self):
         """In the order of the commits, for the recorder and for whoever reads beside it."""
         for catalogue in (self.catalogue, self.reading):
-            rows = catalogue.list_sets(limit=None)
+            rows = catalogue.rows(SetRow)
             per_set = len(RECORDS[SET_INDEX].positions)
             found = [(column(row, "set_index"), column(row, "file")) for row in rows[::per_set]]
             assert found == [(index, self.stored[index]) for index in self.committed]
@@ -213,7 +226,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
             for index in self.committed:
                 crc32 = self.archive.store_set(RECORDS[index]).crc32
                 for place in RECORDS[index].positions:
-                    for row in self.reading.list_shots(place.position, index):
+                    for row in self.reading.rows(ShotRow, position=place.position, set_index=index):
                         assert column(row, "crc32") == crc32[column(row, "sequence")]
             self.catalogue.close()
 
