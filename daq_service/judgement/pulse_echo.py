@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 from analysis.errors import AnalysisError
@@ -16,10 +16,12 @@ from analysis.ultrasound.thickness import (
     thickness_interval,
     travel_time,
 )
+from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
+from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import ThicknessRow
-from daq_service.judgement.solitary_wave import Assessment
+from daq_service.judgement.assessment import Assessment
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
 
@@ -39,12 +41,28 @@ class PulseEchoAssessor:
         self._alarm = AlarmState()
         self._reference: EchoReference | None = None
 
-    def restore(self, *, reference: Waveform | None, thickness_rows: Sequence[ThicknessRow]) -> None:
-        """Rebuild the memory: the first good record, and all results in order."""
-        self._reference = None if reference is None else self._take_reference(reference)
-        self._alarm = AlarmState()
-        for row in thickness_rows:
-            self._alarm = next_alarm_state(self._alarm, self._too_thin(row.thickness_loss_m), self._rule)
+    def refer_to(self, waveform: Waveform) -> None:
+        """Take the first good record of the test as the reference again."""
+        self._reference = self._take_reference(waveform)
+
+    def feed(self, row: ThicknessRow) -> None:
+        """Take in a reading: a new one, or one that was judged before."""
+        loss_m = None if row.quality == "bad" else row.thickness_loss_m
+        self._alarm = next_alarm_state(self._alarm, self._too_thin(loss_m), self._rule)
+
+    def reinstate(self) -> None:
+        """Forget nothing: a probe never retires."""
+
+    def judge(self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]) -> Assessment:
+        """Judge the record of this probe, if there is one."""
+        del features
+        echoes = [echo for echo in record.echoes if echo.key.position == self.position]
+        return self.assess(due, echoes[0]) if echoes else Assessment()
+
+    def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:
+        """Say nothing: that the probe's instrument did not answer is the rig's alarm."""
+        del due, n_tried
+        return Assessment()
 
     def assess(self, due: DueSet, echo: PulseEchoRecord) -> Assessment:
         """Thickness of one record."""
@@ -90,10 +108,8 @@ class PulseEchoAssessor:
             # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
             row = replace(row, quality="suspect")
             reason = "the record is clipped: lower the gain or take a larger range"
+        self.feed(row)
         usable = row.quality != "bad"
-        self._alarm = next_alarm_state(
-            self._alarm, self._too_thin(row.thickness_loss_m) if usable else None, self._rule
-        )
         return Assessment(
             thickness=[row],
             conditions=[self._condition(due, row, interval)],

@@ -1,24 +1,24 @@
-"""Assessors with the memory that the catalogue and the archive hold: how a restart goes on judging."""
+"""Assessors that know what the catalogue and the archive hold: a restart feeds every set again."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import EventRow, FeatureRow, SetRow, ShotRow, ThicknessRow, VerdictRow
+from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, values
+from daq_service.judgement.assessment import Assessor
 from daq_service.judgement.pulse_echo import PulseEchoAssessor
 from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
+from daq_service.judgement.solitary_wave_step import SetOfShots
 from daq_service.settings.tree import Settings
-
-Assessor = SolitaryWaveAssessor | PulseEchoAssessor
 
 
 def restored_assessors(
-    settings: Settings, catalogue: Catalogue, archive: SetReader
+    settings: Settings, catalogue: Catalogue, archive: SetReader, *, rehearsal: bool
 ) -> Mapping[str, Assessor]:
     """One assessor a position, judging as if the recorder had never been away."""
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
@@ -28,67 +28,81 @@ def restored_assessors(
     assessors: dict[str, Assessor] = {}
     for number, (position, place) in enumerate(settings.positions.items(), 1):
         if place.method == "pulse_echo":
-            assessors[position] = _pulse_echo(position, settings, catalogue, archive)
+            assessors[position] = _pulse_echo(PulseEchoAssessor(position, settings), catalogue, archive)
         else:
             assessor = SolitaryWaveAssessor(
-                position, settings, last_baseline_set=last_baseline_set, baseline_id=number
+                position,
+                settings,
+                last_baseline_set=last_baseline_set,
+                baseline_id=number,
+                rehearsal=rehearsal,
             )
-            sets = _sets_since_reinstated(position, catalogue)
-            assessor.restore(
-                set_features=catalogue.rows(FeatureRow, position=position, scope="set"),
-                verdicts=catalogue.rows(VerdictRow, position=position),
-                baseline=catalogue.baseline(position),
-                flags_by_set=_last_flags(position, settings, catalogue, sets),
-                sets=sets,
-            )
-            assessors[position] = assessor
+            assessors[position] = _solitary_wave(assessor, catalogue, settings.alarms.hole_sets)
     return assessors
 
 
-def _sets_since_reinstated(position: str, catalogue: Catalogue) -> list[SetRow]:
-    """List a position's sets, in order; those that retired it are behind it once it is reinstated."""
-    rows = sorted(catalogue.rows(SetRow, position=position), key=lambda row: row.set_index)
+def _solitary_wave(
+    assessor: SolitaryWaveAssessor, catalogue: Catalogue, hole_sets: int
+) -> SolitaryWaveAssessor:
+    before, since = _sets_by_reinstatement(assessor.position, catalogue)
+    for found in _fed(assessor.position, catalogue, before, hole_sets):
+        assessor.feed(found)
+    assessor.reinstate()
+    for found in _fed(assessor.position, catalogue, since, hole_sets):
+        assessor.feed(found)
+    return assessor
+
+
+def _sets_by_reinstatement(position: str, catalogue: Catalogue) -> tuple[list[SetRow], list[SetRow]]:
+    """List a position's sets as they were committed: until it was last reinstated, and since."""
+    rows = catalogue.rows(SetRow, position=position)
     resets = [
-        event.id
-        for event in catalogue.rows(EventRow, topics={"alarms"})
+        event.id or 0
+        for event in catalogue.events_after(0, {"alarms"}, limit=None)
         if event.kind == "alarm_reset" and event.position == position and event.payload["kind"] in RETIRING
     ]
     if not resets:
-        return rows
+        return [], rows
     # By the order of commits: a set may be taken long after it was due.
     since = {
         event.set_index
-        for event in catalogue.rows(EventRow, after_id=resets[-1], topics={"sets"})
+        for event in catalogue.events_after(resets[-1], {"sets"}, limit=None)
         if event.position == position
     }
-    return [row for row in rows if row.set_index in since]
+    return (
+        [row for row in rows if row.set_index not in since],
+        [row for row in rows if row.set_index in since],
+    )
 
 
-def _last_flags(
-    position: str, settings: Settings, catalogue: Catalogue, sets: Sequence[SetRow]
-) -> list[list[list[str]]]:
-    """List the flags of each accepted shot of the sets that the hole rule still looks at."""
-    recent = [row.set_index for row in sets if row.n_taken][-settings.alarms.hole_sets :]
-    return [
-        [
-            shot.flags
-            for shot in catalogue.rows(ShotRow, position=position, set_index=index)
-            if shot.outcome == ACCEPTED
-        ]
-        for index in recent
-    ]
+def _fed(position: str, catalogue: Catalogue, sets: Sequence[SetRow], hole_sets: int) -> Iterator[SetOfShots]:
+    """Give sets as the step takes them; the last ones have flags, the hole rule looks no further back."""
+    of_set = {row.set_index: row for row in catalogue.rows(FeatureRow, position=position, scope="set")}
+    recent = [row.set_index for row in sets if row.n_taken][-hole_sets:]
+    for row in sets:
+        index = row.set_index
+        feature = of_set.get(index)
+        shots = catalogue.rows(ShotRow, position=position, set_index=index) if index in recent else []
+        yield SetOfShots(
+            set_index=index,
+            due_h=row.due_h,
+            n_taken=row.n_taken,
+            n_tried=row.n_taken + row.n_missed - row.n_restrikes,
+            n_valid=row.n_valid,
+            quality="bad" if feature is None else feature.quality,
+            reason="",
+            values={} if feature is None else values(feature),
+            flags=[shot.flags for shot in shots if shot.outcome == ACCEPTED],
+        )
 
 
-def _pulse_echo(
-    position: str, settings: Settings, catalogue: Catalogue, archive: SetReader
-) -> PulseEchoAssessor:
-    assessor = PulseEchoAssessor(position, settings)
-    rows = catalogue.rows(ThicknessRow, position=position)
-    read = [row for row in rows if row.travel_time_s is not None]
-    reference = None
+def _pulse_echo(assessor: PulseEchoAssessor, catalogue: Catalogue, archive: SetReader) -> PulseEchoAssessor:
+    rows = catalogue.rows(ThicknessRow, position=assessor.position)
+    read = [row.set_index for row in rows if row.travel_time_s is not None]
     if read:
-        (its_set,) = catalogue.rows(SetRow, position=position, set_index=read[0].set_index)
-        assert its_set.file is not None, "its record was read"
-        reference = archive.read_waveform(SetReference(its_set.file), position, 0)
-    assessor.restore(reference=reference, thickness_rows=rows)
+        (its_set,) = catalogue.rows(SetRow, position=assessor.position, set_index=read[0])
+        assert its_set.file is not None, "it was read"
+        assessor.refer_to(archive.read_waveform(SetReference(its_set.file), assessor.position, 0))
+    for row in rows:
+        assessor.feed(row)
     return assessor

@@ -1,32 +1,14 @@
-"""From the features of a set to its verdict and to the conditions of alarms, one memory a position.
+"""The verdicts of a solitary-wave transducer as rows and as conditions of alarms, with their wording.
 
-The memory holds what later sets are judged by: the baseline, the last verdicts, the sets without a
-reflected wave. `restore` rebuilds it from catalogue rows, so a restarted recorder judges as the old
-one would have. Nothing here reads a clock or a file.
+What is decided, and by which memory, is `solitary_wave_step`. Nothing here reads a clock or a file.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
-import numpy as np
-
-from analysis.errors import NotEnoughSetsError, SingularCovarianceError
-from analysis.statistics.baseline import Baseline, fit_baseline
-from analysis.statistics.distance import distance_squared, named_contributions
-from analysis.statistics.limits import f_predictive_limit, paper_limit
-from analysis.statistics.rules import (
-    AlarmRule,
-    AlarmState,
-    HoleRule,
-    HoleState,
-    next_alarm_state,
-    next_hole_state,
-    next_poor_sets,
-)
+from analysis.statistics.rules import AlarmRule, HoleRule
 from analysis.waves.features import (
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
@@ -37,64 +19,31 @@ from analysis.waves.features import (
 )
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
-from daq_service.catalogue.rows import BaselineRow, FeatureRow, SetRow, ThicknessRow, VerdictRow, values
+from daq_service.archive import SetRecord
+from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
+from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, Verdict, reinstated, step
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
 
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Assessment:
-    """What a set says of one position: rows for the catalogue, conditions for the alarms.
-
-    Attributes
-    ----------
-    baseline
-        Row of a baseline that this set completed, else None.
-    verdicts
-        This set's row, and those of the baseline's sets when it was completed.
-    shot_flags, invalid
-        Flags of each record by its sequence, and the sequences of those without trustworthy features.
-    note
-        What the reader of the result should know, empty if nothing.
-    """
-
-    features: Sequence[FeatureRow] = ()
-    thickness: Sequence[ThicknessRow] = ()
-    baseline: BaselineRow | None = None
-    verdicts: Sequence[VerdictRow] = ()
-    conditions: Sequence[Condition] = ()
-    n_valid: int = 0
-    shot_flags: Mapping[int, Sequence[str]] = field(default_factory=dict)
-    invalid: frozenset[int] = frozenset()
-    note: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Limits:
-    """The two limits of a baseline, or why there are none."""
-
-    f_predictive: float | None = None
-    paper: float | None = None
-    reason: str | None = None
-
-    def by_name(self, name: str) -> float | None:
-        return self.f_predictive if name == "f_predictive" else self.paper
-
-
-@dataclass(slots=True, kw_only=True)
-class _Memory:
-    healthy: list[tuple[int, float, list[float]]] = field(default_factory=list)  # set, due_h, vector
-    healthy_refused: int = 0
-    baseline: Baseline | None = None
-    baseline_id: int | None = None
-    closed: bool = False
-    limits: _Limits = field(default_factory=_Limits)
-    alarm: AlarmState = field(default_factory=AlarmState)
-    hole: HoleState = field(default_factory=HoleState)
-    poor_sets: int = 0
+def rules_of(position: str, settings: Settings, *, last_baseline_set: int) -> Rules:
+    """Collect what the configuration says of judging a transducer."""
+    return Rules(
+        baseline_name=f"{position}-baseline-1",
+        last_baseline_set=last_baseline_set,
+        minimum_sets=settings.baseline.minimum_sets,
+        minimum_valid_shots=settings.baseline.minimum_valid_shots,
+        shots_per_set=settings.schedule.shots_per_set,
+        limit=settings.novelty.limit,
+        false_alarm_rate=settings.novelty.false_alarm_rate,
+        alarm=AlarmRule(k=settings.alarms.k, n=settings.alarms.n),
+        hole=HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets),
+    )
 
 
 class SolitaryWaveAssessor:
@@ -106,60 +55,51 @@ class SolitaryWaveAssessor:
         Index of the last set that belongs to the baseline.
     baseline_id
         Id that this position's baseline will have.
+    rehearsal
+        Records are noise: what they say of wall and transducer is no alarm.
     """
 
     def __init__(
-        self, position: str, settings: Settings, *, last_baseline_set: int, baseline_id: int
+        self,
+        position: str,
+        settings: Settings,
+        *,
+        last_baseline_set: int,
+        baseline_id: int,
+        rehearsal: bool = False,
     ) -> None:
         self.position = position
-        self._settings = settings
-        self._last_baseline_set = last_baseline_set
+        self._rules = rules_of(position, settings, last_baseline_set=last_baseline_set)
+        self._quality = settings.quality
+        self._approval = settings.baseline.approval
+        self._of_set = settings.features.of_set
         self._baseline_id = baseline_id
-        self._alarm_rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
-        self._hole_rule = HoleRule(
-            shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets
-        )
-        self._memory = _Memory()
+        self._rehearsal = rehearsal
+        self._state = State()
 
-    def restore(
-        self,
-        *,
-        set_features: Sequence[FeatureRow],
-        verdicts: Sequence[VerdictRow],
-        baseline: BaselineRow | None,
-        flags_by_set: Sequence[Sequence[Sequence[str]]],
-        sets: Sequence[SetRow] = (),
-    ) -> None:
-        """Rebuild the memory from catalogue rows, all in the order of sets.
-
-        Parameters
-        ----------
-        flags_by_set
-            Flags of the accepted shots of the position's last sets (as many as the hole rule looks at,
-            none from before it was last reinstated).
-        sets
-            Rows of the position's sets since it was last reinstated.
-        """
-        memory = _Memory()
-        for row in set_features:
-            if row.set_index <= self._last_baseline_set:
-                self._remember_healthy(memory, row.set_index, row.due_h, row.quality, values(row))
-        if baseline is not None:
-            self._freeze(memory, baseline.name)
-        for verdict in verdicts:
-            if not verdict.in_baseline:
-                memory.alarm = next_alarm_state(memory.alarm, verdict.outlier, self._alarm_rule)
-        for flags in flags_by_set:
-            memory.hole = next_hole_state(memory.hole, flags, self._hole_rule)
-        for its_set in sets:
-            n_tried = its_set.n_taken + its_set.n_missed - its_set.n_restrikes
-            memory.poor_sets = self._poor_sets(memory, its_set.n_valid, n_tried)
-        self._memory = memory
+    def feed(self, found: SetOfShots) -> None:
+        """Take in a set that was judged before, as the catalogue tells it."""
+        self._state, _ = step(self._state, found, self._rules)
 
     def reinstate(self) -> None:
         """Forget what retired the transducer: a person says that it may strike again."""
-        self._memory.hole = HoleState()
-        self._memory.poor_sets = 0
+        self._state = reinstated(self._state)
+
+    def judge(self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]) -> Assessment:
+        """Judge what a set took here; only accepted shots are averaged and judged, all have rows."""
+        shots = [shot for shot in record.shots if shot.key.position == self.position]
+        assessment = self.assess(
+            due,
+            shots,
+            [features[shot.sequence] for shot in shots],
+            outcomes=record.outcomes,
+            n_tried=n_tried(record, self.position),
+        )
+        return replace(assessment, conditions=()) if self._rehearsal else assessment
+
+    def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:
+        """Judge a set that gave not one record."""
+        return self.assess(due, [], [], n_tried=n_tried)
 
     def assess(
         self,
@@ -167,7 +107,7 @@ class SolitaryWaveAssessor:
         shots: Sequence[Shot],
         features: Sequence[ShotFeatures],
         *,
-        outcomes: Sequence[str] | None = None,
+        outcomes: Mapping[int, str] | None = None,
         n_tried: int | None = None,
     ) -> Assessment:
         """Judge one set.
@@ -177,30 +117,46 @@ class SolitaryWaveAssessor:
         shots, features
             What was taken, in order, every attempt.
         outcomes
-            ``accepted`` or ``superseded`` for each of them (`quality_gate.outcomes`); None: all
-            accepted. Only accepted shots are averaged and judged; all have rows.
+            Outcome of each shot that is not ``accepted``, by its sequence.
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
-        rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
-        outcomes = [ACCEPTED] * len(shots) if outcomes is None else outcomes
-        accepted = [number for number, outcome in enumerate(outcomes) if outcome == ACCEPTED]
-        counting = [features[number] for number in accepted]
-        mean = self._set_features([shots[number] for number in accepted], counting)
-        memory = self._memory
-        tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
-        memory.poor_sets = self._poor_sets(memory, mean.n_valid, tried)
-        if not shots:
+        outcomes = outcomes or {}
+        accepted = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
+        counting = [found for found, counts in zip(features, accepted, strict=True) if counts]
+        mean = self._set_features(
+            [shot for shot, counts in zip(shots, accepted, strict=True) if counts], counting
+        )
+        before = self._state.baseline
+        self._state, verdict = step(
+            self._state,
+            SetOfShots(
+                set_index=due.set_index,
+                due_h=due.due_h,
+                n_taken=len(shots),
+                n_tried=len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried,
+                n_valid=mean.n_valid,
+                quality=mean.quality,
+                reason=mean.reason,
+                values=mean.mean,
+                flags=[found.flags for found in counting],
+            ),
+            self._rules,
+        )
+        if verdict is None:
             return Assessment(conditions=self._device_conditions(due, mean), note=mean.reason)
+        rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
         rows.append(_set_feature_row(self.position, due, mean))
-        memory.hole = next_hole_state(memory.hole, [found.flags for found in counting], self._hole_rule)
-        baseline_row, verdicts = self._verdicts(due, mean)
+        closes = before is None and self._state.baseline is not None
+        verdicts = self._baseline_verdicts() if closes else []
+        if not any(row.set_index == due.set_index for row in verdicts):
+            verdicts.append(self._verdict_row(due.set_index, due.due_h, verdict))
         # Strikes that come back without a reflection tell of the wall, not of the transducer.
-        conditions = [] if memory.hole.sets_running else self._device_conditions(due, mean)
+        conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
         conditions += [self._wall_condition(due, verdicts[-1]), self._hole_condition(due, counting)]
         return Assessment(
             features=rows,
-            baseline=baseline_row,
+            baseline=self._baseline_row() if closes else None,
             verdicts=verdicts,
             conditions=conditions,
             n_valid=mean.n_valid,
@@ -213,8 +169,8 @@ class SolitaryWaveAssessor:
 
     def _set_features(self, shots: Sequence[Shot], features: Sequence[ShotFeatures]) -> SetFeatures:
         """Average the valid shots' features, or take those of their averaged record (the paper's way)."""
-        mean = mean_features(features, self._settings.baseline.minimum_valid_shots)
-        if self._settings.features.of_set == "mean_of_shots" or mean.quality == "bad":
+        mean = mean_features(features, self._rules.minimum_valid_shots)
+        if self._of_set == "mean_of_shots" or mean.quality == "bad":
             return mean
         valid = [shot.waveform for shot, found in zip(shots, features, strict=True) if found.valid]
         averaged = extract_from_average(valid)
@@ -222,168 +178,83 @@ class SolitaryWaveAssessor:
             return replace(mean, quality="bad", reason=f"the averaged record is {', '.join(averaged.flags)}")
         return replace(mean, mean=averaged.values())
 
-    def _verdicts(self, due: DueSet, mean: SetFeatures) -> tuple[BaselineRow | None, list[VerdictRow]]:
-        memory = self._memory
-        if due.set_index > self._last_baseline_set and not memory.closed:
-            # The last set of the baseline was missed: it ends here all the same.
-            baseline_row, healthy = self._close_baseline()
-            return baseline_row, [*healthy, self._judged(due, mean)]
-        if due.set_index > self._last_baseline_set:
-            return None, [self._judged(due, mean)]
-        self._remember_healthy(memory, due.set_index, due.due_h, mean.quality, mean.mean)
-        if due.set_index < self._last_baseline_set:
-            return None, [
-                self._row(due.set_index, due.due_h, in_baseline=True, reason="the baseline is being recorded")
-            ]
-        return self._close_baseline(last=due)
+    # Rows ----------------------------------------------------------------------------------------
 
-    def _remember_healthy(
-        self, memory: _Memory, set_index: int, due_h: float, quality: str, values: Mapping[str, Any]
-    ) -> None:
-        vector = [values[name] for name in FEATURE_NAMES]
-        if quality == "bad" or any(value is None or not math.isfinite(value) for value in vector):
-            memory.healthy_refused += 1
-        else:
-            memory.healthy.append((set_index, due_h, [float(value) for value in vector]))
-
-    def _freeze(self, memory: _Memory, name: str) -> None:
-        """Fit the baseline from the remembered sets; the same sets always give the same bits."""
-        memory.closed = True
-        memory.baseline_id = self._baseline_id
-        minimum = self._settings.baseline.minimum_sets
-        try:
-            if len(memory.healthy) < minimum:
-                raise NotEnoughSetsError(
-                    f"a baseline of {len(memory.healthy)} sets; baseline.minimum_sets asks for {minimum}: "
-                    "let the baseline run longer"
-                )
-            memory.baseline = fit_baseline(
-                np.array([vector for _, _, vector in memory.healthy]),
-                [index for index, _, _ in memory.healthy],
-                name=name,
-            )
-        except (NotEnoughSetsError, SingularCovarianceError) as error:
-            memory.limits = _Limits(reason=str(error))
-            return
-        rate = self._settings.novelty.false_alarm_rate
-        memory.limits = _Limits(
-            f_predictive=f_predictive_limit(memory.baseline.n, memory.baseline.p, rate),
-            paper=paper_limit(memory.baseline.distances_squared),
-        )
-
-    def _close_baseline(self, last: DueSet | None = None) -> tuple[BaselineRow, list[VerdictRow]]:
-        """Row of the baseline, and the verdict rows of its sets with the distances now known."""
-        memory = self._memory
-        name = f"{self.position}-baseline-1"
-        self._freeze(memory, name)
-        healthy = memory.healthy
-        fitted = memory.baseline
-        indices = [index for index, _, _ in healthy]
+    def _baseline_row(self) -> BaselineRow:
+        """Row of the baseline that was just closed."""
+        state, rules = self._state, self._rules
+        assert state.baseline is not None, "just closed"
+        fitted = state.baseline.fitted
+        indices = [found.set_index for found in state.healthy]
         p = len(FEATURE_NAMES)
-        row = BaselineRow(
+        return BaselineRow(
             id=self._baseline_id,
-            name=name,
+            name=rules.baseline_name,
             position=self.position,
             first_set_index=indices[0] if indices else 0,
-            last_set_index=self._last_baseline_set,
+            last_set_index=rules.last_baseline_set,
             n_sets=len(indices),
             feature_names=list(FEATURE_NAMES),
             mean=[None] * p if fitted is None else fitted.mean.tolist(),
             covariance=[[None] * p] * p if fitted is None else fitted.covariance.tolist(),
-            limit_f=memory.limits.f_predictive,
-            limit_paper=memory.limits.paper,
-            limit_reason=memory.limits.reason,
-            approval=self._settings.baseline.approval,
+            limit_f=state.baseline.limit_f,
+            limit_paper=state.baseline.limit_paper,
+            limit_reason=state.baseline.reason,
+            approval=self._approval,
             provenance={
                 "set_indices": indices,
-                "sets_left_out": memory.healthy_refused,
+                "sets_left_out": state.n_left_out,
                 "suspects": [] if fitted is None else list(fitted.suspects),
                 "warnings": [] if fitted is None else list(fitted.warnings),
                 "extractor_version": EXTRACTOR_VERSION,
-                "false_alarm_rate": self._settings.novelty.false_alarm_rate,
+                "false_alarm_rate": rules.false_alarm_rate,
             },
         )
-        distances = [None] * len(healthy) if fitted is None else fitted.distances_squared.tolist()
-        rows = [
-            self._row(index, due_h, in_baseline=True, distance=distance, reason="part of the baseline")
-            for (index, due_h, _), distance in zip(healthy, distances, strict=True)
-        ]
-        if last is not None and (not indices or indices[-1] != last.set_index):
-            rows.append(
-                self._row(
-                    last.set_index,
-                    last.due_h,
-                    in_baseline=True,
-                    reason="left out of the baseline: too few valid shots",
-                )
+
+    def _baseline_verdicts(self) -> list[VerdictRow]:
+        """Rows of the baseline's sets, with the distances that are known now."""
+        state = self._state
+        assert state.baseline is not None, "just closed"
+        fitted = state.baseline.fitted
+        distances = [None] * len(state.healthy) if fitted is None else fitted.distances_squared.tolist()
+        return [
+            self._verdict_row(
+                found.set_index,
+                found.due_h,
+                Verdict(in_baseline=True, distance_squared=distance, reason="part of the baseline"),
             )
-        return row, rows
+            for found, distance in zip(state.healthy, distances, strict=True)
+        ]
 
-    def _judged(self, due: DueSet, mean: SetFeatures) -> VerdictRow:
-        memory = self._memory
-        if memory.baseline is None:
-            return self._row(due.set_index, due.due_h, reason=memory.limits.reason)
-        vector = mean.vector()
-        if mean.quality == "bad" or not np.isfinite(vector).all():
-            memory.alarm = next_alarm_state(memory.alarm, None, self._alarm_rule)
-            return self._row(due.set_index, due.due_h, reason=mean.reason or "a feature is not available")
-        distance = float(distance_squared(vector, memory.baseline))
-        row = self._row(
-            due.set_index,
-            due.due_h,
-            distance=distance,
-            contributions=named_contributions(vector, memory.baseline),
-        )
-        memory.alarm = next_alarm_state(memory.alarm, row.outlier, self._alarm_rule)
-        return row
-
-    def _row(
-        self,
-        set_index: int,
-        due_h: float,
-        *,
-        in_baseline: bool = False,
-        distance: float | None = None,
-        reason: str | None = None,
-        contributions: Mapping[str, float] | None = None,
-    ) -> VerdictRow:
-        memory = self._memory
-        name = self._settings.novelty.limit
+    def _verdict_row(self, set_index: int, due_h: float, verdict: Verdict) -> VerdictRow:
+        baseline = self._state.baseline
         return VerdictRow(
             set_index=set_index,
             position=self.position,
             due_h=due_h,
-            baseline_id=memory.baseline_id,
-            in_baseline=in_baseline,
-            distance_squared=distance,
-            limit_name=name,
-            limit_f=memory.limits.f_predictive,
-            limit_paper=memory.limits.paper,
-            outlier=None if in_baseline else _beyond(distance, memory.limits.by_name(name)),
-            outlier_paper=None if in_baseline else _beyond(distance, memory.limits.paper),
-            reason=reason,
-            contributions=None if contributions is None else dict(contributions),
+            baseline_id=None if baseline is None else self._baseline_id,
+            in_baseline=verdict.in_baseline,
+            distance_squared=verdict.distance_squared,
+            limit_name=self._rules.limit,
+            limit_f=None if baseline is None else baseline.limit_f,
+            limit_paper=None if baseline is None else baseline.limit_paper,
+            outlier=verdict.outlier,
+            outlier_paper=verdict.outlier_paper,
+            reason=verdict.reason,
+            contributions=None if verdict.contributions is None else dict(verdict.contributions),
         )
 
-    def _poor_sets(self, memory: _Memory, n_valid: int, n_tried: int) -> int:
-        """Count the sets running with too few valid shots, after one with these numbers."""
-        return next_poor_sets(
-            memory.poor_sets,
-            n_valid=n_valid,
-            n_tried=n_tried,
-            n_planned=self._settings.schedule.shots_per_set,
-            minimum_valid=self._settings.baseline.minimum_valid_shots,
-        )
+    # Conditions ----------------------------------------------------------------------------------
 
     def _device_conditions(self, due: DueSet, mean: SetFeatures) -> list[Condition]:
         """Too few valid shots, set after set: first an alarm, then the transducer retires."""
-        quality, poor = self._settings.quality, self._memory.poor_sets
+        quality, poor = self._quality, self._state.poor_sets
         told = f"{poor} sets running with too few valid shots at {self.position} (last: {mean.reason})"
         check = "check coil, striker, sensor and cable"
         proof = {
             "set_index": due.set_index,
             "poor_sets_running": poor,
-            "minimum_valid_shots": self._settings.baseline.minimum_valid_shots,
+            "minimum_valid_shots": self._rules.minimum_valid_shots,
         }
         return [
             Condition(
@@ -408,8 +279,9 @@ class SolitaryWaveAssessor:
         ]
 
     def _wall_condition(self, due: DueSet, verdict: VerdictRow) -> Condition:
-        state, rule = self._memory.alarm, self._alarm_rule
-        limit = self._memory.limits.by_name(self._settings.novelty.limit)
+        state, rule = self._state.alarm, self._rules.alarm
+        baseline = self._state.baseline
+        limit = None if baseline is None else baseline.limit(self._rules.limit)
         return Condition(
             position=self.position,
             kind="wall_change",
@@ -437,14 +309,14 @@ class SolitaryWaveAssessor:
         )
 
     def _hole_condition(self, due: DueSet, features: Sequence[ShotFeatures]) -> Condition:
-        rule = self._hole_rule
+        rule = self._rules.hole
         silent = sum("no_psw" in found.flags for found in features)
         return Condition(
             position=self.position,
             kind="hole",
             family="damage",
             severity="critical",
-            present=self._memory.hole.hole,
+            present=self._state.hole.hole,
             latched=True,
             message=(
                 f"no reflected wave at {self.position} in {silent} of {len(features)} shots, "
@@ -458,10 +330,6 @@ class SolitaryWaveAssessor:
                 "extractor_version": EXTRACTOR_VERSION,
             },
         )
-
-
-def _beyond(distance: float | None, limit: float | None) -> bool | None:
-    return None if distance is None or limit is None else distance > limit
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:

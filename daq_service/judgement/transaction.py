@@ -13,7 +13,7 @@ from daq_service.alarms.states import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EnvironmentRow, EventRow, Outcome, Row, SetRow, ShotRow, values
-from daq_service.judgement.solitary_wave import Assessment
+from daq_service.judgement.assessment import Assessment
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 

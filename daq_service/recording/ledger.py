@@ -7,17 +7,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from analysis.waves.features import ShotFeatures
-from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes, n_tried
+from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Condition, Moment, retired_positions, update
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.corrosion_drive.watch import drive_watch
+from daq_service.judgement.assessment import Assessment
 from daq_service.judgement.restored import restored_assessors
-from daq_service.judgement.solitary_wave import Assessment, SolitaryWaveAssessor
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
@@ -42,9 +41,8 @@ class Ledger:
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
-        self._dry_run = rig.dry_run
         self._cost = cost
-        self._assessors = restored_assessors(settings, catalogue, archive)
+        self._assessors = restored_assessors(settings, catalogue, archive, rehearsal=rig.dry_run)
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self.drive = drive_watch(settings, rig, catalogue, self.alarms, self.commit)
 
@@ -54,9 +52,7 @@ class Ledger:
 
     def reinstated(self, position: str) -> None:
         """Forget what retired a transducer: a person says that it may strike again."""
-        assessor = self._assessors[position]
-        if isinstance(assessor, SolitaryWaveAssessor):
-            assessor.reinstate()
+        self._assessors[position].reinstate()
 
     def n_planned(self, position: str) -> int:
         """Count the records wanted of a position in a set."""
@@ -72,11 +68,11 @@ class Ledger:
         for position, place in self._settings.positions.items():
             if position not in causes:
                 cause = retired.get(position, "retired")
-                transaction.sets.append(self._gap_row(due, position, retired=True, cause=cause))
+                transaction.sets.append(self._without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
-                assessment = self._assess(position, due, record, features)
+                assessment = self._assessors[position].judge(due, record, features)
             row = SetRow(
                 set_index=due.set_index,
                 position=position,
@@ -99,24 +95,6 @@ class Ledger:
                 self._carry_alarm(condition, moment, transaction)
         self._carry_alarm(self._rig_condition(due, record), moment, transaction)
         self._commit_set(due, moment, transaction)
-
-    def _assess(
-        self, position: str, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
-    ) -> Assessment:
-        assessor = self._assessors[position]
-        if isinstance(assessor, SolitaryWaveAssessor):
-            shots = [shot for shot in record.shots if shot.key.position == position]
-            found = assessor.assess(
-                due,
-                shots,
-                [features[shot.sequence] for shot in shots],
-                outcomes=[record.outcomes.get(shot.sequence, ACCEPTED) for shot in shots],
-                n_tried=n_tried(record, position),
-            )
-            # A rehearsal records noise: what it says of wall and transducer is no alarm.
-            return replace(found, conditions=()) if self._dry_run else found
-        echoes = [item for item in record.echoes if item.key.position == position]
-        return assessor.assess(due, echoes[0]) if echoes else Assessment()
 
     def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
         """Tell whether the instruments of either method had trouble; strikes and echoes have their own."""
@@ -151,42 +129,49 @@ class Ledger:
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
-    def judge_empty(self, due: DueSet, taken: TakenSet, causes: Mapping[str, str]) -> None:
-        """Not one record: rows with the causes and the device's alarms, but no file."""
-        moment = Moment(utc_ns=taken.ended_ns, due_h=due.due_h, set_index=due.set_index)
+    def nothing_taken(
+        self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
+    ) -> None:
+        """Not one record: rows with the causes, but no file.
+
+        Parameters
+        ----------
+        causes
+            Why there is none, by position.
+        tried
+            What was tried, which tells of the instruments; None: nothing was.
+        """
+        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
-        retired = taken.retired
+        retired = self.retired() if tried is None else tried.retired
         for position in self._settings.positions:
-            missed = [item.key for item in taken.missed if item.key.position == position]
+            gone = position in retired
+            missed = (
+                []
+                if tried is None
+                else [key for key in (item.key for item in tried.missed) if key.position == position]
+            )
             restrikes = sum(key.attempt > 0 for key in missed)
-            assessor = self._assessors[position]
             assessment = Assessment()
-            if isinstance(assessor, SolitaryWaveAssessor) and position not in retired:
-                assessment = assessor.assess(due, [], [], n_tried=len(missed) - restrikes)
-            cause = retired.get(position) or causes[position]
-            row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            row = replace(row, n_missed=len(missed), n_restrikes=restrikes)
+            if tried is not None and not gone:
+                assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
+            row = replace(
+                self._without_records(
+                    due, position, retired=gone, cause=retired.get(position) or causes[position]
+                ),
+                n_missed=len(missed),
+                n_restrikes=restrikes,
+            )
             transaction.add_position(row, [], assessment, moment)
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
-        if taken.trouble is not None or taken.missed:  # where nothing was tried nothing is known
-            unanswered = "" if taken.trouble is not None else lost_cause(taken.missed)
-            self._carry_alarm(rig_condition(due, taken.told_trouble(), unanswered), moment, transaction)
-        self._commit_set(due, moment, transaction)
-
-    def gap(self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int) -> None:
-        """Rows of a set in which nothing was tried."""
-        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
-        transaction = Transaction()
-        retired = self.retired()
-        for position in self._settings.positions:
-            cause = retired.get(position) or causes[position]
-            row = self._gap_row(due, position, retired=position in retired, cause=cause)
-            transaction.add_position(row, [], Assessment(), moment)
+        if tried is not None and (tried.trouble is not None or tried.missed):
+            unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
+            self._carry_alarm(rig_condition(due, tried.told_trouble(), unanswered), moment, transaction)
         self._commit_set(due, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
 
-    def _gap_row(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+    def _without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
         return SetRow(
             set_index=due.set_index,
             position=position,

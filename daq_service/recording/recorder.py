@@ -144,7 +144,7 @@ class Recorder:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
             causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
-            self._ledger.judge_empty(due, taken, causes)
+            self._ledger.nothing_taken(due, causes, utc_ns=taken.ended_ns, tried=taken)
         # else: the set is still due after a restart
         if taken.trouble is not None and not _may_pass(taken.trouble):
             raise RigError(
@@ -299,7 +299,7 @@ class Recorder:
 
     def _gap(self, due: DueSet, cause: str) -> None:
         causes = dict.fromkeys(self._settings.positions, cause)
-        self._ledger.gap(due, causes, utc_ns=self._rig.clock.utc_ns())
+        self._ledger.nothing_taken(due, causes, utc_ns=self._rig.clock.utc_ns())
 
     # Operator and supervisor ---------------------------------------------------------------------
 

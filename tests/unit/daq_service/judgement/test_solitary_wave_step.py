@@ -1,0 +1,176 @@
+"""The pure step: baseline, limits, outliers, holes and poor sets, from plain numbers."""
+
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+import pytest
+
+from analysis.statistics.limits import f_predictive_limit, paper_limit
+from analysis.statistics.rules import AlarmRule, HoleRule
+from analysis.waves.features import FEATURE_NAMES
+from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, reinstated, step
+
+LAST = 19
+RULES = Rules(
+    baseline_name="B-baseline-1",
+    last_baseline_set=LAST,
+    minimum_sets=15,
+    minimum_valid_shots=3,
+    shots_per_set=4,
+    limit="f_predictive",
+    false_alarm_rate=0.0027,
+    alarm=AlarmRule(k=3, n=5),
+    hole=HoleRule(shots=3, consecutive_sets=2),
+)
+HEALTHY = 1.0 + 0.01 * np.random.default_rng(7).standard_normal((40, 5))
+SILENT = [("no_psw",)] * 3 + [()]
+
+
+def a_set(index, *, shift=0.0, quality="good", n_valid=4, n_taken=4, n_tried=4, flags=((),) * 4):
+    vector = HEALTHY[index % 40] + shift
+    return SetOfShots(
+        set_index=index,
+        due_h=0.5 * index,
+        n_taken=n_taken,
+        n_tried=n_tried,
+        n_valid=n_valid,
+        quality=quality,
+        reason="too few" if quality == "bad" else "",
+        values=dict(zip(FEATURE_NAMES, vector.tolist(), strict=True)),
+        flags=flags,
+    )
+
+
+def states(sets, rules=RULES, state=None):
+    """Feed sets; every state and verdict."""
+    found = []
+    state = state or State()
+    for one in sets:
+        state, verdict = step(state, one, rules)
+        found.append((state, verdict))
+    return found
+
+
+def after(sets, rules=RULES):
+    return states(sets, rules)[-1]
+
+
+def baseline():
+    return [a_set(index) for index in range(LAST + 1)]
+
+
+def test_until_its_last_set_the_baseline_is_being_recorded_and_nothing_is_judged():
+    for state, verdict in states(baseline()[:-1]):
+        assert state.baseline is None
+        assert verdict.in_baseline
+        assert verdict.outlier is None
+        assert verdict.reason == "the baseline is being recorded"
+
+
+def test_the_last_set_closes_the_baseline_with_both_limits():
+    state, verdict = after(baseline())
+    assert verdict.in_baseline
+    fitted = state.baseline.fitted
+    assert fitted.set_indices == tuple(range(LAST + 1))
+    np.testing.assert_array_equal(fitted.mean, HEALTHY[: LAST + 1].mean(axis=0))
+    assert state.baseline.limit_f == f_predictive_limit(LAST + 1, 5, 0.0027)
+    assert state.baseline.limit_paper == paper_limit(fitted.distances_squared)
+    assert state.baseline.limit("f_predictive") == state.baseline.limit_f
+    assert state.baseline.limit("paper_mean_3sd") == state.baseline.limit_paper
+
+
+def test_the_baseline_closes_at_the_first_later_set_where_its_last_one_was_missed():
+    state, verdict = after([*baseline()[:-1], a_set(LAST + 1)])
+    assert state.baseline.fitted.n == LAST
+    assert not verdict.in_baseline
+    assert verdict.distance_squared is not None
+
+
+def test_poor_sets_are_left_out_of_the_baseline_and_counted():
+    sets = baseline()
+    sets[3] = replace(sets[3], quality="bad")
+    sets[LAST] = replace(sets[LAST], values={**sets[LAST].values, FEATURE_NAMES[0]: None})
+    state, verdict = after(sets)
+    assert state.n_left_out == 2
+    assert state.baseline.fitted.n == LAST - 1
+    assert verdict.reason == "left out of the baseline: too few valid shots"
+
+
+def test_too_few_healthy_sets_give_no_limit_and_say_why():
+    state, verdict = after([*baseline(), a_set(LAST + 1)], replace(RULES, minimum_sets=21))
+    assert state.baseline.fitted is None
+    assert "baseline.minimum_sets asks for 21" in state.baseline.reason
+    assert (verdict.outlier, verdict.distance_squared) == (None, None)
+    assert verdict.reason == state.baseline.reason
+
+
+def test_an_outlier_lies_beyond_the_deciding_limit_only():
+    sets = [*baseline(), a_set(LAST + 1, shift=0.012)]
+    verdict = after(sets)[1]
+    baseline_state = after(baseline())[0].baseline
+    for limit, outlier in (
+        ("f_predictive", verdict.distance_squared > baseline_state.limit_f),
+        ("paper_mean_3sd", verdict.distance_squared > baseline_state.limit_paper),
+    ):
+        assert after(sets, replace(RULES, limit=limit))[1].outlier == outlier
+    assert baseline_state.limit_paper < verdict.distance_squared < baseline_state.limit_f
+    assert sum(verdict.contributions.values()) == pytest.approx(verdict.distance_squared, rel=1e-12)
+
+
+def test_the_alarm_follows_its_rule_and_an_unjudged_set_neither_raises_nor_clears():
+    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=1.0) for k in range(2))]
+    assert not after(sets)[0].alarm.active
+    bad = a_set(LAST + 3, shift=1.0, quality="bad")
+    state, verdict = after([*sets, bad])
+    assert (verdict.outlier, verdict.reason) == (None, "too few")
+    assert not state.alarm.active
+    assert after([*sets, bad, a_set(LAST + 4, shift=1.0)])[0].alarm.active
+
+
+def test_silent_sets_running_make_a_hole_and_a_gap_does_not_interrupt():
+    silent = [a_set(k, flags=SILENT) for k in (0, 2)]
+    gap = a_set(1, n_taken=0, n_tried=0, n_valid=0, flags=())
+    assert not after(silent[:1])[0].hole.hole
+    assert after([silent[0], gap, silent[1]])[0].hole.hole
+
+
+def test_a_set_without_a_record_has_no_verdict_but_counts_as_poor():
+    state, verdict = after([a_set(0, n_taken=0, n_valid=0, flags=())])
+    assert verdict is None
+    assert state == State(poor_sets=1)
+
+
+@pytest.mark.parametrize(
+    ("n_valid", "n_tried", "poor"), [(2, 4, 2), (2, 3, 1), (3, 4, 0), (3, 3, 0)], ids=str
+)
+def test_poor_sets_run_unless_valid_shots_suffice_and_a_set_cut_short_says_nothing(n_valid, n_tried, poor):
+    state = State(poor_sets=1)
+    assert states([a_set(5, n_valid=n_valid, n_tried=n_tried)], state=state)[-1][0].poor_sets == poor
+
+
+def test_a_person_s_word_forgets_what_retired_the_transducer_and_nothing_else():
+    state = after(
+        [*baseline(), *(a_set(LAST + 1 + k, shift=1.0, flags=SILENT, n_valid=1) for k in range(3))]
+    )[0]
+    assert state.hole.hole
+    assert state.poor_sets == 3
+    again = reinstated(state)
+    assert (again.hole.hole, again.hole.sets_running, again.poor_sets) == (False, 0, 0)
+    assert (again.baseline, again.alarm) == (state.baseline, state.alarm)
+
+
+def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
+    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.03 * k) for k in range(8))]
+    live = states(sets)
+    for cut in (0, 5, LAST, LAST + 1, len(sets) - 1):
+        fed = reduce(lambda state, one: step(state, one, RULES)[0], sets[:cut], State())
+        for (expected, verdict), (found, again) in zip(
+            live[cut:], states(sets[cut:], state=fed), strict=True
+        ):
+            assert again == verdict
+            assert (found.alarm, found.hole, found.poor_sets) == (
+                expected.alarm,
+                expected.hole,
+                expected.poor_sets,
+            )
