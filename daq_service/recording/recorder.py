@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, take_set
@@ -47,6 +48,7 @@ SELF_CALIBRATION_TAKES_NS = 180 * 1_000_000_000
 one comes at once, since nobody knows how long the boards have been warm."""
 
 Teller = Callable[..., None]
+FeaturesOf = Callable[[Shot], ShotFeatures]
 
 
 class Recorder:
@@ -64,6 +66,7 @@ class Recorder:
         heartbeat: Heartbeat,
         stop: threading.Event,
         tell: Teller,
+        features_of: FeaturesOf = features_of,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue

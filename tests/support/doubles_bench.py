@@ -118,7 +118,7 @@ class Caller:
         self(
             "CfgAnlgEdgeRefTrig",
             task,
-            trigger_source=channel.split(",")[0],
+            trigger_source=channel.split(",", maxsplit=1)[0],
             trigger_level=level,
             pretrigger_samples=pretrigger,
         )

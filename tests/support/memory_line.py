@@ -1,0 +1,255 @@
+"""The recording line on a rig and an archive in memory: every test of it takes milliseconds.
+
+The rig answers as a script says: features of a shot, None where nothing triggers, or the instrument's error.
+Only the catalogue is the real one.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.waves.features import ShotFeatures
+from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.recording.recorder import Recorder
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
+from hardware_drivers.instruments import Acquired, Echo, Rig
+from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform
+from support.memory_archive import MemoryArchive, Shelf
+
+MEMORY: dict[str, Any] = {
+    "schedule": {"phases": [{"until_h": 6.0, "interval_h": 0.5}], "shots_per_set": 4},
+    "baseline": {"hours": 4.0, "minimum_sets": 7, "minimum_valid_shots": 3},
+    "quality": {"restrikes_per_set": 2, "no_data_sets": 2, "retire_after_sets": 3},
+    "alarms": {"hole_shots": 3, "hole_sets": 2},
+}
+SETS = 12
+CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0)
+
+Answer = ShotFeatures | InstrumentError | None
+Script = Callable[[ShotKey], Answer]
+
+
+@cache
+def _default_settings() -> Settings:
+    return load_settings(None, overrides=MEMORY)
+
+
+def memory_settings(**tables: Mapping[str, Any]) -> Settings:
+    """Settings of twelve sets of a probe (A) and three transducers (B, C, D); ``tables`` lie over them."""
+    if not tables:
+        return _default_settings()
+    over = {name: {**MEMORY.get(name, {}), **table} for name, table in tables.items()}
+    return load_settings(None, overrides={**MEMORY, **over})
+
+
+def healthy(key: ShotKey, shift: float = 0.0) -> ShotFeatures:
+    """Features of a healthy shot: each key has its own, the same in every run."""
+    noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index]).standard_normal(5)
+    tof_pp, tof_ac, ratio, coefficient, area = (1.0 + 0.01 * noise + shift).tolist()
+    return ShotFeatures(
+        tof_pp_s=340e-6 * tof_pp,
+        tof_ac_s=340e-6 * tof_ac,
+        amplitude_ratio=0.5 * ratio,
+        autocorrelation_coefficient=0.6 * coefficient,
+        psw_area_v_s=1e-4 * area,
+    )
+
+
+def silent(flag: str = "no_psw") -> ShotFeatures:
+    """Features of a shot that is good for nothing."""
+    return ShotFeatures(flags=(flag,), valid=False, quality="bad")
+
+
+class ScriptedInstruments:
+    """Striker, digitizer and pulse-echo unit that answer by a script and note what was asked of them."""
+
+    def __init__(self, script: Script) -> None:
+        self.script = script
+        self.calls: list[tuple[str, ShotKey | None]] = []
+        self._armed: ShotKey | None = None
+
+    def arm(self, key: ShotKey) -> None:
+        self.calls.append(("arm", key))
+        self._armed = key
+
+    def strike(self, key: ShotKey) -> None:
+        assert key == self._armed, "the digitizer is armed for the shot that is struck"
+        self.calls.append(("strike", key))
+
+    def read(self, timeout_s: float) -> Acquired:
+        assert self._armed is not None
+        return Acquired(waveform=self._record(self._armed))
+
+    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        self.calls.append(("acquire", key))
+        return Echo(waveform=self._record(key), gain_db=30.0, offset_v=0.0, averages=16)
+
+    def disarm(self) -> None:
+        self._armed = None
+
+    def make_safe(self) -> None:
+        self.calls.append(("make_safe", None))
+
+    def _record(self, key: ShotKey) -> Waveform:
+        told = self.script(key)
+        if isinstance(told, InstrumentError):
+            raise told
+        if told is None:
+            raise AcquisitionTimeoutError(f"no trigger at {key.position}")
+        counts = [ord(key.position[0]), key.set_index, key.shot_index, key.attempt]
+        return Waveform(
+            counts=np.array(counts, dtype=np.int16),
+            sample_rate_hz=1e7,
+            pretrigger_samples=1,
+            calibration=CALIBRATION,
+        )
+
+    @property
+    def struck(self) -> list[tuple[str, int, int, int]]:
+        """Every strike: position, set, shot, attempt."""
+        keys = [key for call, key in self.calls if call == "strike" and key is not None]
+        return [(key.position, key.set_index, key.shot_index, key.attempt) for key in keys]
+
+
+class QuietHeartbeat:
+    """Keeps what it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[str] = []
+
+    def beat(self, doing: str) -> None:
+        self.told.append(doing)
+
+
+class NoPicture:
+    """Nobody watches."""
+
+    def due(self, position: str) -> bool:
+        return False
+
+
+@dataclass
+class Line:
+    """A test's data folder, and every recorder that runs on it, one after the other."""
+
+    folder: Path
+    settings: Settings = field(default_factory=memory_settings)
+    script: Script = healthy
+    shelf: Shelf = field(default_factory=Shelf)
+    instruments: list[ScriptedInstruments] = field(default_factory=list)
+    heartbeat: QuietHeartbeat = field(default_factory=QuietHeartbeat)
+
+    def run(
+        self,
+        *,
+        cause: str = "it was off",
+        stop: threading.Event | None = None,
+        archive: MemoryArchive | None = None,
+        start_h: float | None = None,
+        **parts: Any,
+    ) -> bool:
+        """Run a recorder to its end, as `session.record` does.
+
+        Parameters
+        ----------
+        start_h
+            Where the clock stands; None: at the end of the last committed set.
+        parts
+            Further parts of the rig.
+        """
+        with self.catalogue(writer=True) as catalogue:
+            epoch_ns = self.epoch_ns(catalogue)
+            ended = [ns for row in catalogue.list_sets(limit=None) if (ns := row["ended_utc_ns"]) is not None]
+            start_ns = max(ended, default=epoch_ns)
+            if start_h is not None:
+                start_ns = epoch_ns + round(start_h * 3.6e12)
+            instruments = ScriptedInstruments(self.script)
+            self.instruments.append(instruments)
+            rig = Rig(
+                kind="simulated",
+                clock=SimulatedClock(start_ns),
+                **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **parts},
+            )
+            recorder = Recorder(
+                self.settings,
+                archive or MemoryArchive(self.shelf),
+                catalogue,
+                rig,
+                epoch_ns,
+                live=NoPicture(),
+                heartbeat=self.heartbeat,
+                stop=stop or threading.Event(),
+                tell=lambda event, **values: None,
+                features_of=self.features_of,
+            )
+            return recorder.run(not_running_because=cause)
+
+    def features_of(self, shot: Shot) -> ShotFeatures:
+        """Features by the shot's key, as the script told them."""
+        told = self.script(shot.key)
+        assert isinstance(told, ShotFeatures), "only what was recorded is analysed"
+        return told
+
+    def epoch_ns(self, catalogue: RecorderCatalogue) -> int:
+        """Hour 0; the first call gives the folder to these settings."""
+        row = catalogue.create_experiment(
+            name=self.settings.name,
+            configuration_hash=self.settings.configuration_hash(),
+            configuration=self.settings.model_dump(mode="json"),
+            epoch_utc_ns=parse_utc(self.settings.clock.epoch),
+            clock="simulated",
+            solimon_version="0",
+        )
+        return int(row["epoch_utc_ns"])
+
+    @contextmanager
+    def catalogue(self, *, writer: bool = False) -> Iterator[RecorderCatalogue]:
+        """Open the catalogue of this folder; a new one is a copy of one that was migrated before."""
+        target = self.folder / "catalogue.sqlite"
+        if not target.exists():
+            shutil.copyfile(_empty_catalogue(self.folder.parent), target)
+        with open_catalogue(self.folder, writer=writer) as catalogue:
+            yield catalogue
+
+    def order(self, kind: str, author: str = "Ada", **arguments: Any) -> int:
+        """Give an order before or while a recorder runs."""
+        with self.catalogue(writer=True) as catalogue:
+            self.epoch_ns(catalogue)  # an order is given to a test that has begun
+            return catalogue.add_command(author, kind, {"note": "", **arguments})
+
+    def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
+        """Rows of a table, of one position where it has one."""
+        with self.catalogue() as catalogue:
+            if table == "events":
+                return catalogue.events_after(0, limit=None)
+            if table == "shots":
+                return [
+                    shot
+                    for row in catalogue.list_sets(position, limit=None)
+                    for shot in catalogue.list_shots(row["position"], row["set_index"])
+                ]
+            if table == "sets":
+                return catalogue.list_sets(position, limit=None)
+            return getattr(catalogue, f"list_{table}")(position)
+
+
+@cache
+def _empty_catalogue(folder: Path) -> Path:
+    """A catalogue without rows in a folder of its own."""
+    place = folder / "empty-catalogue"
+    place.mkdir(exist_ok=True)
+    with open_catalogue(place, writer=True):
+        pass
+    return place / "catalogue.sqlite"

@@ -1,0 +1,297 @@
+"""The line on a rig in memory: what is taken, stored, missed, taken over, and what ends it."""
+
+import threading
+
+import pytest
+from support.memory_archive import MemoryArchive
+from support.memory_line import SETS, Line, healthy, memory_settings, silent
+
+from daq_service.archive import ArchiveWriteError
+from daq_service.errors import RigError
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
+from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
+from hardware_drivers.measurement import ShotKey
+
+TRANSDUCERS = ("B", "C", "D")
+
+
+@pytest.fixture
+def line(tmp_path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    return Line(folder)
+
+
+def states(line, position):
+    return [row["state"] for row in line.rows("sets", position)]
+
+
+def causes(line, position):
+    return [row["cause"] for row in line.rows("sets", position)]
+
+
+def told(line, kind):
+    return [row for row in line.rows("events") if row["kind"] == kind]
+
+
+class WatchedArchive(MemoryArchive):
+    """Notes how many sets have rows at the moment one is stored, and refuses some."""
+
+    def __init__(self, line, refuse=()):
+        super().__init__(line.shelf)
+        self.line, self.refuse, self.seen = line, refuse, []
+
+    def store_set(self, record):
+        if record.set_index in self.refuse:
+            raise ArchiveWriteError("the disk is full")
+        self.seen.append((record.set_index, len(self.line.rows("sets", "B"))))
+        return super().store_set(record)
+
+
+def test_every_due_set_is_struck_in_order_and_has_its_rows(line):
+    assert line.run()
+    for position in "ABCD":
+        assert [row["set_index"] for row in line.rows("sets", position)] == list(range(SETS))
+        assert states(line, position) == ["done"] * SETS
+    first = [(position, 0, shot, 0) for position in TRANSDUCERS for shot in range(4)]
+    assert line.instruments[0].struck[:12] == first
+    assert [shot["sequence"] for shot in line.rows("shots")] == list(range(1, 13 * SETS + 1))
+    assert line.rows("events")[0]["kind"] == "recorder_started"
+    assert line.rows("events")[-1]["kind"] == "schedule_done"
+
+
+def test_a_set_is_durable_before_anybody_hears_of_it(line):
+    archive = WatchedArchive(line)
+    line.run(archive=archive)
+    assert archive.seen == [(index, index) for index in range(SETS)]
+
+
+def test_a_set_that_cannot_be_stored_has_no_rows_and_is_taken_again(line):
+    with pytest.raises(ArchiveWriteError, match="full"):
+        line.run(archive=WatchedArchive(line, refuse={3}))
+    assert len(line.rows("sets", "B")) == 3
+    assert line.run()
+    assert states(line, "B") == ["done"] * SETS
+    assert line.instruments[1].struck[0] == ("B", 3, 0, 0)
+
+
+def test_a_restart_gives_the_rows_of_a_run_in_one_go(line, tmp_path):
+    whole = Line(tmp_path / "whole")
+    whole.folder.mkdir()
+    whole.run()
+    for count in (2, 5):  # within the baseline, twice
+        with pytest.raises(ArchiveWriteError):
+            line.run(archive=WatchedArchive(line, refuse={count}))
+    line.run()
+    for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
+        assert line.rows(table) == whole.rows(table), table
+
+
+def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
+    whole = Line(tmp_path / "whole")
+    whole.folder.mkdir()
+    whole.run()
+    orphan = next(record for record in whole.shelf.sets.values() if record.set_index == 0)
+    MemoryArchive(line.shelf).store_set(orphan)
+    line.run()
+    assert line.instruments[0].struck[0] == ("B", 1, 0, 0)
+    assert line.rows("features", "B") == whole.rows("features", "B")
+    assert line.rows("shots", "B") == whole.rows("shots", "B")
+
+
+def test_sets_whose_time_is_over_are_missed_with_the_cause(line):
+    line.run(cause="the power was out", start_h=2.2)
+    assert states(line, "B") == ["missed"] * 3 + ["done"] * (SETS - 3)
+    assert causes(line, "B")[:3] == ["the power was out"] * 3
+    assert [row["n_planned"] for row in line.rows("sets", "A")] == [1] * SETS
+    # The set of hour 2 is late, not lost: the next one is due at hour 2.5.
+    assert line.instruments[0].struck[0] == ("B", 3, 0, 0)
+
+
+def test_a_poor_shot_is_struck_again_within_the_budget_and_the_better_one_counts(line):
+    def script(key):
+        poor = key.position == "C" and key.set_index == 0 and key.attempt == 0
+        return silent("noisy") if poor else healthy(key)
+
+    line.script = script
+    line.run()
+    of_c = [strike for strike in line.instruments[0].struck if strike[:2] == ("C", 0)]
+    assert of_c == [
+        ("C", 0, 0, 0),
+        ("C", 0, 0, 1),
+        ("C", 0, 1, 0),
+        ("C", 0, 1, 1),
+        ("C", 0, 2, 0),
+        ("C", 0, 3, 0),
+    ]
+    shots = [shot for shot in line.rows("shots", "C") if shot["set_index"] == 0]
+    assert [shot["outcome"] for shot in shots] == ["superseded", "accepted"] * 2 + ["accepted"] * 2
+    row = line.rows("sets", "C")[0]
+    assert (row["n_taken"], row["n_restrikes"], row["n_valid"], row["state"]) == (6, 2, 2, "done")
+
+
+def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
+    line.script = lambda key: None if (key.position, key.set_index) == ("B", 1) else healthy(key)
+    line.run()
+    row = line.rows("sets", "B")[1]
+    assert (row["state"], row["n_taken"], row["n_missed"], row["n_restrikes"]) == ("missed", 0, 6, 2)
+    assert row["cause"] == "6 missed: no trigger at B"
+    assert row["file"] is None
+    assert states(line, "C")[1] == "done"
+
+
+def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
+    line.script = lambda key: None if key.set_index == 2 else healthy(key)
+    line.run()
+    assert {states(line, position)[2] for position in "ABCD"} == {"missed"}
+    assert 2 not in MemoryArchive(line.shelf).sets()
+    assert line.rows("sets", "B")[2]["n_missed"] == 6
+
+
+@pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
+def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, kind):
+    trouble = kind("the chassis reboots")
+    line.script = lambda key: trouble if key.set_index == 1 and key.position != "A" else healthy(key)
+    assert line.run()
+    assert states(line, "B")[:3] == ["done", "missed", "done"]
+    assert states(line, "A") == ["done"] * SETS
+    (alarm,) = [row for row in line.rows("alarms") if row["kind"] == "rig_unavailable"]
+    assert (alarm["state"], alarm["position"]) == ("returned_unacknowledged", None)
+    assert "the chassis reboots" in alarm["message"]
+
+
+def test_a_rig_that_can_never_work_ends_the_test_when_its_shots_are_stored(line):
+    def script(key):
+        return ConfigurationError("no such channel") if key == broken else healthy(key)
+
+    broken = ShotKey(position="C", set_index=1, shot_index=2)
+    line.script = script
+    with pytest.raises(
+        RigError, match=r"set 1 ended early: no such channel; the 6 shots before it are stored"
+    ):
+        line.run()
+    assert states(line, "C") == ["done", "partial"]
+    assert causes(line, "C")[1] == "no such channel"
+    assert line.rows("sets", "C")[1]["n_taken"] == 2
+    assert states(line, "D") == ["done", "missed"]
+
+
+def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
+    stop = threading.Event()
+
+    def script(key):
+        if key == ShotKey(position="C", set_index=1, shot_index=1):
+            stop.set()
+        return healthy(key)
+
+    line.script = script
+    assert not line.run(stop=stop)
+    assert [states(line, position) for position in "BCD"] == [
+        ["done", "done"],
+        ["done", "partial"],
+        ["done", "missed"],
+    ]
+    assert causes(line, "D")[1] == "the recorder was told to stop"
+    assert line.rows("events")[-1]["kind"] == "recorder_stopped"
+    line.script = healthy
+    assert line.run()
+    assert len(line.rows("sets", "B")) == SETS
+
+
+def test_a_stop_before_the_first_strike_leaves_the_set_due(line):
+    stop = threading.Event()
+    stop.set()
+    assert not line.run(stop=stop)
+    assert line.rows("sets") == []
+
+
+def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
+    line.order("hold", note="hands in the rig")
+    assert line.run()
+    assert line.instruments[0].struck == []
+    assert (
+        set(causes(line, "B")) == {"on hold by Ada: hands in the rig"}
+        or "hands in the rig" in causes(line, "B")[0]
+    )
+    assert {row["state"] for row in line.rows("sets")} == {"missed"}
+
+
+def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
+    line.order("retire", position="C")
+    line.run()
+    assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
+    assert states(line, "C") == ["retired"] * SETS
+    assert [row["n_planned"] for row in line.rows("sets", "C")] == [0] * SETS
+    assert states(line, "B") == ["done"] * SETS
+
+
+def test_a_silent_transducer_raises_no_data_then_retires(line):
+    line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
+    line.run()
+    alarms = {row["kind"]: row for row in line.rows("alarms") if row["position"] == "D"}
+    assert (alarms["no_data"]["raised_set_index"], alarms["retired"]["raised_set_index"]) == (3, 4)
+    assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
+
+
+def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
+    line.script = lambda key: silent("noisy")
+    line.run(dry_run=True)
+    assert [row for row in line.rows("alarms") if row["position"] in TRANSDUCERS] == []
+    assert {strike[3] for strike in line.instruments[0].struck} == {0}
+    assert told(line, "recorder_started")[0]["payload"]["dry_run"] is True
+    assert {tuple(shot["flags"]) for shot in line.rows("shots", "B")} == {("dry_run",)}
+
+
+def test_the_supervisor_is_told_what_is_begun(line):
+    line.run()
+    begun = line.heartbeat.told
+    assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
+
+
+class Calibrated:
+    """Boards that count their self-calibrations."""
+
+    def __init__(self, error=None):
+        self.count, self.error = 0, error
+
+    def self_calibrate(self):
+        self.count += 1
+        if self.error is not None:
+            raise self.error
+        return {"0x1234": "calibrated"}
+
+
+def with_boards(interval_h):
+    boards = DaqmxParameters(
+        transducers={
+            name: TransducerWiring(
+                board_serial="1", input=f"ai{k}", counter=f"ctr{k}", output_terminal=f"PFI1{k}"
+            )
+            for k, name in enumerate(TRANSDUCERS)
+        },
+        self_calibration_interval_h=interval_h,
+    )
+    settings = memory_settings()
+    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"daqmx": boards})})
+
+
+@pytest.mark.parametrize(("interval_h", "times"), [(1.0, 6), (2.5, 3), (0.0, 0)])
+def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, times):
+    line.settings = with_boards(interval_h)
+    boards = Calibrated()
+    line.run(self_calibrating=boards)
+    assert boards.count == times
+    assert len(told(line, "self_calibrated")) == times
+
+
+def test_a_failed_self_calibration_is_told_and_ends_the_test_only_where_it_can_never_work(line):
+    line.settings = with_boards(24.0)
+    line.run(self_calibrating=Calibrated(BusyError("MAX holds the board")))
+    assert told(line, "self_calibrated")[0]["payload"] == {"failed": "MAX holds the board"}
+    assert states(line, "B") == ["done"] * SETS
+
+
+def test_a_self_calibration_that_can_never_work_ends_the_test(line):
+    line.settings = with_boards(24.0)
+    with pytest.raises(RigError, match="self-calibration before set 0 failed: no such board"):
+        line.run(self_calibrating=Calibrated(ConfigurationError("no such board")))
