@@ -1,0 +1,158 @@
+"""Apply each one-line fault to a copy of the code and show that the unit test it names notices it.
+
+    python tests/mutants/run.py                 # all of them
+    python tests/mutants/run.py 07 13 --json    # these two, as one JSON object
+
+A patch's head says what is wrong (``Fault:``) and which test fails then (``Noticed by:``). The tests first
+run on the code as it is: one that fails there proves nothing. Exit code 0 if every fault is noticed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import io
+import json
+import multiprocessing
+import multiprocessing.connection
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+LOADED_ONCE = (
+    "pytest",
+    "hypothesis",
+    "numpy",
+    "scipy.stats",
+    "sqlalchemy",
+    "alembic",
+    "pydantic",
+    "h5py",
+    "click",
+)
+"""Imported before a process is forked for each fault: they take longer than the tests."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mutant:
+    """One fault."""
+
+    name: str
+    patch: Path
+    fault: str
+    noticed_by: str
+
+
+def mutants() -> list[Mutant]:
+    """Every committed fault, in the order of its number."""
+    found = []
+    for patch in sorted(HERE.glob("*.patch")):
+        head = dict(re.findall(r"^(Fault|Noticed by): (.+)$", patch.read_text("utf-8"), flags=re.MULTILINE))
+        found.append(Mutant(name=patch.stem, patch=patch, fault=head["Fault"], noticed_by=head["Noticed by"]))
+    return found
+
+
+def copy_of_the_code(folder: Path) -> None:
+    """Copy what the unit tests need; what git ignores stays behind."""
+    for name in ("daq_service", "simulator", "analysis", "hardware_drivers", "config", "tests"):
+        shutil.copytree(
+            ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
+        )
+    shutil.copy(ROOT / "pyproject.toml", folder)
+
+
+def apply(patch: Path, copy: Path, *, back: bool = False) -> None:
+    """Apply a patch to the copy, or take it back."""
+    command = ["git", "apply", "--whitespace=nowarn", *(["-R"] if back else []), str(patch)]
+    # Outside a repository git applies to the folder it stands in.
+    environment = {**os.environ, "GIT_CEILING_DIRECTORIES": str(copy.parent)}
+    subprocess.run(command, cwd=copy, env=environment, check=True)
+
+
+def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Connection) -> None:
+    """Child: run tests on the copy; tell pytest's exit code, its output, and the seconds of processor."""
+    os.chdir(copy)
+    sys.path[:] = [str(copy), str(copy / "tests"), *(p for p in sys.path if Path(p).resolve() != ROOT)]
+    sys.dont_write_bytecode = True
+    import pytest
+
+    output = io.StringIO()
+    with redirect_stdout(output), redirect_stderr(output):
+        code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--no-header", *tests])
+    told.send((int(code), output.getvalue(), time.process_time()))
+
+
+def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
+    """Run tests on the copy in a process of their own."""
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
+    ours, theirs = context.Pipe(duplex=False)
+    child = context.Process(target=_run, args=(copy, tests, theirs))
+    child.start()
+    theirs.close()
+    try:
+        answer: tuple[int, str, float] = ours.recv()
+    except EOFError:
+        answer = (-1, "the process died", 0.0)
+    child.join()
+    return answer
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("names", nargs="*", help="numbers or names; default: all")
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    options = parser.parse_args()
+    chosen = [
+        one for one in mutants() if not options.names or any(one.name.startswith(n) for n in options.names)
+    ]
+    for name in LOADED_ONCE:
+        importlib.import_module(name)
+    with tempfile.TemporaryDirectory() as place:
+        copy = Path(place)
+        copy_of_the_code(copy)
+        tests = sorted({one.noticed_by for one in chosen})
+        code, output, cpu_s = run_tests(copy, tests)
+        if code != 0:
+            print(f"the tests fail on the code as it is:\n{output}", file=sys.stderr)
+            return 1
+        unnoticed = []
+        for number, one in enumerate(chosen, 1):
+            apply(one.patch, copy)
+            code, output, _ = run_tests(copy, [one.noticed_by])
+            apply(one.patch, copy, back=True)
+            noticed = code == 1  # tests were run and failed: an import error or a missing test is none
+            if not noticed:
+                unnoticed.append(one.name)
+            print(
+                f"{number:3} {'noticed' if noticed else 'NOT NOTICED':<12}{one.name}: {one.fault}",
+                file=sys.stderr,
+            )
+    facts = {
+        "faults": len(chosen),
+        "unnoticed": unnoticed,
+        "tests": len(tests),
+        "tests_cpu_s": round(cpu_s, 1),
+    }
+    if options.json:
+        print(json.dumps(facts))
+    else:
+        print(
+            f"{len(chosen) - len(unnoticed)} of {len(chosen)} faults noticed; "
+            f"the {len(tests)} tests: {cpu_s:.1f} s of processor"
+        )
+    return 1 if unnoticed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
