@@ -26,3 +26,16 @@ def test_an_end_cuts_the_plan_and_keeps_the_set_due_then() -> None:
 def test_a_plan_counts_from_the_epoch() -> None:
     first = plan(ScheduleSettings().phases, 1_000)[0]
     assert (first.set_index, first.due_h, first.due_utc_ns) == (0, 0.5, 1_000 + 1_800_000_000_000)
+
+
+@pytest.mark.parametrize(("until_h", "interval_h", "sets"), [(0.3, 0.1, 3), (0.7, 0.1, 7), (2.3, 0.23, 10)])
+def test_a_decimal_interval_loses_no_set_to_rounding(until_h: float, interval_h: float, sets: int) -> None:
+    assert int(until_h / interval_h) == sets - 1, "an example that rounding cuts"
+    hours = list(due_hours([PhaseSettings(until_h=until_h, interval_h=interval_h)]))
+    assert len(hours) == sets
+    assert hours[-1] == pytest.approx(until_h, rel=1e-12)
+
+
+def test_a_phase_begins_where_the_one_before_ended() -> None:
+    phases = [PhaseSettings(until_h=1.0, interval_h=0.4), PhaseSettings(until_h=3.0, interval_h=1.0)]
+    assert list(due_hours(phases)) == [0.4, 0.8, 2.0, 3.0]

@@ -1,14 +1,20 @@
-"""What is planned after a strike is what `take_set` strikes."""
+"""How a set is taken: its order, what a fault costs, and that what is planned is what is struck."""
 
 from itertools import islice
 
+import numpy as np
 import pytest
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import SetPlan, strikes_after, take_set
-from hardware_drivers.errors import AcquisitionTimeoutError
-from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import ShotKey
+from daq_service.acquisition.take_set import MissedShot, SetPlan, strikes_after, take_set
+from hardware_drivers.errors import (
+    AcquisitionTimeoutError,
+    ConfigurationError,
+    ConnectionLostError,
+    InstrumentError,
+)
+from hardware_drivers.instruments import Acquired, Echo, Rig
+from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 
 NS_PER_S = 1_000_000_000
 INTERVAL_S = 2.5
@@ -98,3 +104,143 @@ def test_a_repetition_is_followed_by_what_its_first_attempt_is_followed_by():
     assert [key for key, _ in plan(again, later_ns)] == keys
     # One interval on from the repetition, not from the first attempt.
     assert next(islice(plan(again, later_ns), 1))[1] == later_ns + round(INTERVAL_S * NS_PER_S)
+
+
+class Scripted(Deaf):
+    """Instruments whose reads go as a list says: a record, or an error to raise."""
+
+    def __init__(self, clock, answers):
+        super().__init__(clock)
+        self.answers = iter(answers)
+        self.calls = []
+
+    def _answer(self):
+        told = next(self.answers, ACQUIRED)
+        if isinstance(told, Exception):
+            raise told
+        return told
+
+    def read(self, timeout_s):
+        self.calls.append("read")
+        return self._answer()
+
+    def acquire(self, key, timeout_s):
+        self.calls.append(f"echo {key.position}")
+        told = self._answer()
+        return Echo(waveform=told.waveform, gain_db=0.0, offset_v=0.0, averages=1)
+
+    def make_safe(self):
+        self.calls.append("safe")
+
+
+ACQUIRED = Acquired(
+    waveform=Waveform(
+        counts=np.zeros(4, dtype=np.int16),
+        sample_rate_hz=1e7,
+        pretrigger_samples=1,
+        calibration=Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0),
+    )
+)
+SILENCE = AcquisitionTimeoutError("nothing came")
+LOST = ConnectionLostError("the chassis is gone")
+
+
+def taken(answers, positions=None, shots_per_set=2, **hooks):
+    """The measurements of one set, the error that ended it, and the instruments."""
+    clock = Clock()
+    instruments = Scripted(clock, answers)
+    rig = Rig(
+        kind="simulated", clock=clock, striker=instruments, digitizer=instruments, pulse_echo=instruments
+    )
+    plan = SetPlan(
+        due=SETS[0],
+        positions=positions or {"B": "solitary_wave", "A": "pulse_echo", "C": "solitary_wave"},
+        shots_per_set=shots_per_set,
+        shot_interval_s=INTERVAL_S,
+        read_timeout_s=1.0,
+    )
+    found, error = [], None
+    try:
+        for measurement in take_set(
+            rig, plan, first_sequence=7, boot_id="test", **{"idle": lambda: True, **hooks}
+        ):
+            found.append(measurement)
+    except InstrumentError as raised:
+        error = raised
+    return found, error, instruments
+
+
+def test_echoes_come_first_then_one_transducer_after_the_other():
+    found, _, _ = taken([])
+    assert [(item.key.position, item.key.shot_index) for item in found] == [
+        ("A", 0),
+        ("B", 0),
+        ("B", 1),
+        ("C", 0),
+        ("C", 1),
+    ]
+    assert [item.sequence for item in found] == [7, 8, 9, 10, 11]
+    strikes_s = [(item.stamp.utc_ns - SETS[0].due_utc_ns) / NS_PER_S for item in found[1:]]
+    assert strikes_s == [0.0, INTERVAL_S, 2 * INTERVAL_S, 3 * INTERVAL_S]
+
+
+def test_a_strike_without_a_trigger_is_missed_and_leaves_the_coil_safe():
+    found, error, instruments = taken([ACQUIRED, SILENCE])
+    assert error is None
+    assert isinstance(found[1], MissedShot)
+    assert (found[1].reason, found[1].cause) == ("no_trigger", "nothing came")
+    assert instruments.calls[:3] == ["echo A", "read", "safe"]
+    assert [item.sequence for item in found if not isinstance(item, MissedShot)] == [7, 8, 9, 10]
+
+
+def test_a_connection_lost_three_records_running_ends_the_set():
+    found, error, _ = taken([ACQUIRED, LOST, LOST, ACQUIRED, LOST, LOST, LOST], shots_per_set=4)
+    assert error is LOST
+    reasons = [item.reason if isinstance(item, MissedShot) else "" for item in found]
+    assert reasons == ["", *["connection_lost"] * 2, "", *["connection_lost"] * 3]
+
+
+def test_what_can_never_work_ends_the_set_at_once_and_safely():
+    wrong = ConfigurationError("no such channel")
+    found, error, instruments = taken([ACQUIRED, ACQUIRED, wrong])
+    assert error is wrong
+    assert len(found) == 2
+    assert instruments.calls[-1] == "safe"
+
+
+def test_a_wanted_repetition_takes_the_next_slot_and_counts_its_attempt():
+    found, _, _ = taken([], {"B": "solitary_wave"}, wants_restrike=lambda shot: shot.key.attempt < 2)
+    assert [(item.key.shot_index, item.key.attempt) for item in found] == [
+        (0, 0),
+        (0, 1),
+        (0, 2),
+        (1, 0),
+        (1, 1),
+        (1, 2),
+    ]
+    assert found[-1].stamp.utc_ns - found[0].stamp.utc_ns == round(5 * INTERVAL_S * NS_PER_S)
+
+
+def test_nobody_is_asked_for_a_repetition_where_the_connection_is_lost():
+    asked = []
+    taken(
+        [ACQUIRED, LOST],
+        {"A": "pulse_echo", "B": "solitary_wave"},
+        wants_restrike=asked.append,
+    )
+    assert [shot.key.shot_index for shot in asked] == [1]
+
+
+def test_a_transducer_that_an_order_retires_is_struck_no_more():
+    allowed = {"B", "C"}
+    found, _, _ = taken(
+        [], wants_restrike=lambda shot: allowed.discard("B"), may_strike=lambda position: position in allowed
+    )
+    assert [item.key.position for item in found] == ["A", "B", "C", "C"]
+
+
+def test_it_ends_where_it_is_told_to():
+    answers = iter([True, True, True, False])
+    found, error, _ = taken([], idle=lambda: next(answers))
+    assert error is None
+    assert [item.key.position for item in found] == ["A", "B", "B"]

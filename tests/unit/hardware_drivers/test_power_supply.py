@@ -1,0 +1,91 @@
+"""What an order to switch on demands of the supply, against a supply that answers by a table: no line."""
+
+import pytest
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM1"), identity="ACME,PSU,1")
+
+
+class AnsweringLine:
+    """The supply's end of the line: it keeps what it is told, and may lie about one answer."""
+
+    name = "the supply"
+    connected = True
+
+    def __init__(self, **lies):
+        self.values = {"VOLT": 0.0, "CURR": 0.0, "OUTP": False}
+        self.lies = lies
+        self.sent = []
+
+    def connect(self, deadline_s, *, at_once=False):
+        return False
+
+    def monotonic_s(self):
+        return 0.0
+
+    def send(self, command):
+        self.sent.append(command)
+        word, value = command.split()
+        self.values[word] = value == "ON" if word == "OUTP" else float(value)
+
+    def query_number(self, question, deadline_s):
+        told = self.values[question.rstrip("?").removeprefix("MEAS:")]
+        return told + self.lies.get(question, 0.0)
+
+    def query_flag(self, question, deadline_s):
+        return self.values["OUTP"] if question == "OUTP?" else question in self.lies
+
+    def query_error(self, deadline_s):
+        return None
+
+
+def supply_on(line):
+    supply = ScpiPowerSupply(PARAMETERS, stamp=lambda: Stamp(utc_ns=0, mono_ns=0, boot_id="test"))
+    supply._line = line  # instead of a serial port
+    return supply
+
+
+def test_what_reads_back_within_the_tolerance_is_on_limit_first():
+    line = AnsweringLine(**{"VOLT?": 0.049, "CURR?": -0.019, "MEAS:VOLT?": 0.049})
+    supply_on(line).energise(10.0, 1.0)
+    assert line.sent == ["OUTP OFF", "CURR 1", "VOLT 10", "OUTP ON"]
+
+
+@pytest.mark.parametrize(
+    ("question", "off_by", "message"),
+    [
+        ("VOLT?", 0.051, r"set to 10 V and reads back 10.051 V: more than 0.05 V off"),
+        ("VOLT?", -0.051, r"set to 10 V and reads back 9.949 V"),
+        ("CURR?", 0.021, r"set to 1 A and reads back 1.021 A: more than 0.02 A off"),
+        ("MEAS:VOLT?", 0.051, r"gives 10.051 V; at most 10.05 V was asked for"),
+        ("MEAS:CURR?", 0.021, r"gives 1.021 A; at most 1.02 A was asked for"),
+    ],
+)
+def test_what_lies_beyond_the_tolerance_is_switched_off_again(question, off_by, message):
+    line = AnsweringLine(**{question: off_by})
+    with pytest.raises(ConfigurationError, match=message + ".*; the output is off"):
+        supply_on(line).energise(10.0, 1.0)
+    assert line.sent[-1] == "OUTP OFF"
+    assert line.values["OUTP"] is False
+
+
+@pytest.mark.parametrize(
+    ("voltage_v", "current_limit_a", "message"),
+    [(12.01, 1.0, "voltage_v is 12.01; .* voltage_cap_v = 12"), (10.0, 2.01, "current_limit_a is 2.01")],
+)
+def test_beyond_the_caps_nothing_is_sent(voltage_v, current_limit_a, message):
+    line = AnsweringLine()
+    with pytest.raises(ConfigurationError, match=message):
+        supply_on(line).energise(voltage_v, current_limit_a)
+    assert line.sent == []
+
+
+def test_a_tripped_protection_is_left_for_a_person():
+    line = AnsweringLine(**{"CURR:PROT:TRIP?": True})
+    with pytest.raises(ConfigurationError, match="has tripped .*; the output was left as it was"):
+        supply_on(line).energise(10.0, 1.0)
+    assert line.sent == []
