@@ -86,6 +86,6 @@ def test_beyond_the_caps_nothing_is_sent(voltage_v, current_limit_a, message):
 
 def test_a_tripped_protection_is_left_for_a_person():
     line = AnsweringLine(**{"CURR:PROT:TRIP?": True})
-    with pytest.raises(ConfigurationError, match="has tripped .*; the output was left as it was"):
+    with pytest.raises(ConfigurationError, match=r"has tripped .*; the output was left as it was"):
         supply_on(line).energise(10.0, 1.0)
     assert line.sent == []
