@@ -10,7 +10,7 @@ import shutil
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,17 @@ import numpy as np
 
 from analysis.waves.features import ShotFeatures
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    EventRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+)
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
@@ -35,6 +46,16 @@ MEMORY: dict[str, Any] = {
     "alarms": {"hole_shots": 3, "hole_sets": 2},
 }
 SETS = 12
+TABLES: Mapping[str, type[Row]] = {
+    "sets": SetRow,
+    "shots": ShotRow,
+    "features": FeatureRow,
+    "thickness": ThicknessRow,
+    "verdicts": VerdictRow,
+    "baselines": BaselineRow,
+    "alarms": AlarmRow,
+    "events": EventRow,
+}
 CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0)
 
 Answer = ShotFeatures | InstrumentError | None
@@ -171,7 +192,7 @@ class Line:
         """
         with self.catalogue(writer=True) as catalogue:
             epoch_ns = self.epoch_ns(catalogue)
-            ended = [ns for row in catalogue.list_sets(limit=None) if (ns := row["ended_utc_ns"]) is not None]
+            ended = [ns for row in catalogue.rows(SetRow) if (ns := row.ended_utc_ns) is not None]
             start_ns = max(ended, default=epoch_ns)
             if start_h is not None:
                 start_ns = epoch_ns + round(start_h * 3.6e12)
@@ -212,7 +233,7 @@ class Line:
             clock="simulated",
             solimon_version="0",
         )
-        return int(row["epoch_utc_ns"])
+        return int(row.epoch_utc_ns)
 
     @contextmanager
     def catalogue(self, *, writer: bool = False) -> Iterator[RecorderCatalogue]:
@@ -230,19 +251,10 @@ class Line:
             return catalogue.add_command(author, kind, {"note": "", **arguments})
 
     def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
-        """Rows of a table, of one position where it has one."""
+        """Rows of a table, of one position where it has one; of a baseline without when it was written."""
         with self.catalogue() as catalogue:
-            if table == "events":
-                return catalogue.events_after(0, limit=None)
-            if table == "shots":
-                return [
-                    shot
-                    for row in catalogue.list_sets(position, limit=None)
-                    for shot in catalogue.list_shots(row["position"], row["set_index"])
-                ]
-            if table == "sets":
-                return catalogue.list_sets(position, limit=None)
-            return getattr(catalogue, f"list_{table}")(position)
+            rows = catalogue.rows(TABLES[table], position=position)
+        return [replace(row, created_utc_ns=0) for row in rows] if table == "baselines" else rows
 
 
 @cache

@@ -77,7 +77,7 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     line.script = lambda key: healthy(key, shift=wall.get(key.position, 0.0) * max(0, key.set_index - 15))
     line.run()
     expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
-    assert any(row["kind"] == "wall_change" for row in expected["alarms"])
+    assert any(row.kind == "wall_change" for row in expected["alarms"])
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_index):
@@ -112,9 +112,9 @@ def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, _):
         alarm = ledger.alarms["D", "no_data"]
-        assert again.rows("alarms")[alarm["id"] - 1]["kind"] == "no_data"
-        event = [row for row in again.rows("events") if row["kind"] == "alarm_raised"][-1]
-        assert event["payload"]["alarm_id"] == alarm["id"]
+        assert again.rows("alarms")[alarm.id - 1].kind == "no_data"
+        event = [row for row in again.rows("events") if row.kind == "alarm_raised"][-1]
+        assert event.payload["alarm_id"] == alarm.id
 
 
 def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
@@ -137,11 +137,11 @@ def test_every_position_has_a_row_in_every_set(line):
     line.script = lambda key: None if key.position == "A" and key.set_index == 1 else healthy(key)
     line.run()
     rows = line.rows("sets")
-    assert sorted((row["set_index"], row["position"]) for row in rows) == [
+    assert sorted((row.set_index, row.position) for row in rows) == [
         (index, position) for index in range(SETS) for position in "ABCD"
     ]
-    missed = rows[[(row["set_index"], row["position"]) for row in rows].index((1, "A"))]
-    assert (missed["state"], missed["n_missed"], missed["cause"]) == (
+    missed = rows[[(row.set_index, row.position) for row in rows].index((1, "A"))]
+    assert (missed.state, missed.n_missed, missed.cause) == (
         "missed",
         1,
         "1 missed: no trigger at A",
@@ -152,7 +152,7 @@ def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
     lost = ConnectionLostError("the probe's board is gone")
     line.script = lambda key: lost if key.position == "A" and key.set_index == 2 else healthy(key)
     line.run()
-    (alarm,) = [row for row in line.rows("alarms") if row["kind"] == "rig_unavailable"]
-    assert alarm["raised_set_index"] == 2
-    assert "the probe's board is gone" in alarm["message"]
-    assert alarm["state"] == "returned_unacknowledged"
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    assert alarm.raised_set_index == 2
+    assert "the probe's board is gone" in alarm.message
+    assert alarm.state == "returned_unacknowledged"

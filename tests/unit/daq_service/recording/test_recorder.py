@@ -23,15 +23,15 @@ def line(tmp_path):
 
 
 def states(line, position):
-    return [row["state"] for row in line.rows("sets", position)]
+    return [row.state for row in line.rows("sets", position)]
 
 
 def causes(line, position):
-    return [row["cause"] for row in line.rows("sets", position)]
+    return [row.cause for row in line.rows("sets", position)]
 
 
 def told(line, kind):
-    return [row for row in line.rows("events") if row["kind"] == kind]
+    return [row for row in line.rows("events") if row.kind == kind]
 
 
 class WatchedArchive(MemoryArchive):
@@ -51,13 +51,13 @@ class WatchedArchive(MemoryArchive):
 def test_every_due_set_is_struck_in_order_and_has_its_rows(line):
     assert line.run()
     for position in "ABCD":
-        assert [row["set_index"] for row in line.rows("sets", position)] == list(range(SETS))
+        assert [row.set_index for row in line.rows("sets", position)] == list(range(SETS))
         assert states(line, position) == ["done"] * SETS
     first = [(position, 0, shot, 0) for position in TRANSDUCERS for shot in range(4)]
     assert line.instruments[0].struck[:12] == first
-    assert [shot["sequence"] for shot in line.rows("shots")] == list(range(1, 13 * SETS + 1))
-    assert line.rows("events")[0]["kind"] == "recorder_started"
-    assert line.rows("events")[-1]["kind"] == "schedule_done"
+    assert [shot.sequence for shot in line.rows("shots")] == list(range(1, 13 * SETS + 1))
+    assert line.rows("events")[0].kind == "recorder_started"
+    assert line.rows("events")[-1].kind == "schedule_done"
 
 
 def test_a_set_is_durable_before_anybody_hears_of_it(line):
@@ -103,7 +103,7 @@ def test_sets_whose_time_is_over_are_missed_with_the_cause(line):
     line.run(cause="the power was out", start_h=2.2)
     assert states(line, "B") == ["missed"] * 3 + ["done"] * (SETS - 3)
     assert causes(line, "B")[:3] == ["the power was out"] * 3
-    assert [row["n_planned"] for row in line.rows("sets", "A")] == [1] * SETS
+    assert [row.n_planned for row in line.rows("sets", "A")] == [1] * SETS
     # The set of hour 2 is late, not lost: the next one is due at hour 2.5.
     assert line.instruments[0].struck[0] == ("B", 3, 0, 0)
 
@@ -124,19 +124,19 @@ def test_a_poor_shot_is_struck_again_within_the_budget_and_the_better_one_counts
         ("C", 0, 2, 0),
         ("C", 0, 3, 0),
     ]
-    shots = [shot for shot in line.rows("shots", "C") if shot["set_index"] == 0]
-    assert [shot["outcome"] for shot in shots] == ["superseded", "accepted"] * 2 + ["accepted"] * 2
+    shots = [shot for shot in line.rows("shots", "C") if shot.set_index == 0]
+    assert [shot.outcome for shot in shots] == ["superseded", "accepted"] * 2 + ["accepted"] * 2
     row = line.rows("sets", "C")[0]
-    assert (row["n_taken"], row["n_restrikes"], row["n_valid"], row["state"]) == (6, 2, 2, "done")
+    assert (row.n_taken, row.n_restrikes, row.n_valid, row.state) == (6, 2, 2, "done")
 
 
 def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):
     line.script = lambda key: None if (key.position, key.set_index) == ("B", 1) else healthy(key)
     line.run()
     row = line.rows("sets", "B")[1]
-    assert (row["state"], row["n_taken"], row["n_missed"], row["n_restrikes"]) == ("missed", 0, 6, 2)
-    assert row["cause"] == "6 missed: no trigger at B"
-    assert row["file"] is None
+    assert (row.state, row.n_taken, row.n_missed, row.n_restrikes) == ("missed", 0, 6, 2)
+    assert row.cause == "6 missed: no trigger at B"
+    assert row.file is None
     assert states(line, "C")[1] == "done"
 
 
@@ -145,7 +145,7 @@ def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
     line.run()
     assert {states(line, position)[2] for position in "ABCD"} == {"missed"}
     assert 2 not in MemoryArchive(line.shelf).sets()
-    assert line.rows("sets", "B")[2]["n_missed"] == 6
+    assert line.rows("sets", "B")[2].n_missed == 6
 
 
 @pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
@@ -155,9 +155,9 @@ def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, 
     assert line.run()
     assert states(line, "B")[:3] == ["done", "missed", "done"]
     assert states(line, "A") == ["done"] * SETS
-    (alarm,) = [row for row in line.rows("alarms") if row["kind"] == "rig_unavailable"]
-    assert (alarm["state"], alarm["position"]) == ("returned_unacknowledged", None)
-    assert "the chassis reboots" in alarm["message"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
+    assert "the chassis reboots" in alarm.message
 
 
 def test_a_rig_that_can_never_work_ends_the_test_when_its_shots_are_stored(line):
@@ -172,7 +172,7 @@ def test_a_rig_that_can_never_work_ends_the_test_when_its_shots_are_stored(line)
         line.run()
     assert states(line, "C") == ["done", "partial"]
     assert causes(line, "C")[1] == "no such channel"
-    assert line.rows("sets", "C")[1]["n_taken"] == 2
+    assert line.rows("sets", "C")[1].n_taken == 2
     assert states(line, "D") == ["done", "missed"]
 
 
@@ -192,7 +192,7 @@ def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
         ["done", "missed"],
     ]
     assert causes(line, "D")[1] == "the recorder was told to stop"
-    assert line.rows("events")[-1]["kind"] == "recorder_stopped"
+    assert line.rows("events")[-1].kind == "recorder_stopped"
     line.script = healthy
     assert line.run()
     assert len(line.rows("sets", "B")) == SETS
@@ -213,7 +213,7 @@ def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
         set(causes(line, "B")) == {"on hold by Ada: hands in the rig"}
         or "hands in the rig" in causes(line, "B")[0]
     )
-    assert {row["state"] for row in line.rows("sets")} == {"missed"}
+    assert {row.state for row in line.rows("sets")} == {"missed"}
 
 
 def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
@@ -221,25 +221,25 @@ def test_a_retired_transducer_is_struck_no_more_and_the_others_go_on(line):
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
     assert states(line, "C") == ["retired"] * SETS
-    assert [row["n_planned"] for row in line.rows("sets", "C")] == [0] * SETS
+    assert [row.n_planned for row in line.rows("sets", "C")] == [0] * SETS
     assert states(line, "B") == ["done"] * SETS
 
 
 def test_a_silent_transducer_raises_no_data_then_retires(line):
     line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
     line.run()
-    alarms = {row["kind"]: row for row in line.rows("alarms") if row["position"] == "D"}
-    assert (alarms["no_data"]["raised_set_index"], alarms["retired"]["raised_set_index"]) == (3, 4)
+    alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
+    assert (alarms["no_data"].raised_set_index, alarms["retired"].raised_set_index) == (3, 4)
     assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
 
 
 def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
     line.script = lambda key: silent("noisy")
     line.run(dry_run=True)
-    assert [row for row in line.rows("alarms") if row["position"] in TRANSDUCERS] == []
+    assert [row for row in line.rows("alarms") if row.position in TRANSDUCERS] == []
     assert {strike[3] for strike in line.instruments[0].struck} == {0}
-    assert told(line, "recorder_started")[0]["payload"]["dry_run"] is True
-    assert {tuple(shot["flags"]) for shot in line.rows("shots", "B")} == {("dry_run",)}
+    assert told(line, "recorder_started")[0].payload["dry_run"] is True
+    assert {tuple(shot.flags) for shot in line.rows("shots", "B")} == {("dry_run",)}
 
 
 def test_the_supervisor_is_told_what_is_begun(line):
@@ -287,7 +287,7 @@ def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, ti
 def test_a_failed_self_calibration_is_told_and_ends_the_test_only_where_it_can_never_work(line):
     line.settings = with_boards(24.0)
     line.run(self_calibrating=Calibrated(BusyError("MAX holds the board")))
-    assert told(line, "self_calibrated")[0]["payload"] == {"failed": "MAX holds the board"}
+    assert told(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
     assert states(line, "B") == ["done"] * SETS
 
 
