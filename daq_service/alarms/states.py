@@ -24,6 +24,11 @@ from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity
 
 ACTIVE_STATES = ("unacknowledged", "acknowledged", "returned_unacknowledged")
 SEVERITIES: tuple[Severity, ...] = ("low", "medium", "high", "critical")
+AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
+    "unacknowledged": "acknowledged",
+    "returned_unacknowledged": "normal",
+}
+"""States that wait for an operator, and what follows."""
 RETIRING = ("hole", "retired")
 """Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
 
@@ -117,12 +122,11 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
     ValueError
         The alarm is not waiting for an acknowledgement.
     """
-    following: dict[str, AlarmState] = {"unacknowledged": "acknowledged", "returned_unacknowledged": "normal"}
-    if row.state not in following:
+    if row.state not in AFTER_ACKNOWLEDGEMENT:
         raise ValueError(f"alarm {row.id} is {row.state}: there is nothing to acknowledge")
     return _to(
         row,
-        following[row.state],
+        AFTER_ACKNOWLEDGEMENT[row.state],
         moment,
         "alarm_acknowledged",
         acknowledged_utc_ns=moment.utc_ns,

@@ -14,10 +14,10 @@ import click
 from daq_service.acquisition.schedule import plan
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.rows import AlarmRow, EventRow, values
+from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.clock import format_utc, parse_utc
 from daq_service.processes.data_folder import data_folder
-from daq_service.processes.heartbeat import overdue_s, read_heartbeat
+from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
 
@@ -142,19 +142,13 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         click.echo(f"{name:<9} {json.dumps(row)}")
 
 
-FAREWELLS = {
-    "schedule_done": "finished: every planned set has its row",
-    "recorder_stopped": "stopped by its operator; start it again to go on",
-}
-
-
 def describe_status(folder: Path) -> dict[str, Any]:
     """Read the recorder's state, the counts, and the last word on each position."""
     try:
         with open_catalogue(folder, writer=False) as catalogue:
-            told = [row.kind for row in catalogue.rows(EventRow, topics={"service"})]
+            told = catalogue.last_told(*TELLING)
             return {
-                "recorder": FAREWELLS.get(told[-1] if told else "", _sign_of_life(folder)),
+                "recorder": look_at_recorder(folder, [told.kind] if told else []).description,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
@@ -162,14 +156,4 @@ def describe_status(folder: Path) -> dict[str, Any]:
             }
     except NoDataYetError:
         nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
-        return {"recorder": _sign_of_life(folder), **nothing}
-
-
-def _sign_of_life(folder: Path) -> str:
-    beat = read_heartbeat(folder)
-    if beat is None:
-        return "never started here"
-    late_s = overdue_s(beat, mono_ns=time.monotonic_ns())
-    if late_s > 0.0:
-        return f"not running: last sign of life {late_s + beat.deadline_s:.0f} s ago while {beat.doing}"
-    return f"running, {beat.doing}"
+        return {"recorder": look_at_recorder(folder, []).description, **nothing}

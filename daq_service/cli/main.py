@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -153,42 +154,24 @@ def status(**options: Any) -> None:
     print_status(**options)
 
 
-@cli.command()
-@CONFIG
-@DATA_DIR
-@order_options
-def hold(**options: Any) -> None:
-    """Strike no more until `release`: somebody works at the rig. Sets that fall due are missed."""
-    _give_order("hold", **options)
+def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None:
+    """Add a word that gives an order; its own options are the order's arguments."""
+    command = order_options(partial(_give_order, kind))
+    for option in (*options, DATA_DIR, CONFIG):
+        command = option(command)
+    cli.command(kind, help=explanation)(command)
 
 
-@cli.command()
-@CONFIG
-@DATA_DIR
-@order_options
-def release(**options: Any) -> None:
-    """End a hold: the next due set is taken."""
-    _give_order("release", **options)
+def _give_order(kind: str, **options: Any) -> None:
+    from daq_service.orders.give import give_order
+
+    sys.exit(give_order(kind, **options))
 
 
-@cli.command()
-@CONFIG
-@DATA_DIR
-@POSITION
-@order_options
-def retire(position: str, **options: Any) -> None:
-    """Let a transducer strike no more, until `reinstate`."""
-    _give_order("retire", arguments={"position": position}, **options)
-
-
-@cli.command()
-@CONFIG
-@DATA_DIR
-@POSITION
-@order_options
-def reinstate(position: str, **options: Any) -> None:
-    """Let a retired transducer strike again, from the next set on."""
-    _give_order("reinstate", arguments={"position": position}, **options)
+add_order("hold", "Strike no more until `release`: somebody works at the rig. Sets that fall due are missed.")
+add_order("release", "End a hold: the next due set is taken.")
+add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
+add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
 
 
 @cli.command()
@@ -204,14 +187,8 @@ def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | No
         raise click.UsageError("say --on or --off")
     if not on and (voltage_v is not None or current_limit_a is not None):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
-    values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}
-    _give_order("supply_on" if on else "supply_off", arguments=values if on else {}, **options)
-
-
-def _give_order(kind: str, **options: Any) -> None:
-    from daq_service.orders.give import give_order
-
-    sys.exit(give_order(kind, **options))
+    values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a} if on else {}
+    _give_order("supply_on" if on else "supply_off", **values, **options)
 
 
 @cli.command()

@@ -9,17 +9,17 @@ from __future__ import annotations
 import getpass
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from pathlib import Path
-from types import MappingProxyType
 
 import click
 
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
+from daq_service.orders.kinds import read_order
 from daq_service.processes.data_folder import data_folder
-from daq_service.processes.heartbeat import overdue_s, read_heartbeat
+from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings
 
 ANSWER_WITHIN_S = 30.0
@@ -36,8 +36,9 @@ def give_order(
     note: str,
     author: str | None,
     as_json: bool,
-    arguments: Mapping[str, str | float | None] = MappingProxyType({}),
     within_s: float = ANSWER_WITHIN_S,
+    wait: Callable[[float], None] = time.sleep,
+    **arguments: str | float | None,
 ) -> int:
     """Write an order, wait for its answer and print it.
 
@@ -47,7 +48,9 @@ def give_order(
     ----------
     author
         None: the name of this user.
-    arguments
+    wait
+        Waits a number of seconds between two looks for the answer; injected by tests.
+    **arguments
         What the kind needs beside the note; None is left out.
 
     Raises
@@ -55,16 +58,18 @@ def give_order(
     BusyError
         No recorder runs there (nothing is written), or it gave no answer in time (the order stays).
     UsageError
-        The recorder refused, with its reason.
+        The arguments are none of this kind, or the recorder refused, with its reason.
     StorageError
         No data there yet, or the catalogue cannot be written.
     """
+    author = (author or _user())[:LONGEST_AUTHOR]
+    given = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
+    read_order(kind, author, given)  # refused here, no recorder need look at it
     folder = data_folder(load_settings(config), config, data_dir)
     with open_catalogue(folder) as catalogue:
         _check_somebody_listens(folder, catalogue)
-        given = {name: value for name, value in arguments.items() if value is not None}
-        order_id = catalogue.add_command((author or _user())[:LONGEST_AUTHOR], kind, {"note": note} | given)
-        row = _answered(catalogue, order_id, within_s)
+        order_id = catalogue.add_command(author, kind, given)
+        row = _answered(catalogue, order_id, within_s, wait)
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
         click.echo(json.dumps({name: getattr(row, name) for name in names}))
@@ -81,17 +86,17 @@ def give_order(
 
 
 def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
-    beat = read_heartbeat(folder)
-    told = catalogue.last_told("recorder_started", "recorder_stopped")
-    stopped = told is not None and told.kind == "recorder_stopped"
-    if beat is None or stopped or overdue_s(beat, mono_ns=time.monotonic_ns()) > 0.0:
+    told = catalogue.last_told(*TELLING)
+    if not look_at_recorder(folder, [told.kind] if told else []).listens:
         raise BusyError(
             f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
             "`solimon run` or `solimon record`, then give the order again"
         )
 
 
-def _answered(catalogue: Catalogue, order_id: int, within_s: float) -> CommandRow:
+def _answered(
+    catalogue: Catalogue, order_id: int, within_s: float, wait: Callable[[float], None]
+) -> CommandRow:
     """Row of the order once it is answered, or as it stands when the time is over."""
     deadline = time.monotonic() + within_s
     while True:
@@ -99,7 +104,7 @@ def _answered(catalogue: Catalogue, order_id: int, within_s: float) -> CommandRo
         assert row is not None, "it was just written"
         if row.state != "pending" or time.monotonic() >= deadline:
             return row
-        time.sleep(LOOK_EVERY_S)
+        wait(LOOK_EVERY_S)
 
 
 def _user() -> str:

@@ -1,137 +1,376 @@
-"""Orders to a running test: their kinds and arguments."""
+"""Orders to a running test: of each kind its arguments, what forbids it, and what it does.
+
+The web and the command line check the arguments; the web asks `Order.forbidden` of what is stored, the
+recorder of what is so now, and only the recorder carries an order out. A new kind is a class here and a name
+in `AnyOrder`.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from daq_service.alarms.states import (
+    AFTER_ACKNOWLEDGEMENT,
+    RETIRING,
+    Condition,
+    acknowledge,
+    reset,
+    retired_positions,
+    update,
+)
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.clock import SimulatedClock
+from daq_service.errors import UsageError
+
+if TYPE_CHECKING:
+    from daq_service.orders.running_test import RunningTest
 
 LARGEST_ID = 2**53 - 1
-_STRICT = ConfigDict(extra="forbid")
 
 Author = Annotated[str, Field(min_length=1, max_length=80, description="Who gives the order")]
 
 
-class NoArguments(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facts:
+    """What may forbid an order.
+
+    Attributes
+    ----------
+    recorder
+        How it is, in one word of `processes.recorder_state`; whoever obeys is running.
+    can_skip_time
+        The test runs on a simulated clock; asked by the web: on one that is paced.
+    held
+        Who holds the test and why; empty while it runs.
+    positions
+        The solitary-wave transducers.
+    alarms
+        Rows, with at least the newest of each position and kind.
+    """
+
+    recorder: str = "running"
+    can_skip_time: bool
+    held: str
+    positions: Sequence[str]
+    has_supply: bool
+    alarms: Sequence[AlarmRow]
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why an order cannot be carried out.
+
+    Attributes
+    ----------
+    reason
+        The recorder's answer.
+    hint
+        What would help, for whoever asks the web.
+    sentence
+        The web's answer where it is not the reason as a sentence.
+    missing
+        What the order is about does not exist.
+    """
+
+    reason: str
+    hint: str
+    sentence: str = ""
+    missing: bool = False
+
+    @property
+    def detail(self) -> str:
+        """The web's answer."""
+        return self.sentence or f"{self.reason[0].upper()}{self.reason[1:]}."
+
+
+class Strict(BaseModel):
+    """Refuses what it does not know."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class NoArguments(Strict):
     """The order needs none."""
 
-    model_config = _STRICT
 
-
-class AlarmArguments(BaseModel):
+class AlarmArguments(Strict):
     """Which alarm was seen."""
 
-    model_config = _STRICT
     alarm_id: int = Field(ge=1, le=LARGEST_ID)
     note: str = Field(default="", max_length=2000)
 
 
-class NoteArguments(BaseModel):
+class NoteArguments(Strict):
     """Why; shown to everybody."""
 
-    model_config = _STRICT
     note: str = Field(default="", max_length=2000)
 
 
-class TransducerArguments(BaseModel):
+class TransducerArguments(Strict):
     """Which transducer, and why."""
 
-    model_config = _STRICT
     position: str = Field(min_length=1, max_length=16)
     note: str = Field(default="", max_length=2000)
 
 
-class SupplyArguments(BaseModel):
+class SupplyArguments(Strict):
     """Voltage and current limit; null: as configured. Beyond the configured caps the recorder refuses."""
 
-    model_config = _STRICT
     voltage_v: float | None = Field(default=None, gt=0.0, le=60.0)
     current_limit_a: float | None = Field(default=None, gt=0.0, le=100.0)
     note: str = Field(default="", max_length=2000)
 
 
-class FinishNow(BaseModel):
+class Order(Strict):
+    """What a person asks of a running test."""
+
+    needs_recorder: ClassVar[bool] = True
+    """False: it may also be given where the next recorder will look."""
+    kind: str
+    author: Author = "operator"
+    arguments: Any = NoArguments()
+
+    def forbidden(self, facts: Facts) -> Refusal | None:
+        """Why it cannot be carried out now; None where nothing forbids it."""
+        if self.needs_recorder and facts.recorder in {"finished", "stopped"}:
+            return Refusal(
+                f"the recorder has {facts.recorder}: nobody would carry this out", "Start it again first."
+            )
+        return self._forbidden(facts)
+
+    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str:
+        """Do it, and say what was done.
+
+        Raises
+        ------
+        ValueError
+            It was not done, and why.
+        """
+        refusal = self.forbidden(facts)
+        if refusal is not None:
+            raise ValueError(refusal.reason)
+        return self._carry_out(test, order_id)
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        return None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        raise NotImplementedError
+
+
+class FinishNow(Order):
     """Stop pacing: the rest of the simulated test runs as fast as it goes."""
 
-    model_config = _STRICT
     kind: Literal["finish_now"]
-    author: Author = "operator"
     arguments: NoArguments = NoArguments()
 
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.can_skip_time:
+            return None
+        return Refusal(
+            "the test runs on the wall clock, which cannot skip time",
+            "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
+            "This test is not paced: it already runs as fast as its clock allows.",
+        )
 
-class Stop(BaseModel):
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
+        test.clock.finish_now()
+        return "no pacing from here on"
+
+
+class Stop(Order):
     """End the recording after the current set."""
 
-    model_config = _STRICT
     kind: Literal["stop"]
-    author: Author = "operator"
     arguments: NoArguments = NoArguments()
 
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        test.stop.set()
+        return "stopping after the shot being taken"
 
-class AcknowledgeAlarm(BaseModel):
+
+class AcknowledgeAlarm(Order):
     """An operator has seen an alarm."""
 
-    model_config = _STRICT
+    needs_recorder = False
     kind: Literal["acknowledge_alarm"]
-    author: Author = "operator"
     arguments: AlarmArguments
 
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.alarm_id
+        state = next((row.state for row in facts.alarms if row.id == wanted), None)
+        if state in AFTER_ACKNOWLEDGEMENT:
+            return None
+        if state is None:
+            reason, sentence = f"there is no current alarm {wanted}", f"There is no alarm {wanted}."
+            return Refusal(reason, "/api/v1/alarms lists them.", sentence, missing=True)
+        return Refusal(
+            f"alarm {wanted} is {state}: there is nothing to acknowledge",
+            f"Only alarms that are {' or '.join(AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
+        )
 
-class Hold(BaseModel):
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
+        moment = test.moment()
+        test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
+        return "acknowledged"
+
+
+class Hold(Order):
     """Strike nothing until the test is released, not even after a restart."""
 
-    model_config = _STRICT
     kind: Literal["hold"]
-    author: Author = "operator"
     arguments: NoteArguments = NoteArguments()
 
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        reason = f"the test is already on hold: {facts.held}"
+        return Refusal(reason, "Release it first; a hold has one reason.") if facts.held else None
 
-class Release(BaseModel):
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        note = self.arguments.note
+        held = f"held by {self.author}" + (f": {note}" if note else "")
+        test.tell("hold", {"held": held, "author": self.author})
+        return "on hold: nothing strikes until the test is released; sets that fall due are missed"
+
+
+class Release(Order):
     """End a hold: the next due set is taken."""
 
-    model_config = _STRICT
     kind: Literal["release"]
-    author: Author = "operator"
     arguments: NoteArguments = NoteArguments()
 
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        hint = "Only a test on hold can be released."
+        return None if facts.held else Refusal("the test is not on hold", hint)
 
-class Retire(BaseModel):
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        test.tell("release", {"held": "", "author": self.author, "note": self.arguments.note})
+        return "released: the next due set is taken"
+
+
+class _TransducerOrder(Order):
+    arguments: TransducerArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        if position not in facts.positions:
+            nobody = f"there is no solitary-wave transducer {position!r}"
+            names = f"there are: {', '.join(facts.positions) or 'none'}"
+            return Refusal(f"{nobody}; {names}", f"T{names[1:]}.", f"T{nobody[1:]}.")
+        return self._forbidden_at(position, retired_positions(facts.alarms).get(position))
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        raise NotImplementedError
+
+
+class Retire(_TransducerOrder):
     """Strike a transducer no more; the others go on."""
 
-    model_config = _STRICT
     kind: Literal["retire"]
-    author: Author = "operator"
-    arguments: TransducerArguments
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is retired already", "Reinstate it when it is put right."
+        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position, moment = self.arguments.position, test.moment()
+        condition = Condition(
+            position=position,
+            kind="retired",
+            family="device",
+            severity="medium",
+            present=True,
+            latched=True,
+            message=f"retired by {self.author}: {self.arguments.note or 'no reason given'}",
+            proof={"command_id": order_id},
+        )
+        change = update(test.alarms.get((position, "retired")), condition, moment)
+        assert change is not None, "a position that is not retired has no such alarm standing"
+        test.change_alarms(moment, change)
+        return f"{position} strikes no more"
 
 
-class Reinstate(BaseModel):
+class Reinstate(_TransducerOrder):
     """Let a retired transducer strike again: what was wrong is put right."""
 
-    model_config = _STRICT
     kind: Literal["reinstate"]
-    author: Author = "operator"
-    arguments: TransducerArguments
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is not retired", "/api/v1/transducers tells which are, and why."
+        return Refusal(reason, hint) if retired is None else None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position, moment = self.arguments.position, test.moment()
+        standing = [
+            row
+            for (place, kind), row in test.alarms.items()
+            if place == position and kind in RETIRING and row.state != "normal"
+        ]
+        changes = [reset(row, self.author, self.arguments.note, moment) for row in standing]
+        test.change_alarms(moment, *changes)
+        test.reinstated(position)
+        return f"{position} strikes again from the next set"
 
 
-class SupplyOn(BaseModel):
+class _SupplyOrder(Order):
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.has_supply:
+            return None
+        return Refusal(
+            "this test has no supply; configure [rig.supply]",
+            "Configure [rig.supply] and start the test anew.",
+            "This test has no supply.",
+        )
+
+
+class SupplyOn(_SupplyOrder):
     """Switch the corrosion drive on; only a person's order ever does."""
 
-    model_config = _STRICT
     kind: Literal["supply_on"]
     author: Author
     arguments: SupplyArguments = SupplyArguments()
 
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
+        return test.switch.supply_on(self.author, test.hour(), voltage_v=volts, current_limit_a=amperes)
 
-class SupplyOff(BaseModel):
+
+class SupplyOff(_SupplyOrder):
     """Switch the corrosion drive off."""
 
-    model_config = _STRICT
     kind: Literal["supply_off"]
-    author: Author = "operator"
     arguments: NoteArguments = NoteArguments()
 
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        return test.switch.supply_off(self.author, test.hour())
 
-Command = Annotated[
+
+AnyOrder = Annotated[
     FinishNow | Stop | AcknowledgeAlarm | Hold | Release | Retire | Reinstate | SupplyOn | SupplyOff,
     Field(discriminator="kind"),
 ]
+KINDS: Mapping[str, type[Order]] = {
+    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyOrder)[0])
+}
+
+
+def read_order(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
+    """Check an order that is no JSON of the web.
+
+    Raises
+    ------
+    UsageError
+        An unknown kind, or what is wrong with its author or arguments.
+    """
+    if kind not in KINDS:
+        raise UsageError(f"unknown order {kind!r}; there are {', '.join(KINDS)}")
+    try:
+        return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
+    except ValidationError as error:
+        wrong = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
+        raise UsageError("; ".join(wrong)) from error

@@ -1,17 +1,24 @@
 """The recorder's sign of life, advanced by the recording line itself and read by its supervisor.
 
 One small file, replaced by rename at most twice a second and where something else begins. Its age is
-measured on the machine's monotonic clock, so a step of UTC neither kills nor hides a recorder.
+measured on the machine's monotonic clock, so a step of UTC neither kills nor hides a recorder; that clock
+begins anew with each boot, so the file names the boot.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
+
+from daq_service.clock import NS_PER_S, boot_name
+
+log = logging.getLogger(__name__)
 
 FILE_NAME = "heartbeat.json"
 SHORTEST_INTERVAL_NS = 500_000_000
@@ -23,12 +30,19 @@ simulated test of many stages a second beats take a hundredth of the time."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Beat:
-    """What the file says."""
+    """What the file says.
+
+    Attributes
+    ----------
+    boot
+        Name of the boot that ``mono_ns`` counts in; None where it has none (`clock.boot_name`).
+    """
 
     process: int
     mono_ns: int
     deadline_s: float
     doing: str
+    boot: str | None = None
 
 
 class Heartbeat:
@@ -41,11 +55,17 @@ class Heartbeat:
     """
 
     def __init__(
-        self, folder: Path, *, deadline_s: float, mono_ns: Callable[[], int] = time.monotonic_ns
+        self,
+        folder: Path,
+        *,
+        deadline_s: float,
+        mono_ns: Callable[[], int] = time.monotonic_ns,
+        boot: Callable[[], str | None] = boot_name,
     ) -> None:
         self._path = folder / FILE_NAME
         self._deadline_s = deadline_s
         self._mono_ns = mono_ns
+        self._boot = boot()
         self._last_ns: int | None = None
         self._last_cost_ns = 0
         self._last_doing = ""
@@ -57,30 +77,49 @@ class Heartbeat:
         pause_ns = NEWS_AFTER_COSTS * self._last_cost_ns if news else SHORTEST_INTERVAL_NS
         if self._last_ns is not None and now - self._last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
             return
-        text = json.dumps(
-            {"process": os.getpid(), "mono_ns": now, "deadline_s": self._deadline_s, "doing": doing}
+        beat = Beat(
+            process=os.getpid(), mono_ns=now, deadline_s=self._deadline_s, doing=doing, boot=self._boot
         )
         partial = self._path.with_suffix(".tmp")
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(self._path)
+        partial.write_text(json.dumps(asdict(beat)), encoding="utf-8")
+        try:
+            partial.replace(self._path)
+        except PermissionError:
+            return  # Windows replaces no file that somebody reads; the next beat is near
         self._last_ns, self._last_doing = now, doing
         self._last_cost_ns = self._mono_ns() - now
 
 
 def read_heartbeat(folder: Path) -> Beat | None:
-    """Latest beat; None where no recorder ever ran."""
+    """Latest beat; None where no recorder ever ran, or where the file is no heartbeat (with a warning)."""
+    path = folder / FILE_NAME
     try:
-        values = json.loads((folder / FILE_NAME).read_text(encoding="utf-8"))
+        values = json.loads(path.read_text(encoding="utf-8"))
+        return Beat(
+            process=int(values["process"]),
+            mono_ns=int(values["mono_ns"]),
+            deadline_s=float(values["deadline_s"]),
+            doing=str(values["doing"]),
+            boot=values.get("boot"),
+        )
     except FileNotFoundError:
         return None
-    return Beat(
-        process=int(values["process"]),
-        mono_ns=int(values["mono_ns"]),
-        deadline_s=float(values["deadline_s"]),
-        doing=str(values["doing"]),
-    )
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+        # A power cut may leave it empty or torn; whoever looks goes on as if there were none.
+        _warn_once(path, f"{type(error).__name__}: {error}")
+        return None
 
 
-def overdue_s(beat: Beat, *, mono_ns: int) -> float:
-    """Seconds past the deadline; negative while the recorder is in time."""
-    return (mono_ns - beat.mono_ns) / 1e9 - beat.deadline_s
+@lru_cache(maxsize=8)
+def _warn_once(path: Path, why: str) -> None:
+    """Once for each reason: the file is looked at many times a second."""
+    log.warning("%s is no heartbeat and counts as none: %s", path, why)
+
+
+def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
+    """Age of a beat at a monotonic time of a boot; None where it was written in another boot.
+
+    Where a name is missing (`clock.boot_name`, or a file of an older version) only a time ahead tells.
+    """
+    other_boot = None not in (beat.boot, boot) and beat.boot != boot
+    return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S

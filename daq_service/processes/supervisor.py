@@ -22,8 +22,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from daq_service.clock import NS_PER_S, boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
-from daq_service.processes.heartbeat import overdue_s, read_heartbeat
+from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +39,14 @@ LEAVE_WITHIN_S = 4.0
 LOOK_EVERY_S = 0.05
 
 Message = Mapping[str, Any]
+Starter = Callable[[Sequence[str], Mapping[str, str]], "subprocess.Popen[bytes]"]
+
+
+def start_process(command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    """Start a program with pipes for its input and output, and variables added to our own."""
+    return subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, **environment}
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,8 +73,9 @@ class ChildPlan:
 class _Child:
     plan: ChildPlan
     process: subprocess.Popen[bytes] | None = None
-    started_s: float = 0.0
-    start_at_s: float = 0.0
+    started_ns: int = 0
+    start_at_ns: int = 0
+    beat: Beat | None = None
     quick_failures: int = 0
     cause: str = ""
     finished: bool = False
@@ -86,6 +96,8 @@ class Supervisor:
         Command line before a plan's arguments.
     restart_delays_s
         Wait before each restart of a child that keeps failing.
+    start, read_beat, mono_ns
+        How a program is started, the heartbeat of a folder read, the machine's monotonic time told.
     """
 
     def __init__(
@@ -97,6 +109,9 @@ class Supervisor:
         give_up: bool = False,
         program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
+        start: Starter = start_process,
+        read_beat: Callable[[Path], Beat | None] = read_heartbeat,
+        mono_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._children = [_Child(plan=plan) for plan in plans]
         self._folder = folder
@@ -105,6 +120,10 @@ class Supervisor:
         self._readers: list[threading.Thread] = []
         self._program = program
         self._restart_delays_s = restart_delays_s
+        self._start_process = start
+        self._read_beat = read_beat
+        self._mono_ns = mono_ns
+        self._boot = boot_name()
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end."""
@@ -124,18 +143,18 @@ class Supervisor:
 
     def _look_after(self, child: _Child, stop: threading.Event) -> int | None:
         """Start, restart or kill one child as it needs; an exit code ends the supervision."""
-        now = time.monotonic()
         if child.finished:
             return None
         if child.process is None:
-            if now >= child.start_at_s:
+            if self._mono_ns() >= child.start_at_ns:
                 self._readers = [reader for reader in self._readers if reader.is_alive()]
                 self._start(child)
             return None
         code = child.process.poll()
         if code is None:
-            if child.plan.watched:
-                self._kill_if_overdue(child)
+            if child.plan.watched and (cause := self._overdue(child)):
+                child.cause = cause
+                child.process.kill()
             return None
         self._close_pipe(child)
         child.process = None
@@ -148,31 +167,28 @@ class Supervisor:
             return None
         if code in FINAL_CODES:
             return code
-        return self._plan_restart(child, code, now)
+        return self._plan_restart(child, code)
 
-    def _plan_restart(self, child: _Child, code: int, now: float) -> int | None:
-        if now - child.started_s >= HEALTHY_AFTER_S:
+    def _plan_restart(self, child: _Child, code: int) -> int | None:
+        now_ns = self._mono_ns()
+        if now_ns - child.started_ns >= HEALTHY_AFTER_S * NS_PER_S:
             child.quick_failures = 0
         if self._give_up and child.quick_failures >= len(self._restart_delays_s):
             log.error("%s failed %d times in a row; giving up", child.plan.name, child.quick_failures)
             return 1
         delay_s = self._restart_delays_s[min(child.quick_failures, len(self._restart_delays_s) - 1)]
         child.quick_failures += 1
-        child.start_at_s = now + delay_s
+        child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
         child.cause = child.cause or _how_it_ended(code)
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
         return None
 
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
-        child.process = subprocess.Popen(
-            [*self._program, *arguments, *child.extra],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, **child.plan.environment},
+        child.started_ns, child.beat, child.cause = self._mono_ns(), None, ""
+        child.process = self._start_process(
+            [*self._program, *arguments, *child.extra], child.plan.environment
         )
-        child.started_s = time.monotonic()
-        child.cause = ""
         reader = threading.Thread(
             target=self._read_messages,
             args=(child, child.process),
@@ -196,21 +212,28 @@ class Supervisor:
                     child.extra = ["--port", str(message["port"])]
                 self._on_message(child.plan.name, message)
 
-    def _kill_if_overdue(self, child: _Child) -> None:
-        assert child.process is not None
-        beat = read_heartbeat(self._folder)
-        if beat is None or beat.process != child.process.pid:
-            if time.monotonic() - child.started_s > STARTING_GRACE_S:
-                child.cause = f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start"
-                child.process.kill()
-            return
-        late_s = overdue_s(beat, mono_ns=time.monotonic_ns())
-        if late_s > 0.0:
-            child.cause = (
-                f"hung while {beat.doing}: heartbeat {late_s:.1f} s past its deadline of "
-                f"{beat.deadline_s:g} s"
-            )
-            child.process.kill()
+    def _overdue(self, child: _Child) -> str:
+        """Why a child that runs must be killed; empty while its heartbeat is in time."""
+        found, now_ns = self._read_beat(self._folder), self._mono_ns()
+        # A folder has one recorder: what it wrote since the start is this child's. Process numbers come
+        # again, and a launcher (Windows, virtual environments) has another one than its Python. A file that
+        # cannot be read for a moment takes nothing from the beat before it.
+        if (
+            found is not None
+            and found.mono_ns >= child.started_ns
+            and age_s(found, boot=self._boot, mono_ns=now_ns) is not None
+        ):
+            child.beat = found
+        if child.beat is None:
+            late = now_ns - child.started_ns > STARTING_GRACE_S * NS_PER_S
+            return f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start" if late else ""
+        late_s = (now_ns - child.beat.mono_ns) / NS_PER_S - child.beat.deadline_s
+        if late_s <= 0.0:
+            return ""
+        return (
+            f"hung while {child.beat.doing}: heartbeat {late_s:.1f} s past its deadline of "
+            f"{child.beat.deadline_s:g} s"
+        )
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
@@ -224,19 +247,23 @@ class Supervisor:
         """Close every pipe at once, then wait; whoever stays is killed."""
         for child in self._children:
             self._close_pipe(child)
-        deadline = time.monotonic() + LEAVE_WITHIN_S
+        deadline_ns = self._mono_ns() + round(LEAVE_WITHIN_S * NS_PER_S)
+
+        def left_s(at_least: float) -> float:
+            return max(at_least, (deadline_ns - self._mono_ns()) / NS_PER_S)
+
         for child in self._children:
             if child.process is None:
                 continue
             try:
-                child.process.wait(max(0.0, deadline - time.monotonic()))
+                child.process.wait(left_s(0.0))
             except subprocess.TimeoutExpired:
                 log.error("%s did not leave within %g s; killed", child.plan.name, LEAVE_WITHIN_S)
                 child.process.kill()
                 child.process.wait()
         for reader in self._readers:
             # Its pipe is closed at the other end; what the child said last is still to be heard.
-            reader.join(max(0.1, deadline - time.monotonic()))
+            reader.join(left_s(0.1))
 
 
 def _how_it_ended(code: int) -> str:

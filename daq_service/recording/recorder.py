@@ -27,7 +27,8 @@ from daq_service.archive import Archive, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import NS_PER_H, boot_id
 from daq_service.errors import RigError
-from daq_service.orders.obey import Operator
+from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
+from daq_service.orders.running_test import RunningTest
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
@@ -67,6 +68,7 @@ class Recorder:
         stop: threading.Event,
         tell: Teller,
         features_of: FeaturesOf = features_of,
+        listen_every_s: float = LISTEN_EVERY_S,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -89,16 +91,17 @@ class Recorder:
         done = catalogue.committed_sets()
         self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
-        self._operator = Operator(
-            catalogue,
-            rig.clock,
-            self._ledger.alarms,
+        test = RunningTest(
+            clock=rig.clock,
+            hour=self._hour,
             stop=stop,
+            alarms=self._ledger.alarms,
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             positions=settings.names_of("solitary_wave"),
             supply=self._ledger.drive if rig.supply is not None else None,
         )
+        self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
 
     def run(self, *, not_running_because: str) -> bool:
         """Take every set that is still due; False when told to stop."""
@@ -138,8 +141,8 @@ class Recorder:
         self._doing = f"waiting for set {due.set_index}"
         if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
             return
-        if self._operator.held:
-            self._gap(due, self._operator.held)
+        if self._orders.held:
+            self._gap(due, self._orders.held)
             return
         self._begin(f"taking set {due.set_index}")
         taken = self._take(due)
@@ -271,9 +274,7 @@ class Recorder:
         ]
 
     def _shortfall(self, position: str, taken: TakenSet) -> str:
-        told_to = (
-            self._ledger.retired().get(position) or self._operator.held or "the recorder was told to stop"
-        )
+        told_to = self._ledger.retired().get(position) or self._orders.held or "the recorder was told to stop"
         return taken.shortfall(position, self._ledger.n_planned(position), told_to)
 
     # Sets that were taken already, or cannot be taken any more -----------------------------------
@@ -314,14 +315,14 @@ class Recorder:
     def _idle(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._heartbeat.beat(self._doing)
-        self._operator.listen(self._hour())
+        self._orders.listen()
         if self._ledger.drive is not None:
             self._ledger.drive.tick(self._hour())
         return not self._stop.is_set()
 
     def _idle_in_a_set(self) -> bool:
         """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
-        return self._idle() and not self._operator.held
+        return self._idle() and not self._orders.held
 
     def _hour(self) -> float:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H

@@ -16,10 +16,11 @@ from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
+from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
@@ -41,6 +42,7 @@ def record(
     tell: Teller,
     restarted_because: str = "",
     linger: bool = False,
+    listen_every_s: float = LISTEN_EVERY_S,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -50,6 +52,8 @@ def record(
         Called with the name of an event and its values: ``progress``, ``finished``.
     linger
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
+    listen_every_s
+        Shortest time between two looks for orders.
 
     Returns
     -------
@@ -68,7 +72,7 @@ def record(
         )
         epoch_ns = _experiment_epoch(catalogue, settings)
         clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
-        heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings) + settings.rig.stall_timeout_s)
+        heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.committed_sets()),
@@ -79,7 +83,16 @@ def record(
             return False
         archive, live = FolderArchive(folder), LivePicture(folder, rig.kind)
         recorder = Recorder(
-            settings, archive, catalogue, rig, epoch_ns, live=live, heartbeat=heartbeat, stop=stop, tell=tell
+            settings,
+            archive,
+            catalogue,
+            rig,
+            epoch_ns,
+            live=live,
+            heartbeat=heartbeat,
+            stop=stop,
+            tell=tell,
+            listen_every_s=listen_every_s,
         )
         finished = recorder.run(not_running_because=cause)
         if finished:
@@ -89,12 +102,12 @@ def record(
         return finished
 
 
-def longest_call_s(settings: Settings) -> float:
+def longest_call_s(rig: RigSettings) -> float:
     """Longest a bounded call of an instrument may take; a call of NI's library has no bound of its own."""
-    boards = settings.rig.daqmx
-    over_grpc = settings.rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
+    boards = rig.daqmx
+    over_grpc = rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
     longest_s = boards.longest_call_s if over_grpc and boards is not None else 0.0
-    return max(settings.rig.read_timeout_s, longest_s)
+    return max(rig.read_timeout_s, longest_s)
 
 
 def _open_patiently(

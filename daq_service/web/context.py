@@ -14,7 +14,7 @@ from daq_service.archive import FolderSetReader
 from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
-from daq_service.processes.heartbeat import Beat, overdue_s, read_heartbeat
+from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import NS_PER_H, NS_PER_S, rfc3339, with_utc
 from daq_service.web.answers.problem import Problem, no_data_yet, not_found
@@ -23,7 +23,6 @@ from daq_service.web.streams.live_pictures import LivePictures
 
 LOOK_BACK_EVENTS = 20
 """The recorder's farewell is among its last events: behind it come at most answers to commands."""
-FAREWELLS = {"schedule_done": "finished", "recorder_stopped": "stopped"}
 
 
 class CatalogueAccess:
@@ -163,7 +162,7 @@ class Freshness:
             # A simulated clock stands still while nobody works: the newest events tell its time.
             self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
         self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
-        self.recorder = recorder_state(read_heartbeat(context.data_folder), [row.kind for row in newest])
+        self.recorder = look_at_recorder(context.data_folder, [row.kind for row in newest])
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""
@@ -173,7 +172,7 @@ class Freshness:
             "now_h": self.now_h,
             "last_write_wall_utc": rfc3339(self._written_ns),
             "wall_age_s": self.wall_age_s,
-            "recorder": self.recorder,
+            "recorder": self.recorder.word,
         }
 
     def age_h(self, due_h: float) -> float:
@@ -189,26 +188,6 @@ class Freshness:
         answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}
-
-
-def recorder_state(beat: Beat | None, newest_kinds: Sequence[str]) -> str:
-    """Word for the recorder.
-
-    Returns
-    -------
-    str
-        "finished" or "stopped" where it said so itself, else "running", "silent" (past its
-        deadline, or of another boot) or "absent" (never ran).
-    """
-    for kind in reversed(newest_kinds):
-        if kind in FAREWELLS:
-            return FAREWELLS[kind]
-        if kind == "recorder_started":
-            break
-    if beat is None:
-        return "absent"
-    now_ns = time.monotonic_ns()
-    return "running" if beat.mono_ns <= now_ns and overdue_s(beat, mono_ns=now_ns) <= 0.0 else "silent"
 
 
 def context_of(app: FastAPI) -> Context:

@@ -44,7 +44,7 @@ def order(folder: Path, kind: str, note: str = "", position: str | None = None) 
         note=note,
         author="ann",
         as_json=False,
-        arguments={"position": position} if position else {},
+        **({"position": position} if position else {}),
     )
 
 

@@ -4,16 +4,17 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from support.served_web import served
-from support.small_experiment import RigOpener, disturbed_rig, rows_of, run, small_settings
+from support.small_experiment import RigOpener, disturbed_rig, rows_of, small_settings
+from support.small_experiment import run as run_experiment
 from support.stored_files import read_set, read_waveform, set_files
 
-import daq_service.orders.obey
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow, ShotRow
@@ -37,11 +38,8 @@ NO_TRIGGER = "no trigger within 5 s"
 Disturb = Callable[[ShotKey, Acquired], Acquired]
 Order = tuple[float, str, dict[str, Any]]
 
-
-@pytest.fixture(autouse=True)
-def _orders_are_heard_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Simulated hours pass in milliseconds: no fifth of a second between two looks."""
-    monkeypatch.setattr(daq_service.orders.obey, "LISTEN_EVERY_NS", 0)
+run = partial(run_experiment, listen_every_s=0.0)
+"""Simulated hours pass in milliseconds: orders are heard at every look."""
 
 
 def clipped(acquired: Acquired) -> Acquired:

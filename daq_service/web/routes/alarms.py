@@ -10,13 +10,12 @@ from daq_service.catalogue.rows import AlarmRow
 from daq_service.orders.kinds import LARGEST_ID
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.problem import conflict, not_found
-from daq_service.web.context import Context, ContextOf
+from daq_service.web.answers.problem import not_found
+from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import POSITION, add_listing
 
 router = APIRouter(tags=["alarms"])
 ERRORS = models.problems(404, 422, 503)
-WAITING = ("unacknowledged", "returned_unacknowledged")
 ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
 add_listing(
     router,
@@ -31,27 +30,7 @@ add_listing(
 @router.get("/alarms/{alarm_id}", operation_id="get_alarm", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Tell one alarm with its proof."""
-    return JsonAnswer(context.freshness().row(_alarm(context, alarm_id)))
-
-
-def check_waiting(context: Context, alarm_id: int) -> None:
-    """Check that an alarm exists and waits for an acknowledgement.
-
-    Raises
-    ------
-    Problem
-        404 or 409.
-    """
-    state = _alarm(context, alarm_id).state
-    if state not in WAITING:
-        raise conflict(
-            f"Alarm {alarm_id} is {state}: there is nothing to acknowledge.",
-            f"Only alarms that are {' or '.join(WAITING)} wait for an operator.",
-        )
-
-
-def _alarm(context: Context, alarm_id: int) -> AlarmRow:
     row = context.catalogue().alarm(alarm_id)
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
-    return row
+    return JsonAnswer(context.freshness().row(row))

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import shutil
-import time
 
 from fastapi import APIRouter
 
-from daq_service.processes.heartbeat import read_heartbeat
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Liveness, ServiceHealth, problems
 from daq_service.web.context import ContextOf
@@ -33,14 +31,14 @@ def get_readiness(context: ContextOf) -> JsonAnswer:
 def get_health(context: ContextOf) -> JsonAnswer:
     """Tell the recorder's sign of life, how much is stored, who is connected, free disk."""
     fresh = context.freshness()
-    beat = read_heartbeat(context.data_folder)
+    beat = fresh.recorder.beat
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),
             "recorder": {
-                "state": fresh.recorder,
+                "state": fresh.recorder.word,
                 "doing": None if beat is None else beat.doing,
-                "beat_age_s": None if beat is None else (time.monotonic_ns() - beat.mono_ns) / 1e9,
+                "beat_age_s": fresh.recorder.beat_age_s,
                 "deadline_s": None if beat is None else beat.deadline_s,
             },
             "counts": context.catalogue().counts(),

@@ -1,6 +1,17 @@
+from pathlib import Path
+
 import pytest
 
-from daq_service.clock import NS_PER_H, NS_PER_S, SimulatedClock, format_utc, parse_utc
+from daq_service.clock import (
+    NS_PER_H,
+    NS_PER_S,
+    WINDOWS_BOOT_COUNTER,
+    SimulatedClock,
+    boot_id,
+    boot_name,
+    format_utc,
+    parse_utc,
+)
 
 
 def always() -> bool:
@@ -85,3 +96,48 @@ def test_a_wait_ends_as_soon_as_idle_says_so() -> None:
 def test_a_pace_of_zero_is_refused() -> None:
     with pytest.raises(ValueError, match="must be positive"):
         SimulatedClock(0, pace_h_per_s=0.0)
+
+
+class Kernel:
+    """What macOS and Windows answer; ``uuid`` None: no such variable."""
+
+    def __init__(self, uuid: str | None = None, counter: int = 0) -> None:
+        self.uuid, self.counter = uuid, counter
+
+    def sysctl(self, name: str) -> str:
+        if self.uuid is None or name != "kern.bootsessionuuid":
+            raise OSError(name)
+        return self.uuid
+
+    def word_at(self, address: int) -> int:
+        assert address == WINDOWS_BOOT_COUNTER == 0x7FFE02C4
+        return self.counter
+
+    def name(self, platform: str) -> str | None:
+        return boot_name(platform, sysctl=self.sysctl, word_at=self.word_at)
+
+
+def test_linux_names_its_boot_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "boot_id"
+    assert boot_name("linux", linux_file=file) is None
+    file.write_text("3f1d\n", encoding="ascii")
+    assert boot_name("linux", linux_file=file) == "3f1d"
+
+
+@pytest.mark.parametrize(("platform", "field"), [("darwin", "uuid"), ("win32", "counter")])
+def test_two_processes_agree_on_a_boot_and_two_boots_differ(platform: str, field: str) -> None:
+    first, second = ("A-1", "A-2") if field == "uuid" else (7, 8)
+    name = Kernel(**{field: first}).name(platform)  # type: ignore[arg-type] # one value for two fields
+    assert name is not None
+    assert str(first) in name
+    assert name == Kernel(**{field: first}).name(platform)  # type: ignore[arg-type] # as above
+    assert name != Kernel(**{field: second}).name(platform)  # type: ignore[arg-type] # as above
+
+
+@pytest.mark.parametrize("platform", ["darwin", "win32"])
+def test_a_kernel_that_names_no_boot_is_taken_at_its_word(platform: str) -> None:
+    assert Kernel().name(platform) is None
+
+
+def test_the_frame_of_monotonic_times_stays_within_a_process() -> None:
+    assert boot_id() == boot_id() != ""

@@ -1,6 +1,9 @@
 from pathlib import Path
 
-from daq_service.processes.heartbeat import Heartbeat, overdue_s, read_heartbeat
+import pytest
+
+from daq_service.clock import boot_name
+from daq_service.processes.heartbeat import FILE_NAME, Heartbeat, age_s, read_heartbeat
 
 
 class FakeMonotonic:
@@ -25,8 +28,8 @@ def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
     beat = read_heartbeat(tmp_path)
     assert beat is not None
     assert (beat.doing, beat.deadline_s, beat.mono_ns) == ("taking set 3", 65.0, clock.now_ns)
-    assert overdue_s(beat, mono_ns=clock.now_ns + 64_000_000_000) == -1.0
-    assert overdue_s(beat, mono_ns=clock.now_ns + 67_000_000_000) == 2.0
+    assert beat.boot == boot_name()
+    assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
 def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
@@ -68,3 +71,51 @@ def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -
 def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     Heartbeat(tmp_path, deadline_s=65.0).beat("waiting")
     assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "{", '{"process": 1, "mono_ns": 5', "[]", "null", '{"process": 1}', '{"mono_ns": "x"}', "\x00" * 80],
+)
+def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str
+) -> None:
+    (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
+    assert [read_heartbeat(tmp_path) for _ in range(3)] == [None] * 3
+    (warning,) = caplog.records
+    assert "is no heartbeat and counts as none" in warning.getMessage()
+    assert warning.exc_info is None
+
+
+def test_a_file_that_cannot_be_read_counts_as_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / FILE_NAME).mkdir()
+    assert read_heartbeat(tmp_path) is None
+    assert "counts as none" in caplog.text
+
+
+def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
+    text = '{"process": 7, "mono_ns": 5, "deadline_s": 65.0, "doing": "waiting"}'
+    (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert beat.boot is None
+    assert age_s(beat, boot="ours", mono_ns=7) == 2e-9
+    assert age_s(beat, boot="ours", mono_ns=4) is None
+
+
+def test_a_beat_whose_file_somebody_reads_is_written_at_the_next_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows refuses to replace an open file."""
+    clock = FakeMonotonic()
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+
+    def refuse(path: Path, target: Path) -> None:
+        raise PermissionError(13, "in use", str(path))
+
+    with monkeypatch.context() as reading:
+        reading.setattr(Path, "replace", refuse)
+        heartbeat.beat("waiting")
+    assert read_heartbeat(tmp_path) is None
+    heartbeat.beat("waiting")
+    assert read_heartbeat(tmp_path) is not None

@@ -15,7 +15,6 @@ from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import rfc3339, with_utc
-from daq_service.web.context import recorder_state
 from daq_service.web.routes.transducers import interval_at, state_word
 
 N_SETS = 60
@@ -389,20 +388,6 @@ def test_word_for_a_position(last_set, verdict, alarms, word):
 def test_interval_follows_the_phases():
     schedule = Settings().schedule
     assert [interval_at(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]
-
-
-@pytest.mark.parametrize(
-    ("kinds", "word"),
-    [
-        (["recorder_started", "set_done", "schedule_done"], "finished"),
-        (["schedule_done", "alarm_acknowledged"], "finished"),
-        (["recorder_stopped"], "stopped"),
-        (["recorder_stopped", "recorder_started", "set_done"], "absent"),
-        ([], "absent"),
-    ],
-)
-def test_recorder_says_itself_how_it_ended(kinds, word):
-    assert recorder_state(None, kinds) == word
 
 
 def test_everything_the_twin_measures_is_a_number_or_null(api):

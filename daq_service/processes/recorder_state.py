@@ -1,0 +1,88 @@
+"""How the recorder is: one answer for the command line, whoever gives an order, and the web."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from daq_service.clock import boot_name
+from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
+
+Word = Literal["running", "finished", "stopped", "silent", "absent"]
+
+FAREWELLS: dict[str, tuple[Word, str]] = {
+    "schedule_done": ("finished", "finished: every planned set has its row"),
+    "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
+}
+TELLING = ("recorder_started", *FAREWELLS)
+"""Events of the service that tell how a recorder is."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecorderState:
+    """How the recorder is at a moment.
+
+    Attributes
+    ----------
+    word
+        "finished" or "stopped" where it said so itself, else "running", "silent" (past its deadline, or of an
+        earlier boot) or "absent" (never ran).
+    description
+        The same for a person, with what it is doing.
+    listens
+        It is alive and takes orders: also after its last set, while it lingers.
+    beat
+        Its last sign of life; None where there is none.
+    beat_age_s
+        Age of that; None without one, or where it is of an earlier boot.
+    """
+
+    word: Word
+    description: str
+    listens: bool
+    beat: Beat | None
+    beat_age_s: float | None
+
+
+def recorder_state(
+    beat: Beat | None, kinds: Sequence[str], *, boot: str | None, mono_ns: int
+) -> RecorderState:
+    """Judge by what the recorder told last, and by its heartbeat.
+
+    Parameters
+    ----------
+    kinds
+        Kinds of the newest events, oldest first; those that are not `TELLING` say nothing.
+    boot, mono_ns
+        This boot and its monotonic time.
+    """
+    told = next((kind for kind in reversed(kinds) if kind in TELLING), "")
+    age = None if beat is None else age_s(beat, boot=boot, mono_ns=mono_ns)
+    in_time = beat is not None and age is not None and age <= beat.deadline_s
+    word: Word = "absent" if beat is None else "running" if in_time else "silent"
+    word, description = FAREWELLS.get(told) or (word, _description(beat, age))
+    return RecorderState(
+        word=word,
+        description=description,
+        listens=in_time and word != "stopped",
+        beat=beat,
+        beat_age_s=age,
+    )
+
+
+def _description(beat: Beat | None, age: float | None) -> str:
+    if beat is None:
+        return "never started here"
+    if age is None:
+        return f"not running: this computer was started again since it was last seen {beat.doing}"
+    if age > beat.deadline_s:
+        return f"not running: last sign of life {age:.0f} s ago while {beat.doing}"
+    return f"running, {beat.doing}"
+
+
+def look_at_recorder(folder: Path, kinds: Sequence[str]) -> RecorderState:
+    """State at this moment on this machine; ``kinds`` as in `recorder_state`."""
+    return recorder_state(read_heartbeat(folder), kinds, boot=boot_name(), mono_ns=time.monotonic_ns())

@@ -1,0 +1,143 @@
+"""One definition for each order: what forbids it, in the words of web and recorder."""
+
+import pytest
+from pydantic import TypeAdapter
+
+from daq_service.errors import UsageError
+from daq_service.orders.kinds import KINDS, AnyOrder, Facts, Order, read_order
+
+
+def facts(**values: object) -> Facts:
+    anything = {"can_skip_time": True, "held": "", "positions": ("B", "C"), "has_supply": True, "alarms": ()}
+    return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
+
+
+def alarm(state: str, alarm_id: int = 7, position: str = "B") -> dict[str, object]:
+    return {"id": alarm_id, "position": position, "kind": "retired", "state": state, "message": "why"}
+
+
+def order(kind: str, **arguments: object) -> Order:
+    return read_order(kind, "ann", arguments)
+
+
+ARGUMENTS: dict[str, dict[str, object]] = {
+    "acknowledge_alarm": {"alarm_id": 7},
+    "retire": {"position": "B"},
+    "reinstate": {"position": "C"},
+}
+OPEN = {"alarms": [alarm("unacknowledged", position="C")], "held": ""}
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_what_nothing_forbids_is_carried_out(kind: str) -> None:
+    held = "held by ben" if kind == "release" else ""
+    assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("word", ["finished", "stopped"])
+def test_a_recorder_that_has_ended_is_given_acknowledgements_only(kind: str, word: str) -> None:
+    refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**OPEN, recorder=word))
+    if kind == "acknowledge_alarm":
+        assert refusal is None
+    else:
+        assert refusal is not None
+        assert refusal.detail == f"The recorder has {word}: nobody would carry this out."
+
+
+@pytest.mark.parametrize(
+    ("kind", "state", "reason", "detail", "hint"),
+    [
+        (
+            "finish_now",
+            {"can_skip_time": False},
+            "the test runs on the wall clock, which cannot skip time",
+            "This test is not paced: it already runs as fast as its clock allows.",
+            "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
+        ),
+        (
+            "hold",
+            {"held": "held by ben"},
+            "the test is already on hold: held by ben",
+            "The test is already on hold: held by ben.",
+            "Release it first; a hold has one reason.",
+        ),
+        (
+            "release",
+            {},
+            "the test is not on hold",
+            "The test is not on hold.",
+            "Only a test on hold can be released.",
+        ),
+        (
+            "retire",
+            {"alarms": [alarm("acknowledged")]},
+            "B is retired already",
+            "B is retired already: why.",
+            "Reinstate it when it is put right.",
+        ),
+        (
+            "retire",
+            {"positions": ()},
+            "there is no solitary-wave transducer 'B'; there are: none",
+            "There is no solitary-wave transducer 'B'.",
+            "There are: none.",
+        ),
+        (
+            "reinstate",
+            {"alarms": [alarm("normal", position="C")]},
+            "C is not retired",
+            "C is not retired.",
+            "/api/v1/transducers tells which are, and why.",
+        ),
+        (
+            "supply_on",
+            {"has_supply": False},
+            "this test has no supply; configure [rig.supply]",
+            "This test has no supply.",
+            "Configure [rig.supply] and start the test anew.",
+        ),
+        (
+            "acknowledge_alarm",
+            {"alarms": [alarm("normal")]},
+            "alarm 7 is normal: there is nothing to acknowledge",
+            "Alarm 7 is normal: there is nothing to acknowledge.",
+            "Only alarms that are unacknowledged or returned_unacknowledged wait for an operator.",
+        ),
+        (
+            "acknowledge_alarm",
+            {"alarms": [alarm("unacknowledged", alarm_id=6)]},
+            "there is no current alarm 7",
+            "There is no alarm 7.",
+            "/api/v1/alarms lists them.",
+        ),
+    ],
+)
+def test_words_of_a_refusal(kind: str, state: dict[str, object], reason: str, detail: str, hint: str) -> None:
+    refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
+    assert refusal is not None
+    assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
+    assert refusal.missing == (reason == "there is no current alarm 7")
+
+
+def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
+    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    for kind in KINDS:
+        body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
+        assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments", "words"),
+    [
+        ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
+        ("retire", {}, "arguments.position: Field required"),
+        ("hold", {"position": "B"}, "arguments.position: Extra inputs are not permitted"),
+        ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
+    ],
+)
+def test_what_is_no_order_is_refused_with_its_part(
+    kind: str, arguments: dict[str, object], words: str
+) -> None:
+    with pytest.raises(UsageError, match=words):
+        read_order(kind, "ann", arguments)

@@ -1,0 +1,210 @@
+"""The recorder's side of orders: done or refused one at a time, whatever happened before."""
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from support.begun_experiment import begun_catalogue
+
+from daq_service.archive import FolderArchive
+from daq_service.clock import SimulatedClock, WallClock
+from daq_service.orders.obey import OrderListener
+from daq_service.orders.running_test import RunningTest
+from daq_service.recording.cost import Cost
+from daq_service.recording.ledger import Ledger
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Clock, Rig
+
+HOUR = 3.5
+NS_PER_MS = 1_000_000
+
+
+class Switch:
+    """A corrosion drive that notes its orders and refuses more than 10 V."""
+
+    def __init__(self) -> None:
+        self.done: list[tuple[Any, ...]] = []
+
+    def supply_on(
+        self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
+    ) -> str:
+        if voltage_v is not None and voltage_v > 10.0:
+            raise ValueError("beyond the cap")
+        self.done.append(("on", author, hour, voltage_v, current_limit_a))
+        return "the supply is on"
+
+    def supply_off(self, author: str, hour: float) -> str:
+        self.done.append(("off", author, hour))
+        return "the supply is off"
+
+
+class Bench:
+    """A running test without its line: ledger, catalogue, listener; time passes by hand."""
+
+    def __init__(self, folder: Path, clock: Clock, switch: Switch | None) -> None:
+        self.folder, self.clock, self.switch = folder, clock, switch
+        self.catalogue = begun_catalogue(folder)
+        self.stop, self.now_ns = threading.Event(), 0
+        self.restart()
+
+    def restart(self) -> None:
+        """What a new recorder process finds."""
+        rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
+        self.ledger = Ledger(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
+        test = RunningTest(
+            clock=self.clock,
+            hour=lambda: HOUR,
+            stop=self.stop,
+            alarms=self.ledger.alarms,
+            store=self.ledger.commit,
+            reinstated=self.ledger.reinstated,
+            positions=("B", "C", "D"),
+            supply=self.switch,
+        )
+        self.listener = OrderListener(self.catalogue, test, listen_every_s=0.2, mono_ns=lambda: self.now_ns)
+
+    def write(self, kind: str, **arguments: object) -> int:
+        return self.catalogue.add_command("ann", kind, arguments)
+
+    def answer(self, order_id: int) -> tuple[str, str]:
+        row = self.catalogue.command(order_id)
+        assert row is not None
+        return row["state"], row["result"]
+
+    def obey(self, kind: str, **arguments: object) -> tuple[str, str]:
+        order_id = self.write(kind, **arguments)
+        self.now_ns += 200 * NS_PER_MS
+        self.listener.listen()
+        return self.answer(order_id)
+
+    def alarm(self, position: str) -> tuple[int, str]:
+        (row,) = self.catalogue.list_alarms(position, active=True)
+        return row["id"], row["state"]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    bench = Bench(tmp_path, SimulatedClock(0, pace_h_per_s=1.0), Switch())
+    yield bench
+    bench.catalogue.close()
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> Iterator[Bench]:
+    """On the wall clock, without a supply."""
+    bench = Bench(tmp_path, WallClock(), None)
+    yield bench
+    bench.catalogue.close()
+
+
+def test_finish_now_ends_the_pacing(bench: Bench) -> None:
+    assert bench.obey("finish_now") == ("done", "no pacing from here on")
+    # A paced clock would ask whether to go on, and sleep for years.
+    assert not bench.clock.wait_until(10**18, lambda: False)
+    assert bench.clock.utc_ns() == 10**18
+
+
+def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
+    words = "the test runs on the wall clock, which cannot skip time"
+    assert bare.obey("finish_now") == ("refused", words)
+
+
+def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
+    assert bench.obey("stop") == ("done", "stopping after the shot being taken")
+    assert bench.stop.is_set()
+
+
+def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
+    done = "on hold: nothing strikes until the test is released; sets that fall due are missed"
+    assert bench.obey("hold", note="door open") == ("done", done)
+    assert bench.listener.held == "held by ann: door open"
+    already = "the test is already on hold: held by ann: door open"
+    assert bench.obey("hold") == ("refused", already)
+    bench.restart()
+    assert bench.listener.held == "held by ann: door open"
+    assert bench.obey("release", note="shut") == ("done", "released: the next due set is taken")
+    assert bench.listener.held == ""
+    bench.restart()
+    assert bench.listener.held == ""
+    assert bench.obey("release") == ("refused", "the test is not on hold")
+
+
+def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench: Bench) -> None:
+    orders = [bench.write("hold"), bench.write("hold"), bench.write("release"), bench.write("release")]
+    bench.listener.listen()
+    assert [bench.answer(order)[0] for order in orders] == ["done", "refused", "done", "refused"]
+    assert bench.listener.held == ""
+
+
+def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
+    assert bench.obey("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
+    assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.obey("retire", position="B") == ("refused", "B is retired already")
+    bench.restart()
+    assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.obey("reinstate", position="B") == ("done", "B strikes again from the next set")
+    assert bench.ledger.retired() == {}
+    assert bench.obey("reinstate", position="B") == ("refused", "B is not retired")
+
+
+def test_who_retired_it_is_told_with_the_order(bench: Bench) -> None:
+    bench.obey("retire", position="C")
+    assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
+    (event,) = bench.catalogue.events_after(0, {"alarms"})
+    assert (event["kind"], event["payload"]["proof"]) == ("alarm_raised", {"command_id": 1})
+    assert event["payload"]["raised_h"] == HOUR
+
+
+@pytest.mark.parametrize("kind", ["retire", "reinstate"])
+def test_only_a_solitary_wave_transducer_is_retired(bench: Bench, kind: str) -> None:
+    words = "there is no solitary-wave transducer 'A'; there are: B, C, D"
+    assert bench.obey(kind, position="A") == ("refused", words)
+
+
+def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
+    bench.obey("retire", position="D")
+    alarm_id, state = bench.alarm("D")
+    assert state == "unacknowledged"
+    assert bench.obey("acknowledge_alarm", alarm_id=alarm_id, note="seen") == ("done", "acknowledged")
+    assert bench.alarm("D") == (alarm_id, "acknowledged")
+    again = f"alarm {alarm_id} is acknowledged: there is nothing to acknowledge"
+    assert bench.obey("acknowledge_alarm", alarm_id=alarm_id) == ("refused", again)
+    assert bench.obey("acknowledge_alarm", alarm_id=99) == ("refused", "there is no current alarm 99")
+
+
+def test_the_supply_is_switched_by_its_author_at_this_hour(bench: Bench) -> None:
+    assert bench.obey("supply_on", voltage_v=5.0) == ("done", "the supply is on")
+    assert bench.obey("supply_on", voltage_v=50.0) == ("refused", "beyond the cap")
+    assert bench.obey("supply_off", note="done") == ("done", "the supply is off")
+    assert bench.switch is not None
+    assert bench.switch.done == [("on", "ann", HOUR, 5.0, None), ("off", "ann", HOUR)]
+
+
+@pytest.mark.parametrize("kind", ["supply_on", "supply_off"])
+def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
+    assert bare.obey(kind) == ("refused", "this test has no supply; configure [rig.supply]")
+
+
+def test_an_unknown_or_misspelt_order_is_answered_and_the_next_one_obeyed(bench: Bench) -> None:
+    state, words = bench.obey("self_destruct")
+    assert state == "refused"
+    assert words.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
+    state, words = bench.obey("retire", positon="B")
+    assert state == "refused"
+    assert "arguments.position" in words
+    assert "arguments.positon" in words
+    assert bench.obey("hold")[0] == "done"
+
+
+def test_it_looks_no_oftener_than_its_interval(bench: Bench) -> None:
+    bench.listener.listen()
+    order_id = bench.write("hold")
+    bench.now_ns += 200 * NS_PER_MS - 1
+    bench.listener.listen()
+    assert bench.answer(order_id)[0] == "pending"
+    bench.now_ns += 1
+    bench.listener.listen()
+    assert bench.answer(order_id)[0] == "done"

@@ -1,0 +1,151 @@
+"""How the recorder is: one answer, also after a reboot and with a heartbeat that a power cut tore."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+from support.begun_experiment import begun_catalogue, tell
+
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.cli.inspection import describe_status
+from daq_service.clock import NS_PER_S, boot_name
+from daq_service.errors import BusyError
+from daq_service.orders.give import give_order
+from daq_service.processes.heartbeat import FILE_NAME, Beat
+from daq_service.processes.recorder_state import Word, recorder_state
+from daq_service.settings.tree import Settings
+from daq_service.web.context import Context
+from daq_service.web.routes.health import get_health
+
+BOOT, NOW_NS = "this boot", 1000 * NS_PER_S
+
+
+def beat(age_s: float, *, boot: str | None = BOOT) -> Beat:
+    return Beat(
+        process=1, mono_ns=NOW_NS - round(age_s * NS_PER_S), deadline_s=65.0, doing="waiting", boot=boot
+    )
+
+
+REBOOTED = "not running: this computer was started again since it was last seen waiting"
+
+
+@pytest.mark.parametrize(
+    ("found", "word", "description"),
+    [
+        (None, "absent", "never started here"),
+        (beat(65.0), "running", "running, waiting"),
+        (beat(66.0), "silent", "not running: last sign of life 66 s ago while waiting"),
+        (beat(1.0, boot="another boot"), "silent", REBOOTED),
+        (beat(-1.0, boot="another boot"), "silent", REBOOTED),
+        # An older version, or a system that names no boot: only a time ahead tells.
+        (beat(1.0, boot=None), "running", "running, waiting"),
+        (beat(-1.0, boot=None), "silent", REBOOTED),
+    ],
+)
+@pytest.mark.parametrize(
+    "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
+)
+def test_a_recorder_that_said_nothing_is_judged_by_its_heartbeat(
+    found: Beat | None, word: Word, description: str, kinds: list[str]
+) -> None:
+    state = recorder_state(found, kinds, boot=BOOT, mono_ns=NOW_NS)
+    assert (state.word, state.description) == (word, description)
+    assert state.listens == (word == "running")
+    assert state.beat is found
+
+
+@pytest.mark.parametrize(
+    ("kinds", "word", "listens"),
+    [
+        (["recorder_started", "set_done", "schedule_done"], "finished", True),
+        (["schedule_done", "alarm_acknowledged", "hold"], "finished", True),
+        (["recorder_started", "recorder_stopped"], "stopped", False),
+    ],
+)
+def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
+    kinds: list[str], word: Word, listens: bool
+) -> None:
+    state = recorder_state(beat(1.0), kinds, boot=BOOT, mono_ns=NOW_NS)
+    assert (state.word, state.listens) == (word, listens)
+    assert state.description.startswith(word)
+    assert not recorder_state(beat(66.0), kinds, boot=BOOT, mono_ns=NOW_NS).listens
+
+
+def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
+    assert recorder_state(beat(3.0), [], boot=BOOT, mono_ns=NOW_NS).beat_age_s == 3.0
+    assert recorder_state(beat(3.0, boot="another boot"), [], boot=BOOT, mono_ns=NOW_NS).beat_age_s is None
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    with begun_catalogue(tmp_path) as catalogue:
+        tell(catalogue, "recorder_started")
+        stored_set(catalogue)
+        yield tmp_path
+
+
+def stored_set(catalogue: RecorderCatalogue) -> None:
+    """A gap: before the first row the web has nothing to tell."""
+    from daq_service.acquisition.schedule import DueSet
+    from daq_service.catalogue import SetCommit
+    from daq_service.judgement.transaction import set_row
+
+    due = DueSet(set_index=0, due_h=0.0, due_utc_ns=0)
+    row = set_row(due, "B", method="solitary_wave", state="missed", cause="test", n_planned=3)
+    catalogue.commit_set(SetCommit(sets=[row]))
+
+
+def as_text(found: Beat) -> str:
+    return json.dumps(asdict(found))
+
+
+def after_a_reboot() -> str:
+    """The last beat lies ahead: this boot is younger than the one before was."""
+    return as_text(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting", boot="another boot"))
+
+
+def after_a_reboot_of_an_older_version() -> str:
+    fields = asdict(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting"))
+    return json.dumps({name: value for name, value in fields.items() if name != "boot"})
+
+
+def after_a_short_boot() -> str:
+    """The last beat lies in the past of this boot, too."""
+    import time
+
+    now_ns = time.monotonic_ns()
+    return as_text(Beat(process=1, mono_ns=now_ns, deadline_s=65.0, doing="waiting", boot="another boot"))
+
+
+def empty() -> str:
+    return ""
+
+
+def torn() -> str:
+    return after_a_reboot()[:30]
+
+
+def foreign() -> str:
+    return '["no", "heartbeat"]'
+
+
+@pytest.mark.parametrize(
+    "left",
+    [after_a_reboot, after_a_reboot_of_an_older_version, after_a_short_boot, empty, torn, foreign],
+)
+def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Callable[[], str]) -> None:
+    if left is after_a_short_boot and boot_name() is None:
+        pytest.skip("this system names no boot")
+    (folder / FILE_NAME).write_text(left(), encoding="utf-8")
+    assert describe_status(folder)["recorder"] in (REBOOTED, "never started here")
+    for kind in ("hold", "supply_off"):
+        with pytest.raises(BusyError, match="no recorder runs"):
+            give_order(kind, config=None, data_dir=folder, note="", author="ann", as_json=False)
+    context = Context(Settings(), folder)
+    health = json.loads(bytes(get_health(context).body))
+    context.catalogue_access.close()
+    assert health["recorder"]["state"] == health["as_of"]["recorder"]
+    assert health["recorder"]["state"] in ("silent", "absent")
+    assert health["recorder"]["beat_age_s"] is None

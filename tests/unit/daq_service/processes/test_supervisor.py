@@ -1,0 +1,289 @@
+"""The supervisor's rules on a clock that passes by hand, with children that only say what they would do."""
+
+import io
+import json
+import subprocess
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+from daq_service.clock import NS_PER_S, boot_name
+from daq_service.processes.heartbeat import Beat
+from daq_service.processes.supervisor import (
+    HEALTHY_AFTER_S,
+    LEAVE_WITHIN_S,
+    RESTART_DELAYS_S,
+    STARTING_GRACE_S,
+    ChildPlan,
+    Supervisor,
+)
+
+KILLED = -9
+RECORDER = ChildPlan(name="recorder", arguments=["record", "{cause}"], watched=True, environment={"A": "1"})
+WEB = ChildPlan(name="web", arguments=["serve"])
+
+
+class Life:
+    """A process: when it ends and how, what it prints, and how long it takes to leave."""
+
+    def __init__(
+        self,
+        code: int | None = None,
+        *,
+        after_s: float = 0.0,
+        says: Sequence[str] = (),
+        leaves_after_s: float | None = 0.0,
+    ) -> None:
+        self.code, self.after_s, self.leaves_after_s = code, after_s, leaves_after_s
+        self.stdout = io.BytesIO("".join(f"{line}\n" for line in says).encode())
+        self.stdin = io.BytesIO()
+        self.pid, self.started_s, self.killed_s = 0, 0.0, None
+
+
+class World:
+    """Time, starts and heartbeats; ends everything at ``until_s``."""
+
+    def __init__(self, *lives: Life, plans: Sequence[ChildPlan] = (RECORDER,), until_s: float = 1e4) -> None:
+        self.now_s, self.until_s = 0.0, until_s
+        self.lives = list(lives)
+        self.started: list[tuple[float, list[str], Mapping[str, str]]] = []
+        self.running: list[Life] = []
+        self.messages: list[tuple[str, Any]] = []
+        self.beat: Callable[[], Beat | None] = lambda: None
+        self.plans = plans
+
+    def run(self, *, stay: bool = False, give_up: bool = False) -> int:
+        supervisor = Supervisor(
+            self.plans,
+            Path("unused"),
+            on_message=lambda name, message: self.messages.append((name, message)),
+            give_up=give_up,
+            program=["solimon"],
+            start=self._start,
+            read_beat=lambda folder: self.beat(),
+            mono_ns=lambda: round(self.now_s * NS_PER_S),
+        )
+        return supervisor.run(cast(threading.Event, self), stay=stay)
+
+    # As the event that tells the supervisor to stop: waiting for it lets time pass.
+    def is_set(self) -> bool:
+        return self.now_s >= self.until_s
+
+    def wait(self, seconds: float) -> bool:
+        self.now_s += seconds
+        return self.is_set()
+
+    def _start(self, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+        self.started.append((self.now_s, list(command), environment))
+        life = self.lives.pop(0) if self.lives else Life()
+        process = _Process(self, life)
+        self.running.append(life)
+        return cast("subprocess.Popen[bytes]", process)
+
+    def starts_s(self) -> list[float]:
+        return [at_s for at_s, _, _ in self.started]
+
+    def causes(self) -> list[str]:
+        return [command[2] for _, command, _ in self.started]
+
+
+class _Process:
+    """What a `Popen` is to the supervisor."""
+
+    def __init__(self, world: World, life: Life) -> None:
+        self._world, self._life = world, life
+        self.stdin, self.stdout, self.pid = life.stdin, life.stdout, 4711
+        life.started_s = world.now_s
+
+    def poll(self) -> int | None:
+        life = self._life
+        if life.killed_s is not None:
+            return KILLED
+        ended = life.code is not None and self._world.now_s >= life.started_s + life.after_s
+        return life.code if ended else None
+
+    def kill(self) -> None:
+        self._life.killed_s = self._world.now_s
+
+    def wait(self, timeout: float | None = None) -> int:
+        code = self.poll()
+        if code is not None:
+            return code
+        assert timeout is not None, "whoever waits for ever was killed"
+        assert self.stdin.closed, "a child is told to leave before it is waited for"
+        leaves_after_s = self._life.leaves_after_s
+        if leaves_after_s is None or leaves_after_s > timeout:
+            self._world.now_s += timeout
+            raise subprocess.TimeoutExpired("child", timeout)
+        self._world.now_s += leaves_after_s
+        return 0
+
+
+def beat_at(world: World, mono_s: float, *, boot: str | None = None, deadline_s: float = 5.0) -> Beat:
+    return Beat(
+        process=1,
+        mono_ns=round(mono_s * NS_PER_S),
+        deadline_s=deadline_s,
+        doing="taking set 3",
+        boot=boot or boot_name(),
+    )
+
+
+def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> None:
+    assert World(Life(0)).run() == 0
+    world = World(Life(0), Life(), plans=(RECORDER, WEB), until_s=100.0)
+    assert world.run(stay=True) == 0
+    assert world.now_s >= 100.0
+    assert len(world.started) == 2
+
+
+def test_a_recorder_that_was_told_to_stop_stays_stopped() -> None:
+    """Exit code 130 is an operator's order: a restart would strike on against it."""
+    world = World(Life(130))
+    assert world.run() == 130
+    assert len(world.started) == 1
+    assert world.messages == [("recorder", {"event": "stopped"})]
+
+
+@pytest.mark.parametrize("code", [2, 3, 4, 5])
+def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> None:
+    web = Life()
+    world = World(Life(code, after_s=1.0), web, plans=(RECORDER, WEB))
+    assert world.run(stay=True) == code
+    assert len(world.started) == 2
+    assert web.stdin.closed
+
+
+def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
+    world = World(*(Life(1) for _ in range(9)), until_s=120.0)
+    world.run()
+    pauses = [b - a for a, b in zip(world.starts_s(), world.starts_s()[1:], strict=False)]
+    expected = [*RESTART_DELAYS_S, RESTART_DELAYS_S[-1], RESTART_DELAYS_S[-1]]
+    # The end is seen one look (0.05 s) after the start, the restart at the first look after the delay.
+    assert pauses == pytest.approx([0.05 + delay_s for delay_s in expected], abs=0.051)
+    assert world.causes()[:2] == ["", "ended with exit code 1"]
+
+
+def test_a_child_that_lived_well_starts_again_at_the_first_delay() -> None:
+    world = World(Life(1), Life(1), Life(1, after_s=HEALTHY_AFTER_S), Life(), until_s=100.0)
+    world.beat = lambda: beat_at(world, world.now_s)
+    world.run()
+    started = world.starts_s()
+    assert started[2] - started[1] == pytest.approx(0.05 + RESTART_DELAYS_S[1], abs=0.051)
+    assert started[3] - started[2] == pytest.approx(HEALTHY_AFTER_S + RESTART_DELAYS_S[0], abs=0.101)
+
+
+def test_a_child_that_always_crashes_is_given_up() -> None:
+    world = World(*(Life(1) for _ in range(20)))
+    assert world.run(give_up=True) == 1
+    assert len(world.started) == 1 + len(RESTART_DELAYS_S)
+
+
+def test_a_child_gets_its_environment_and_the_cause_of_its_restart() -> None:
+    world = World(Life(-15), Life(0))
+    world.run()
+    assert world.started[0][1:] == (["solimon", "record", ""], {"A": "1"})
+    assert world.causes()[1] == "was killed by signal 15"
+
+
+def test_a_recorder_is_killed_at_its_deadline() -> None:
+    hung = Life()
+    world = World(hung, Life(0))
+    world.beat = lambda: beat_at(world, min(world.now_s, 20.0))
+    world.run()
+    assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next look after the deadline
+    assert world.causes()[1].startswith("hung while taking set 3: heartbeat 0.")
+    assert world.causes()[1].endswith("s past its deadline of 5 s")
+
+
+def test_a_recorder_that_beats_is_left_alone() -> None:
+    world = World(Life(0, after_s=500.0))
+    world.beat = lambda: beat_at(world, 4.0 * (world.now_s // 4.0))
+    assert world.run() == 0
+    assert len(world.started) == 1
+
+
+def test_a_beat_that_cannot_be_read_for_a_moment_takes_nothing_from_the_one_before() -> None:
+    world = World(Life(0, after_s=STARTING_GRACE_S + 20.0))
+    world.beat = lambda: None if round(world.now_s / 0.05) % 3 else beat_at(world, world.now_s)
+    assert world.run() == 0
+    assert len(world.started) == 1
+
+
+def stale(world: World) -> Beat:
+    """Left by the recorder before this one."""
+    return beat_at(world, -100.0)
+
+
+def earlier_boot(world: World) -> Beat:
+    """Ahead of this boot's monotonic time, and written by the same process number."""
+    return beat_at(world, 1e6, boot="another")
+
+
+def earlier_boot_of_an_older_version(world: World) -> Beat:
+    return beat_at(world, 1e6)
+
+
+def no_beat(world: World) -> None:
+    return None
+
+
+@pytest.mark.parametrize("found", [no_beat, stale, earlier_boot, earlier_boot_of_an_older_version])
+def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(
+    found: Callable[[World], Beat | None],
+) -> None:
+    silent = Life()
+    world = World(silent, Life(0))
+    world.beat = lambda: found(world)
+    world.run()
+    assert silent.killed_s == pytest.approx(STARTING_GRACE_S, abs=0.101)
+    assert world.causes()[1] == f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start"
+
+
+def test_children_are_told_to_leave_together_and_killed_after_their_time() -> None:
+    good, bad = Life(leaves_after_s=1.0), Life(leaves_after_s=None)
+    world = World(good, bad, plans=(RECORDER, WEB), until_s=10.0)
+    assert world.run(stay=True) == 0
+    assert good.killed_s is None
+    assert bad.killed_s == pytest.approx(10.0 + LEAVE_WITHIN_S, abs=0.051)
+
+
+def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    says = [json.dumps({"event": "progress", "done": 1}), "hello", json.dumps({"event": "finished"})]
+    world = World(Life(0, says=says))
+    world.run()
+    assert world.messages == [
+        ("recorder", {"event": "progress", "done": 1}),
+        ("recorder", {"event": "finished"}),
+    ]
+    assert "printed a line that is no message: b'hello" in caplog.text
+
+
+def test_a_restarted_web_service_is_told_its_port() -> None:
+    says = [json.dumps({"event": "listening", "url": "http://127.0.0.1:4711/", "port": 4711})]
+    # It ends after its line is read, however late its reader comes to it.
+    first = Life(None, says=says)
+    world = World(first, Life(), plans=(WEB,), until_s=10.0)
+
+    def ends_once_heard() -> None:
+        if world.messages and first.code is None:
+            first.code = 1
+
+    waiting = world.wait
+    patience = threading.Event()
+
+    def wait(seconds: float) -> bool:
+        ends_once_heard()
+        if not world.messages:
+            patience.wait(0.001)
+            return False
+        return waiting(seconds)
+
+    world.wait = wait  # type: ignore[method-assign] # time stands still until the line is heard
+    world.run(stay=True)
+    assert world.started[1][1] == ["solimon", "serve", "--port", "4711"]
