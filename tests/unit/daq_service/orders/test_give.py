@@ -27,8 +27,8 @@ class Recorder:
 
     def look(self, seconds: float) -> None:
         for row in self.catalogue.pending_commands():
-            self.seen.append((row["kind"], row["author"], row["arguments"]))
-            self.catalogue.finish_command(row["id"], *self.answer)
+            self.seen.append((row.kind, row.author, row.arguments))
+            self.catalogue.finish_command(row.id, *self.answer)
 
     def given(self, kind: str, **options: Any) -> int:
         options = {"note": "", "author": "ann", "as_json": False, "wait": self.look, **options}

@@ -3,6 +3,7 @@
 import pytest
 from pydantic import TypeAdapter
 
+from daq_service.catalogue.rows import AlarmRow, AlarmState
 from daq_service.errors import UsageError
 from daq_service.orders.kinds import KINDS, AnyOrder, Facts, Order, read_order
 
@@ -12,8 +13,21 @@ def facts(**values: object) -> Facts:
     return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
 
 
-def alarm(state: str, alarm_id: int = 7, position: str = "B") -> dict[str, object]:
-    return {"id": alarm_id, "position": position, "kind": "retired", "state": state, "message": "why"}
+def alarm(state: AlarmState, alarm_id: int = 7, position: str = "B") -> AlarmRow:
+    return AlarmRow(
+        id=alarm_id,
+        position=position,
+        kind="retired",
+        family="device",
+        severity="high",
+        state=state,
+        raised_utc_ns=0,
+        raised_h=0.0,
+        raised_set_index=0,
+        changed_utc_ns=0,
+        message="why",
+        proof={},
+    )
 
 
 def order(kind: str, **arguments: object) -> Order:

@@ -10,6 +10,7 @@ import pytest
 from support.begun_experiment import begun_catalogue
 
 from daq_service.archive import FolderArchive
+from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -72,7 +73,7 @@ class Bench:
     def answer(self, order_id: int) -> tuple[str, str]:
         row = self.catalogue.command(order_id)
         assert row is not None
-        return row["state"], row["result"]
+        return row.state, row.result
 
     def obey(self, kind: str, **arguments: object) -> tuple[str, str]:
         order_id = self.write(kind, **arguments)
@@ -81,8 +82,8 @@ class Bench:
         return self.answer(order_id)
 
     def alarm(self, position: str) -> tuple[int, str]:
-        (row,) = self.catalogue.list_alarms(position, active=True)
-        return row["id"], row["state"]
+        (row,) = self.catalogue.rows(AlarmRow, position=position, active=True)
+        return row.id, row.state
 
 
 @pytest.fixture
@@ -154,8 +155,8 @@ def test_who_retired_it_is_told_with_the_order(bench: Bench) -> None:
     bench.obey("retire", position="C")
     assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})
-    assert (event["kind"], event["payload"]["proof"]) == ("alarm_raised", {"command_id": 1})
-    assert event["payload"]["raised_h"] == HOUR
+    assert (event.kind, event.payload["proof"]) == ("alarm_raised", {"command_id": 1})
+    assert event.payload["raised_h"] == HOUR
 
 
 @pytest.mark.parametrize("kind", ["retire", "reinstate"])

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from support.begun_experiment import begun_catalogue, tell
 
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
+from daq_service.catalogue.rows import SetRow
 from daq_service.cli.inspection import describe_status
 from daq_service.clock import NS_PER_S, boot_name
 from daq_service.errors import BusyError
@@ -88,13 +89,17 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def stored_set(catalogue: RecorderCatalogue) -> None:
     """A gap: before the first row the web has nothing to tell."""
-    from daq_service.acquisition.schedule import DueSet
-    from daq_service.catalogue import SetCommit
-    from daq_service.judgement.transaction import set_row
-
-    due = DueSet(set_index=0, due_h=0.0, due_utc_ns=0)
-    row = set_row(due, "B", method="solitary_wave", state="missed", cause="test", n_planned=3)
-    catalogue.commit_set(SetCommit(sets=[row]))
+    gap = SetRow(
+        set_index=0,
+        position="B",
+        method="solitary_wave",
+        due_utc_ns=0,
+        due_h=0.0,
+        state="missed",
+        cause="why",
+        n_planned=10,
+    )
+    catalogue.commit_set(SetCommit(sets=[gap]))
 
 
 def as_text(found: Beat) -> str:
