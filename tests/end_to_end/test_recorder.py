@@ -66,7 +66,7 @@ def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
     for shot in record.shots:
         values = extract_features(shot.waveform).values()
         row = stored[shot.sequence]
-        assert {name: row[name] for name in values} == {
+        assert {name: getattr(row, name) for name in values} == {
             name: None if np.isnan(value) else value for name, value in values.items()
         }
 
