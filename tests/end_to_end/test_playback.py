@@ -113,12 +113,12 @@ def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path
     found, wanted = rows_of(tmp_path / "played"), rows_of(tmp_path / "recorded")
     assert {name: found[name] for name in FEATURES} == {name: wanted[name] for name in FEATURES}
     states = [
-        [(row["position"], row["set_index"], row["state"], row["n_taken"]) for row in rows["sets"]]
+        [(row.position, row.set_index, row.state, row.n_taken) for row in rows["sets"]]
         for rows in (found, wanted)
     ]
     assert states[0] == states[1]
     assert ("C", 2, "partial", 2) in states[0]
-    causes = {row["cause"] for row in found["sets"] if row["state"] == "partial"}
+    causes = {row.cause for row in found["sets"] if row.state == "partial"}
     assert all("the recording has no attempt" in cause for cause in causes)
 
 
@@ -185,8 +185,8 @@ def test_labview_s_volts_give_the_same_features_within_their_quantisation(record
         ("set_features", "isw_amplitude_v", 1e-7),
         ("thickness", "thickness_m", 1e-9),
     ]:
-        found = np.array([row[column] for row in rows[name]], dtype=float)
-        wanted = np.array([row[column] for row in originals[name]], dtype=float)
+        found = np.array([getattr(row, column) for row in rows[name]], dtype=float)
+        wanted = np.array([getattr(row, column) for row in originals[name]], dtype=float)
         assert np.isfinite(wanted).any()
         assert np.array_equal(np.isfinite(found), np.isfinite(wanted))
         assert np.nanmax(np.abs(found - wanted)) <= allowed, (name, column)

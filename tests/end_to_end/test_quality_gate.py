@@ -223,7 +223,7 @@ def test_a_sets_feature_is_the_mean_of_its_accepted_shots(tmp_path: Path) -> Non
         values = [getattr(row, name) for row in rows if row.sequence in accepted]
         if None not in values:
             # The mean of three in another order: rounding only.
-            assert of_set[name] == pytest.approx(sum(values) / 3, rel=1e-12), name
+            assert getattr(of_set, name) == pytest.approx(sum(values) / 3, rel=1e-12), name
     assert len(rows) == 4, "the superseded shot keeps its features"
 
 
