@@ -242,7 +242,7 @@ def test_ctrl_c_and_sigterm_end_everything_within_five_seconds(
         assert time.monotonic() - begun < 5.0
         assert not any(is_running(child) for child in children.values())
     rows = rows_of(tmp_path)
-    stored = {row["set_index"] for row in rows["sets"] if row["n_taken"]}
+    stored = {row.set_index for row in rows["sets"] if row.n_taken}
     assert len(stored) == sets_done(tmp_path), "every file has its rows"
 
 
@@ -345,17 +345,17 @@ def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     done = solimon("record", str(config), "--data-dir", str(folder))
     assert done.returncode == 0, done.stderr
     rows = rows_of(folder)
-    assert [row["state"] for row in rows["sets"]] == ["done"] * 8
-    starts = {(row["set_index"], row["position"]): row for row in rows["sets"]}
+    assert [row.state for row in rows["sets"]] == ["done"] * 8
+    starts = {(row.set_index, row.position): row for row in rows["sets"]}
     for set_index in (0, 1):
-        shots = [row for row in rows["shots"] if row["set_index"] == set_index]
-        strikes = [row["utc_ns"] for row in shots if row["position"] != "A"]
-        due_ns = starts[set_index, "B"]["due_utc_ns"]
+        shots = [row for row in rows["shots"] if row.set_index == set_index]
+        strikes = [row.utc_ns for row in shots if row.position != "A"]
+        due_ns = starts[set_index, "B"].due_utc_ns
         # Strike k is due k * 0.2 s after the set; waiting may overshoot on a busy machine, never undershoot.
         assert all(at_ns >= due_ns + k * 200_000_000 for k, at_ns in enumerate(strikes))
-    monotonic = [row["mono_ns"] for row in sorted(rows["shots"], key=lambda row: row["sequence"])]
+    monotonic = [row.mono_ns for row in sorted(rows["shots"], key=lambda row: row.sequence)]
     assert monotonic == sorted(monotonic)
-    assert {row["boot_id"] for row in rows["shots"]} != {"simulated"}
+    assert {row.boot_id for row in rows["shots"]} != {"simulated"}
 
 
 def test_a_second_recorder_on_the_same_folder_is_refused(tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Except
     rig = Unwilling(refusal, refusal, refusal, on_refusal=look)
     assert run(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig)
     assert rig.refusals == []
-    assert {row["state"] for row in rows_of(tmp_path)["sets"]} == {"done"}
+    assert {row.state for row in rows_of(tmp_path)["sets"]} == {"done"}
     assert doing[-1] == "opening the rig", "the heartbeat goes on while it waits"
 
 
