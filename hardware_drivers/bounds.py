@@ -1,15 +1,15 @@
 """Bounds of parameters, written once beside the value they bound.
 
-The bounds are `annotated_types` metadata: `check_bounds` enforces them for callers in Python, and
-a configuration model that embeds the dataclasses enforces the same ones while reading a file.
+The bounds are `annotated_types` metadata. A class decorated with `bounded` enforces them for callers in
+Python, and a configuration model that embeds it enforces the same ones while reading a file.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields
-from typing import Any, get_args, get_type_hints
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
@@ -19,6 +19,8 @@ _COMPARISONS: tuple[tuple[type, str, str, Callable[[Any, Any], bool]], ...] = (
     (Lt, "lt", "less than", lambda value, bound: value < bound),
     (Le, "le", "at most", lambda value, bound: value <= bound),
 )
+
+Parameters = TypeVar("Parameters")
 
 _Bound = tuple[str, Any, Callable[[Any, Any], bool]]
 
@@ -57,3 +59,24 @@ def check_bounds(parameters: Any) -> None:
         for words, limit, holds in bounds:
             if not holds(value, limit):
                 raise ValueError(f"{name} is {value}; it must be {words} {limit}")
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))
+def bounded(parameters: type[Parameters]) -> type[Parameters]:
+    """Make a frozen dataclass with slots and keywords whose values obey the bounds beside them.
+
+    What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
+    own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys, and the
+    text below an attribute describes its key.
+    """
+    own_checks: Callable[[Parameters], None] | None = parameters.__dict__.get("__post_init__")
+
+    def check(made: Parameters) -> None:
+        check_bounds(made)
+        if own_checks is not None:
+            own_checks(made)
+
+    untyped: Any = parameters
+    untyped.__post_init__ = check
+    untyped.__pydantic_config__ = {"extra": "forbid", "use_attribute_docstrings": True}
+    return dataclass(frozen=True, slots=True, kw_only=True)(parameters)

@@ -9,19 +9,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 
 LONGEST_PULSE_S = 0.5
 """Cap of the coil's on-time: many times what lifts a striker by millimetres, far from heating a coil."""
 
 GRAVITY_M_PER_S2 = 9.81
 
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 _SERIAL = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
 _INPUT = re.compile(r"ai\d{1,3}\Z")
 _COUNTER = re.compile(r"ctr\d\Z")
@@ -31,11 +29,9 @@ _ADDRESS = re.compile(r"[^\s:/]+:\d{1,5}\Z|\[[0-9A-Fa-f:]+\]:\d{1,5}\Z")
 _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TransducerWiring:
     """Where one transducer is connected: its PZT disk to an input, its coil to a counter's output."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     board_serial: str
     """Serial number of the digitizer board as printed on its label (hexadecimal, like `01A2B3C4`)."""
@@ -57,7 +53,6 @@ class TransducerWiring:
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
             _match("striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty")
@@ -71,11 +66,9 @@ class TransducerWiring:
         return self.striker_serial or self.board_serial
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class WatchdogWiring:
     """X Series watchdog: the board itself pulls the coil's lines low if this program stops feeding it."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     board_serial: str
     """Serial number of the X Series board whose counters drive the coils."""
@@ -85,7 +78,6 @@ class WatchdogWiring:
     """Time without a sign of life after which the lines go low (the board's limit is about 34 s)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if not self.lines:
             raise ValueError("lines is empty; name the digital lines of the coils, like port2/line4")
@@ -93,11 +85,9 @@ class WatchdogWiring:
             _match("lines", line, _LINE, "digital lines, like port2/line4")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class DaqmxParameters:
     """Digitizers and strikers of a rig on NI-DAQmx boards."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     transducers: Mapping[str, TransducerWiring]
     """Wiring of each solitary-wave transducer, by its position."""
@@ -141,7 +131,6 @@ class DaqmxParameters:
     """X Series watchdog over the coils' terminals around each strike; absent: none."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
         self._check_transport()

@@ -6,21 +6,16 @@ A file embeds them as ``[rig.niscope]`` with one ``[rig.niscope.probes.NAME]`` a
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
-
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+from hardware_drivers.bounds import bounded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ProbeWiring:
     """One ultrasonic probe: its board, its input and its pulser-receiver."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     resource: str
     """Name of the board in NI MAX or `nilsdev`, for example `PXI1Slot4`."""
@@ -52,7 +47,6 @@ class ProbeWiring:
     """Gain of the pulser-receiver as set by hand on its front; stored with every record."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         for name in ("resource", "channel"):
             if not getattr(self, name).strip():
                 raise ValueError(
@@ -65,11 +59,9 @@ class ProbeWiring:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class NiscopeParameters:
     """All ultrasonic probes and how their records are taken."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     probes: Mapping[str, ProbeWiring]
     """Wiring of each pulse-echo position by its name."""
@@ -83,7 +75,6 @@ class NiscopeParameters:
     """Longest wait for the pulser's triggers, whatever the caller allows."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if not self.probes:
             raise ValueError("probes is empty; give each pulse-echo position its [rig.niscope.probes.NAME]")
         object.__setattr__(self, "probes", dict(self.probes))

@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 
 KEY_PARTS = ("position", "set", "shot", "attempt")
 """Named groups that the patterns may have: together they say which shot a record is."""
 
-_CONFIG: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TdmsMapping:
     """How files, groups, channels and properties of LabVIEW TDMS files become shots.
 
@@ -27,8 +25,6 @@ class TdmsMapping:
     that must match the whole name) or properties; each comes from one place at most. Names that do
     not match are left out. A set, shot or attempt that no place names is 0.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _CONFIG
 
     files: str = "**/*.tdms"
     """Files looked at, a glob below the source folder (a source that is one file needs none)."""
@@ -90,7 +86,6 @@ class TdmsMapping:
     """ADC resolution of raw values (a 12-bit board clips at 2047 of an int16); absent: that of their type."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         sources = [
             (f"{part}_property", {part}) for part in KEY_PARTS[:3] if getattr(self, f"{part}_property")
         ]
@@ -115,11 +110,9 @@ class TdmsMapping:
             raise ValueError("volts_per_unit is 0.0; it must be finite and not 0")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class PlaybackParameters:
     """Which recording takes the place of the instruments."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _CONFIG
 
     source: Path
     """Archive: a data folder. TDMS: a folder of files, or one file. Relative to the configuration file."""

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 
 USB_SERIAL_PREFIX = "serial:"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SerialLineParameters:
     """One serial line: where it is and how it speaks."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     port: str
     """A path (`/dev/serial/by-id/...`, which survives replugging), a name (`COM4`), or `serial:` and the
@@ -44,7 +41,6 @@ class SerialLineParameters:
     """The wait between two attempts grows no further; they never end, since a plug may come back."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         name = self.port.removeprefix(USB_SERIAL_PREFIX)
         if not name or name != name.strip() or not name.isprintable():
             raise ValueError(
@@ -57,11 +53,9 @@ class SerialLineParameters:
             )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SupplyParameters:
     """The electrochemical drive: a DC supply between specimen (plus) and copper electrode (minus)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     line: SerialLineParameters
     """Its serial line."""
@@ -103,7 +97,6 @@ class SupplyParameters:
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         check_identity(self.identity)
         for query in self.protection_queries:
             check_query("protection_queries", query)
@@ -123,11 +116,9 @@ class SupplyParameters:
                 )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ClimateParameters:
     """Thermometer and hygrometer beside the specimen."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     line: SerialLineParameters
     """Its serial line."""
@@ -147,7 +138,6 @@ class ClimateParameters:
     """Longest time one reading may take."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         check_identity(self.identity)
         for name in ("identity_query", "temperature_query", "humidity_query"):
             check_query(name, getattr(self, name))

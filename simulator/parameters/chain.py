@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 from simulator.materials import youngs_modulus_at_pa
 
 SOFTEST_PA = 1e5
@@ -17,11 +17,9 @@ SOFTEST_PA = 1e5
 DampingLaw = Literal["linear", "tsuji", "kuwabara_kono", "hunt_crossley"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SphereParameters:
     """Bodies of a chain that differ from its other spheres; keys not given are the chain's."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     body: Annotated[int, Ge(0), Le(2000)]
     """Which body, counted from the striker, 0; the sensor counts as one."""
@@ -39,7 +37,6 @@ class SphereParameters:
     """Poisson's ratio."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.last_body is not None and self.last_body < self.body:
             raise ValueError(f"last_body is {self.last_body}; it must be at least body = {self.body}")
         if self.mass_kg is not None and self.density_kg_per_m3 is not None:
@@ -64,11 +61,9 @@ class Body:
     poisson_ratio: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ChainParameters:
     """Chain of spheres with one sensor in it (paper, section 2 and equations 1-2)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     radius_m: Annotated[float, Gt(0.0), Le(0.5)] = 9.525e-3
     """Radius of every sphere (paper: 19.05 mm spheres)."""
@@ -112,7 +107,6 @@ class ChainParameters:
     25 C, 198 at 100 C, 192 at 200 C)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         _check_density("mass_kg", self.mass_kg, self.radius_m)
         if self.spheres_below == 0 and self.sensor == "disk":
             raise ValueError(

@@ -7,19 +7,16 @@ smooth wall under the straight path of equation 17 has `element_separation_m`, `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class EchoParameters:
     """Dual-element ultrasonic probe and its receiver (paper: Olympus DHC713, 100 MHz sampling)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = {"extra": "forbid", "use_attribute_docstrings": True}
 
     sample_rate_hz: Annotated[float, Gt(0.0), Le(1e10)] = 100e6
     """Sampling rate (paper: 100 MHz)."""
@@ -80,7 +77,6 @@ class EchoParameters:
     """Resolution of the receiver (that of the usual 100 MS/s PXI digitizer)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.centre_frequency_hz >= 0.5 * self.sample_rate_hz:
             raise ValueError(
                 f"centre_frequency_hz is {self.centre_frequency_hz} Hz; it must be below half of "

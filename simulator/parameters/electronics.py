@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
-
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+from hardware_drivers.bounds import bounded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class NoiseParameters:
     """Noise at the digitizer's input: white up to half the sampling rate, and a slow part."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     enabled: bool = True
     """Off: counts are the rounded signal itself."""
@@ -27,30 +22,20 @@ class NoiseParameters:
     slow_bandwidth_hz: Annotated[float, Gt(0.0), Le(1e9)] = 20e3
     """The slow part is even from one cycle a record up to this frequency (assumption)."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SensorParameters:
     """PZT disk that turns the chain's dynamic force into volts; it does not see the static preload."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     sensitivity_v_per_n: Annotated[float, Gt(0.0), Le(100.0)] = 0.0192
     """Sensitivity without tilt (assumption: at the mean tilt 150 N fill half the range)."""
     tilt_loss_per_rad: Annotated[float, Ge(0.0), Le(50.0)] = 8.5
     """Relative loss of sensitivity a radian of tilt: the disk is pressed on one side (assumption)."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class AdcParameters:
     """Digitizer of the solitary-wave records, modelled on a 16-bit 14 MS/s PXI board."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     sample_rate_hz: Annotated[float, Gt(0.0), Le(1e9)] = 10e6
     """Sampling rate (paper: 10 MHz)."""
@@ -76,7 +61,6 @@ class AdcParameters:
     """Rising edge that triggers: a tenth of the incident wave, ten times the noise."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.pretrigger_samples >= self.record_samples:
             raise ValueError(
                 f"pretrigger_samples is {self.pretrigger_samples}; it must be less than record_samples "

@@ -10,24 +10,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 from simulator.parameters.echo import EchoParameters as EchoParameters
-from simulator.parameters.electronics import _FILE_RULES, AdcParameters, NoiseParameters, SensorParameters
+from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ThinningParameters:
     """How one position loses its wall; the defaults are a pristine position."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which thinning begins."""
@@ -45,7 +43,6 @@ class ThinningParameters:
     before the first and after the last."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.history:
             self._check_history()
         if self.reference_h <= self.onset_h:
@@ -83,7 +80,7 @@ class ThinningParameters:
             before_h, before = hour_h, depth
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ScatterParameters:
     """How one shot differs from the next although nothing has changed.
 
@@ -91,8 +88,6 @@ class ScatterParameters:
     are assumptions: the paper prints none. They are sized for a baseline whose sets scatter by about
     0.5 % in time of flight, 2.5 % in amplitude ratio and 5 % in incident amplitude.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     scale: Annotated[float, Ge(0.0), Le(10.0)] = 1.0
     """Multiplies the four standard deviations below: 1 as assumed, 0 off."""
@@ -107,19 +102,14 @@ class ScatterParameters:
     shot_tilt_sd_rad: Annotated[float, Ge(0.0), Le(0.05)] = 0.002
     """SD of a shot's tilt about its set's (assumption); drawn evenly too."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class DriftParameters:
     """Temperature of the room and the two ways it reaches a record.
 
     It changes the height the striker really falls and the PZT's sensitivity, nothing else, so a
     stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     enabled: bool = True
     """Off: the temperature stays at `mean_temperature_c`."""
@@ -143,7 +133,6 @@ class DriftParameters:
     """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.longest_wander_h < self.shortest_wander_h:
             raise ValueError(
                 f"longest_wander_h is {self.longest_wander_h} h; it must be at least shortest_wander_h "
@@ -171,11 +160,9 @@ PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(
 """The paper's four positions (Table 1, sections 2 and 4)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TwinParameters:
     """Everything the twin adds to the model of the specimen."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     seed: Annotated[int, Ge(0), Lt(2**32)] = 1
     """The same seed gives the same numbers, whatever the order of the shots."""
@@ -199,7 +186,6 @@ class TwinParameters:
     """Faults of each transducer and its channel by the position's name; without an entry it has none."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         for position, faults in self.faults.items():
             hum_v = faults.mains_hum.amplitude_v
             if hum_v >= self.adc.trigger_level_v:

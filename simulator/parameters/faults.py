@@ -7,29 +7,22 @@ reports none of these faults. A through hole is no fault of the rig: see `Thinni
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar
+from dataclasses import field
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
-
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
+from hardware_drivers.bounds import bounded
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class MissedStrikeFault:
     """The striker sticks: no wave, and nothing to trigger on."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike; a repeated strike is drawn anew."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def is_active(self) -> bool:
@@ -37,11 +30,9 @@ class MissedStrikeFault:
         return self.probability > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class DoubleStrikeFault:
     """The striker bounces: a second, weaker impact while the first one's waves are under way."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -55,7 +46,6 @@ class DoubleStrikeFault:
     """Least drop height of the second impact over the first one's; drawn evenly up to 1 (assumption)."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.longest_delay_s < self.shortest_delay_s:
             raise ValueError(
                 f"longest_delay_s is {self.longest_delay_s} s; it must be at least shortest_delay_s "
@@ -68,11 +58,9 @@ class DoubleStrikeFault:
         return self.probability > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TiltFault:
     """The sensor disk leans further than its play lets it; it acts as the sensor's own tilt does."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -81,20 +69,15 @@ class TiltFault:
     tilt_rad: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
     """Full size of the tilt on top of the scattered one; together at most 0.2 rad."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.tilt_rad > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class BeadWearFault:
     """All contacts of the chain flatten: a larger radius of curvature, the spheres' mass unchanged."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -103,28 +86,20 @@ class BeadWearFault:
     radius_growth_fraction: Annotated[float, Ge(0.0), Le(3.0)] = 0.0
     """Full growth of the radius of curvature over the nominal radius; the stiffness A goes with its root."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.radius_growth_fraction > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class PztAgeingFault:
     """The PZT disk loses sensitivity by the same fraction every year."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
     loss_fraction_per_year: Annotated[float, Ge(0.0), Le(0.99)] = 0.0
     """Part of the sensitivity lost in a year of 8,766 h."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def is_active(self) -> bool:
@@ -132,11 +107,9 @@ class PztAgeingFault:
         return self.loss_fraction_per_year > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class LooseContactFault:
     """Chain and cable sit loosely: from shot to shot, gain and plate contact jump and jump back."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -147,20 +120,15 @@ class LooseContactFault:
     damping_factor: Annotated[float, Ge(1.0), Le(30.0)] = 4.0
     """Dashpot between chain and plate over the usual one (assumption)."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.probability > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TemperatureFault:
     """A transducer warmer or colder than the room; it acts through the ways of `DriftParameters`."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -169,28 +137,20 @@ class TemperatureFault:
     change_k: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
     """Full difference from the room's temperature."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.change_k != 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ClippingFault:
     """The preamplifier is set too high: the incident wave leaves the digitizer's range."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour of the step."""
     gain_factor: Annotated[float, Ge(1.0), Le(1e3)] = 1.0
     """Gain after the step over the one before; the default range clips from about 2 on."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     @property
     def is_active(self) -> bool:
@@ -198,11 +158,9 @@ class ClippingFault:
         return self.gain_factor > 1.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SpikesFault:
     """Short electrical pulses of either sign at random times; the board may trigger on one."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -215,20 +173,15 @@ class SpikesFault:
     armed_s: Annotated[float, Ge(0.0), Le(10.0)] = 0.1
     """Time the digitizer stands armed before the wave, open to a false trigger (assumption)."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.rate_hz > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class MainsHumFault:
     """A ground loop: a sinusoid of the mains' frequency whose phase no strike knows."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     onset_h: Annotated[float, Ge(0.0), Le(1e6)] = 0.0
     """Hour at which it begins."""
@@ -237,20 +190,15 @@ class MainsHumFault:
     frequency_hz: Annotated[float, Ge(10.0), Le(1e3)] = 50.0
     """Frequency: 50 or 60 Hz, or a harmonic."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
-
     @property
     def is_active(self) -> bool:
         """Whether it can ever act."""
         return self.amplitude_v > 0.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class FaultParameters:
     """Faults of one position's transducer and of its channel; by default it has none."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     missed: MissedStrikeFault = field(default_factory=MissedStrikeFault)
     """Strikes that do not come."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal
+from dataclasses import field
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 from simulator.materials import youngs_modulus_at_pa
 
 DEEPEST_PATCH_FRACTION = 0.95
@@ -19,29 +19,19 @@ SOFTEST_PLATE_PA = 1e5
 MOST_FURTHER_PATCHES = 32
 
 
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class LiquidParameters:
     """Liquid that stands on one face of the whole plate, between side walls over its edges."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     density_kg_per_m3: Annotated[float, Gt(0.0), Le(2e4)] = 1023.0
     """Density (handbook value of a 3.5 % NaCl solution at 20 C; the paper's plate stands in one)."""
     depth_m: Annotated[float, Gt(0.0), Le(1e4)]
     """Depth of the layer (the paper gives none); beyond some centimetres it no longer matters."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class SolidMesh:
     """Mesh of the solid plate; sizes in thicknesses of the plate."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     degree: Annotated[int, Ge(3), Le(8)] = 4
     """Degree of the polynomials along the plate; through the thickness one less, in thin layers two less."""
@@ -57,15 +47,10 @@ class SolidMesh:
     one_basis: bool = False
     """Whether all depths share one basis: some 17 s once, then 9 ms for a depth; else 1 to 2 s for each."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class PlateParameters:
     """Plate below the chain (paper, section 3)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     model: Literal["mindlin", "solid", "infinite_kirchhoff", "rigid_wall"] = "mindlin"
     """`mindlin`: finite Reissner-Mindlin plate; `solid`: three-dimensional; the other two are analytic
@@ -109,7 +94,6 @@ class PlateParameters:
     """Mesh of `solid`, which takes Hertz's pressure over `contact_radius_m`."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.elements_per_edge % 2:
             raise ValueError(f"elements_per_edge is {self.elements_per_edge}; it must be even")
         largest = min(self.width_m, self.height_m) / self.elements_per_edge
@@ -163,11 +147,9 @@ PatchProfile = Literal["flat", "bowl", "cosine"]
 DepthFactor = Annotated[float, Gt(0.0), Le(1.0)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class PatchParameters:
     """Outline and profile of one thinned patch."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     shape: PatchShape = "square"
     """Outline of the patch."""
@@ -185,7 +167,6 @@ class PatchParameters:
     """Largest depth of this patch over the depth of the position."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if (self.shape == "rectangular") != (self.size_y_m is not None):
             raise ValueError(
                 f"size_y_m is {self.size_y_m} for a {self.shape} patch; a rectangular one needs it, no other "
@@ -198,11 +179,9 @@ class PatchParameters:
         return 0.5 * self.size_m, 0.5 * (self.size_m if self.size_y_m is None else self.size_y_m)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class CorrosionParameters:
     """Thinned patch at the contact and further ones; the mid-surface stays as it is (paper, section 3)."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     shape: PatchShape = "square"
     """Outline of the patch."""
@@ -227,7 +206,6 @@ class CorrosionParameters:
     """Lost part of the thickness: 0 pristine, at most 0.95; beyond that the position is a hole."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if len(self.further) > MOST_FURTHER_PATCHES:
             raise ValueError(
                 f"further has {len(self.further)} patches; at most {MOST_FURTHER_PATCHES} are possible"

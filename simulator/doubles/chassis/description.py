@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 from pydantic import TypeAdapter
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 from simulator.doubles.chassis.boards import BOARD_TYPES, BoardType
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.parameters.chain import ChainParameters
@@ -18,14 +18,10 @@ from simulator.parameters.electronics import AdcParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
-_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class BoardParameters:
     """One board in the chassis."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _RULES
 
     serial_number: Annotated[int, Ge(1), Le(0xFFFFFFFF)]
     """What a driver finds the board by."""
@@ -51,7 +47,6 @@ class BoardParameters:
     """Last self-calibration before the double started, ISO time to the minute."""
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         if self.product not in BOARD_TYPES:
             raise ValueError(f"product is {self.product!r}; known are: {', '.join(BOARD_TYPES)}")
         if not self.name or not self.name.replace("_", "").isalnum():
@@ -87,11 +82,9 @@ class BoardParameters:
         )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class TransducerWiring:
     """Where one solitary-wave transducer is connected, and what it stands on."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _RULES
 
     ai_serial: int
     """Board that samples the sensor."""
@@ -110,18 +103,13 @@ class TransducerWiring:
     corrosion: CorrosionParameters = field(default_factory=CorrosionParameters)
     """Footprint of the corrosion there."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ProbeWiring:
     """Where one ultrasonic probe is connected.
 
     Its pulser-receiver fires by itself and sends a sync each time.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _RULES
 
     resource: str
     """NI-SCOPE resource name; a name that no board of `scopes` has brings one of the default kind."""
@@ -140,11 +128,8 @@ class ProbeWiring:
     switched_on: bool = True
     """Off: the pulser never fires."""
 
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class Description:
     """One double.
 
@@ -153,8 +138,6 @@ class Description:
     ValueError
         A transducer is wired to what is not there, or two to the same input or counter.
     """
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _RULES
 
     boards: tuple[BoardParameters, ...]
     """Boards in the system."""
@@ -185,7 +168,6 @@ class Description:
         return (*self.scopes, *default)
 
     def __post_init__(self) -> None:
-        check_bounds(self)
         by_serial = {board.serial_number: board for board in self.boards}
         if len(by_serial) < len(self.boards) or len({b.name.casefold() for b in self.boards}) < len(
             self.boards

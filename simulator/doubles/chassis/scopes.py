@@ -7,26 +7,21 @@ the range, and a gain and an offset of its own.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import check_bounds
+from hardware_drivers.bounds import bounded
 from hardware_drivers.measurement import Calibration
 
 SAMPLE_BITS = 16
 """Width in which the board hands over its codes; the low bits of a 14-bit code are padding."""
 
-_FILE_RULES: dict[str, Any] = {"extra": "forbid", "use_attribute_docstrings": True}
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@bounded
 class ScopeParameters:
     """One digitizer board."""
-
-    __pydantic_config__: ClassVar[dict[str, Any]] = _FILE_RULES
 
     name: str = "PXI1Slot4"
     """Resource name under which it is found."""
@@ -54,9 +49,6 @@ class ScopeParameters:
     """Date of both calibrations until it calibrates itself."""
     calibration_temperature_c: Annotated[float, Ge(-50.0), Le(150.0)] = 41.5
     """Temperature at both."""
-
-    def __post_init__(self) -> None:
-        check_bounds(self)
 
     def calibration(self, range_v: float, vertical_offset_v: float) -> Calibration:
         """Scaling of the unpadded codes."""
