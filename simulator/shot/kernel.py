@@ -31,6 +31,9 @@ Having no mass, these modes lose ``C F^2 / 2`` where the dashpot pulls with F as
 balance books that as lost. Touch and release are booked with the compression of contact and cut modes in
 series, which has no jump.
 
+The steps below are pasted into the loop, one file because numba keeps machine code until this file
+changes. `registers` names what they share.
+
 Away from touch and release the error falls as h^4; [d]_+ has a kink there, which limits the order to
 two (5/2 without dashpots), with a small constant because a shot has only some twenty such events.
 """
@@ -58,9 +61,9 @@ from simulator.numerics.lanes import (
     where_greater,
 )
 from simulator.numerics.machine_code import compiled
+from simulator.shot.registers import Bodies, Chains, Contact, Found, Last, Propagator, Strikes
 
 FloatArray = NDArray[np.float64]
-IntegerArray = NDArray[np.int64]
 
 LAWS_OF_DAMPING = (0.0, 0.25, 0.5, 1.5)
 """Exponents p of the dashpots, the linear one first."""
@@ -85,11 +88,6 @@ BLOCK = 8
 
 BANK_ROWS = 16
 """Numbers of a mode, see `simulator.shot.modal_weights`."""
-
-# Rows of the state of all bodies but the last, and of the contacts below them.
-U, V0, V1, V2, V3, F0, F1, F2, IMPULSE, TOTAL, GAP, OVERLAP, AHEAD, DISSIPATED = range(14)
-STIFFNESS, DAMPING, STATIC_FORCE, STATIC_OVERLAP, INVERSE_MASS, ROWS = range(14, 20)
-
 
 # No fast mathematics: each lane is rounded as if it were alone.
 _compiled = compiled(nogil=True, error_model="numpy")
@@ -121,18 +119,154 @@ def _raised_slope(overlap: Any, law: int) -> Any:
     return 2.5 * overlap * root
 
 
-@_compiled
+# A step is pasted into the time loop before types are known: the loop is compiled as one.
+_step = compiled(inline="always", nogil=True, error_model="numpy")
+
+
+@_step
+def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
+    """Put all still but the striker: before first touch it fell freely, an exact history."""
+    last = chains.mass.shape[0] - 1
+    row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
+    overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
+    static_force, stiffness, dashpot = np.zeros(row), np.zeros(row), np.zeros(row)
+    per_mass = np.zeros(row)
+    for i in range(last):
+        for k in range(i * width, i * width + width):
+            overlap[k] = gap[k] = static_overlap[k] = chains.static_overlap[i]
+            static_force[k] = chains.static_force[i]
+            stiffness[k] = chains.stiffness[i]
+            dashpot[k] = chains.dashpot[k]
+            per_mass[k] = 1.0 / chains.mass[i]
+    v0, v1, v2, v3 = np.zeros(row), np.zeros(row), np.zeros(row), np.zeros(row)
+    store(v0, 0, speed)
+    store(v1, 0, speed - step * chains.gravity)
+    store(v2, 0, speed - 2.0 * step * chains.gravity)
+    store(v3, 0, speed - 3.0 * step * chains.gravity)
+    return Bodies(
+        u=np.zeros(row),
+        v0=v0,
+        v1=v1,
+        v2=v2,
+        v3=v3,
+        f0=np.zeros(row),
+        f1=np.zeros(row),
+        f2=np.zeros(row),
+        impulse=np.zeros(row),
+        given=np.zeros(row),
+        gap=gap,
+        overlap=overlap,
+        ahead=np.zeros(row),
+        dissipated=np.zeros(row),
+        stiffness=stiffness,
+        dashpot=dashpot,
+        static_force=static_force,
+        static_overlap=static_overlap,
+        per_mass=per_mass,
+    )
+
+
+@_step
+def _contact(
+    chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
+) -> Contact:
+    """Weights of what acts on the plate's contact within a step."""
+    last = chains.mass.shape[0] - 1
+    bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
+    w_per_i = w_per_s = specimen.mobility_m_per_n_s
+    w_per_last_i = w_per_last_s = 0.0
+    for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+        for j in range(BLOCK):
+            k = b * BANK_ROWS * BLOCK + j
+            w_per_i += bank[k + 12 * BLOCK]
+            w_per_s += bank[k + 14 * BLOCK]
+            w_per_last_i += bank[k + 2 * BLOCK]
+            w_per_last_s += bank[k + 8 * BLOCK]
+    per_mass = 1.0 / chains.mass[last]
+    stiffness, dashpot = chains.stiffness[last], chains.dashpot[last * width]  # of all shots
+    # What 1 / gamma must make up for; see the head of this module.
+    active = compliance / (12.0 * step) + step / (3.0 * chains.mass[last])
+    if linear and dashpot * active <= ACTIVE_PART_LIMIT:
+        rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
+    else:
+        rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
+    rate0 /= step
+    h38 = 9.0 * (step / 24.0)
+    return Contact(
+        step=step,
+        stiffness=stiffness,
+        dashpot=dashpot,
+        static_force=chains.static_force[last],
+        static_overlap=chains.static_overlap[last],
+        static_dashpot=dashpot * lane(_raised(broadcast(chains.static_overlap[last], 1), law), 0),
+        per_mass=per_mass,
+        compliance=compliance,
+        mobility=specimen.mobility_m_per_n_s,
+        w_per_i=w_per_i,
+        w_per_s=w_per_s,
+        w_per_last_i=w_per_last_i,
+        w_per_last_s=w_per_last_s,
+        rate0=rate0,
+        rate1=rate1 / step,
+        rate2=rate2 / step,
+        rate3=rate3 / step,
+        soft=stiffness * (h38 * (h38 * per_mass + w_per_i) + compliance),
+        drag=dashpot * (h38 * per_mass + w_per_s + compliance * rate0),
+        rest=chains.static_overlap[last] + compliance * chains.static_force[last],
+    )
+
+
+@_step
+def _last_at_rest(contact: Contact, zero: Any) -> Last:
+    """Return the last body under its static load."""
+    c = contact.static_overlap
+    held = 0.4 * contact.stiffness * c**2.5 + 0.5 * contact.compliance * contact.static_force**2
+    overlap = zero + c
+    return Last(
+        u=zero,
+        v0=zero,
+        v1=zero,
+        v2=zero,
+        v3=zero,
+        f0=zero,
+        f1=zero,
+        f2=zero,
+        impulse=zero,
+        i1=zero,
+        i2=zero,
+        s0=zero,
+        s1=zero,
+        s2=zero,
+        total=zero,
+        overlap=overlap,
+        d0=overlap,
+        d1=overlap,
+        d2=overlap,
+        stretch=zero + contact.rest,
+        stored=zero + held,
+        dissipated=zero,
+    )
+
+
+@_step
+def _energy_at_first(chains: Chains, speed: Any, compliance: float) -> Any:
+    """Energy of all contacts and of the striker."""
+    last = chains.mass.shape[0] - 1
+    energy = 0.5 * chains.mass[0] * speed * speed + 0.5 * compliance * chains.static_force[last] ** 2
+    for i in range(last + 1):
+        energy = energy + 0.4 * chains.stiffness[i] * chains.static_overlap[i] ** 2.5
+    return energy
+
+
+@_step
 def _struck_twice(
-    x: FloatArray,
-    row: int,
-    width: int,
-    k: int,
-    mass: float,
-    stiffness: float,
-    gravity: float,
-    step: float,
-    n: int,
+    bodies: Bodies,
+    chains: Chains,
     launch_speed: FloatArray,
+    n: int,
+    k: int,
+    width: int,
+    step: float,
     speed: float,
 ) -> float:
     """Let the striker of lane `k` touch the body below it again at step `n`; returns the energy this gives.
@@ -140,64 +274,338 @@ def _struck_twice(
     It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
     the body below.
     """
-    p = x[OVERLAP * row + k]
-    gained = 0.5 * mass * (speed**2 - x[V0 * row + k] ** 2) - 0.4 * stiffness * p**2.5
-    gained -= mass * gravity * (x[U * row + width + k] - x[U * row + k])
-    impulse = x[TOTAL * row + width + k]
-    x[IMPULSE * row + k] = impulse
-    x[U * row + k] = x[U * row + width + k]
-    for past in range(4):
-        x[(V0 + past) * row + k] = speed - past * step * gravity
-    for past in range(3):
-        x[(F0 + past) * row + k] = 0.0
-    x[OVERLAP * row + k] = x[GAP * row + k] = 0.0
+    gravity, mass = chains.gravity, chains.mass[0]
+    below = width + k
+    pressed = 0.4 * chains.stiffness[0] * bodies.overlap[k] ** 2.5
+    gained = 0.5 * mass * (speed**2 - bodies.v0[k] ** 2) - pressed
+    gained -= mass * gravity * (bodies.u[below] - bodies.u[k])
+    impulse = bodies.given[below]
+    bodies.impulse[k] = impulse
+    bodies.u[k] = bodies.u[below]
+    bodies.v0[k] = speed
+    bodies.v1[k] = speed - step * gravity
+    bodies.v2[k] = speed - 2.0 * step * gravity
+    bodies.v3[k] = speed - 3.0 * step * gravity
+    bodies.f0[k] = bodies.f1[k] = bodies.f2[k] = 0.0
+    bodies.overlap[k] = bodies.gap[k] = 0.0
     launch_speed[k] = speed - gravity * (n * step) + impulse / mass
-    return float(gained)
+    return gained
+
+
+@_step
+def _turn_modes_of_one(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last) -> None:
+    """Advance the modes of a plate under a single shot; sums of every eighth mode's deflection.
+
+    The sums lack this step's own impulse. What the last step gave is added at the end: nothing else needs
+    to wait for its contact.
+    """
+    sum_of_blocks = broadcast(0.0, BLOCK)
+    i0, i1, i2, s0 = lane(last.impulse, 0), lane(last.i1, 0), lane(last.i2, 0), lane(last.s0, 0)
+    for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+        k = b * BANK_ROWS * BLOCK
+        m = 2 * b * BLOCK
+        y_re, y_im = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
+        cos, sin = load(bank, k, BLOCK), load(bank, k + BLOCK, BLOCK)
+        re = fma(load(bank, k + 4 * BLOCK, BLOCK), i1, cos * y_re)
+        im = fma(load(bank, k + 5 * BLOCK, BLOCK), i1, cos * y_im)
+        re = fma(load(bank, k + 6 * BLOCK, BLOCK), i2, re)
+        im = fma(load(bank, k + 7 * BLOCK, BLOCK), i2, im)
+        re = fma(sin, y_im, re)
+        im = fma(sin, 0.0 - y_re, im)
+        sum_of_blocks = sum_of_blocks + re
+        re = fma(load(bank, k + 8 * BLOCK, BLOCK), s0, re)
+        im = fma(load(bank, k + 9 * BLOCK, BLOCK), s0, im)
+        store(y, m, fma(load(bank, k + 2 * BLOCK, BLOCK), i0, re))
+        store(y, m + BLOCK, fma(load(bank, k + 3 * BLOCK, BLOCK), i0, im))
+    store(sums, 0, sum_of_blocks)
+
+
+@_step
+def _turn_modes_of_many(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> None:
+    """Do the same for shots side by side, with the same sums."""
+    for j in range(BLOCK):
+        store(sums, j * width, broadcast(0.0, width))
+    for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+        for j in range(BLOCK):
+            k = b * BANK_ROWS * BLOCK + j
+            m = 2 * (b * BLOCK + j) * width
+            y_re, y_im = load(y, m, width), load(y, m + width, width)
+            cos, sin = bank[k], bank[k + BLOCK]
+            re = fma(bank[k + 4 * BLOCK], last.i1, cos * y_re)
+            im = fma(bank[k + 5 * BLOCK], last.i1, cos * y_im)
+            re = fma(bank[k + 6 * BLOCK], last.i2, re)
+            im = fma(bank[k + 7 * BLOCK], last.i2, im)
+            re = fma(sin, y_im, re)
+            im = fma(-sin, y_re, im)
+            store(sums, j * width, load(sums, j * width, width) + re)
+            re = fma(bank[k + 8 * BLOCK], last.s0, re)
+            im = fma(bank[k + 9 * BLOCK], last.s0, im)
+            store(y, m, fma(bank[k + 2 * BLOCK], last.impulse, re))
+            store(y, m + width, fma(bank[k + 3 * BLOCK], last.impulse, im))
+
+
+@_step
+def _sum_of_eight(sums: FloatArray, width: int) -> Any:
+    front = load(sums, 0, width) + load(sums, width, width)
+    front = front + (load(sums, 2 * width, width) + load(sums, 3 * width, width))
+    back = load(sums, 4 * width, width) + load(sums, 5 * width, width)
+    return front + (back + (load(sums, 6 * width, width) + load(sums, 7 * width, width)))
+
+
+@_step
+def _predict_places(bodies: Bodies, last: Last, row_of_last: int, size: int, h24: float) -> None:
+    for k in range(0, size, BLOCK):
+        past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
+        past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
+        past = fma(load(bodies.v0, k, BLOCK), 55.0, past)
+        store(bodies.ahead, k, fma(past, h24, load(bodies.u, k, BLOCK)))
+    past = fma(last.v0, 55.0, fma(last.v1, -59.0, fma(last.v2, 37.0, -9.0 * last.v3)))
+    store(bodies.ahead, row_of_last, fma(past, h24, last.u))
+
+
+@_step
+def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
+    """Find what every body gets from above, from the predicted overlaps; `striker`: what moves that one."""
+    store(bodies.given, 0, striker)
+    for k in range(0, size, BLOCK):
+        q = load(bodies.static_overlap, k, BLOCK)
+        p = positive(load(bodies.ahead, k, BLOCK) - load(bodies.ahead, k + width, BLOCK) + q)
+        f = load(bodies.stiffness, k, BLOCK) * p * sqrt(p) - load(bodies.static_force, k, BLOCK)
+        past = fma(load(bodies.f1, k, BLOCK), -5.0, load(bodies.f2, k, BLOCK))
+        past = fma(load(bodies.f0, k, BLOCK), 19.0, past)
+        given = fma(fma(f, 9.0, past), h24, load(bodies.impulse, k, BLOCK))
+        given = fma(load(bodies.dashpot, k, BLOCK), _raised(p, law) - _raised(q, law), given)
+        store(bodies.given, k + width, given)
+
+
+@_step
+def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
+    """Correct velocities and displacements of all bodies but the last."""
+    for k in range(0, size, BLOCK):
+        v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
+        v = v * load(bodies.per_mass, k, BLOCK)
+        v0, v1, v2 = load(bodies.v0, k, BLOCK), load(bodies.v1, k, BLOCK), load(bodies.v2, k, BLOCK)
+        past = fma(v0, 19.0, fma(v1, -5.0, v2))
+        store(bodies.u, k, fma(fma(v, 9.0, past), h24, load(bodies.u, k, BLOCK)))
+        store(bodies.v3, k, v2)
+        store(bodies.v2, k, v1)
+        store(bodies.v1, k, v0)
+        store(bodies.v0, k, v)
+
+
+@_step
+def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: int, linear: bool) -> Any:
+    """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for the square root of p; zero where d_free is negative.
+
+    Two steps with the slope where the last three overlaps point; that slope waits for nothing.
+    """
+    soft, drag = contact.soft, contact.drag
+    root = sqrt(positive(3.0 * (last.d0 - last.d1) + last.d2))
+    p = root * root
+    if linear:
+        slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
+    else:
+        slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, law)) * root
+    per_slope = 1.0 / slope
+    change = zero
+    for _ in range(2):
+        p = root * root
+        if linear:
+            change = (d_free - fma(root, soft, zero + (1.0 + drag)) * p) * per_slope
+        else:
+            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, law)
+            change = miss * per_slope
+        root = root + change
+    # Newton's method where that has not converged or, after a touch, had no start: from the overlap that
+    # there would be without the spring.
+    going = unless_within(absolute(change), CHORD_TOLERANCE * root, zero + 1.0, zero)
+    root = where_greater(going, zero, sqrt(positive(d_free * (1.0 / (1.0 + drag)))), root)
+    going = where_greater(d_free, zero, going, zero)
+    for _ in range(60):
+        if all_positive(0.5 - going):
+            break
+        p = root * root
+        if linear:
+            miss = d_free - fma(root, soft, zero + (1.0 + drag)) * p
+            slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
+        else:
+            miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, law)
+            slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, law)) * root
+        change = miss / slope
+        root = where_greater(going, zero, root + change, root)
+        going = where_greater(absolute(change), NEWTON_TOLERANCE * root, going, zero)
+    return where_greater(d_free, zero, root, zero)
+
+
+@_step
+def _press_plate(
+    last: Last, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
+) -> Last:
+    """Solve the plate's contact and move the last body; `above`: what this gets from the contact above."""
+    h24 = contact.step / 24.0
+    h38 = 9.0 * h24
+    n_plate, s_plate, per_mass = contact.static_force, contact.static_dashpot, contact.per_mass
+    past_f = fma(last.f0, 19.0, fma(last.f1, -5.0, last.f2))
+    past_v = fma(last.v0, 19.0, fma(last.v1, -5.0, last.v2))
+    known = fma(past_f - 9.0 * n_plate, h24, last.impulse)
+    past_rate = contact.rate1 * last.s0 + contact.rate2 * last.s1 + contact.rate3 * last.s2
+    w_known = w_free + contact.w_per_i * known - contact.w_per_s * s_plate
+    w_known = w_known + contact.compliance * (past_rate - (contact.rate0 * s_plate + n_plate))
+    u_known = fma(fma((above - known + s_plate) * per_mass, 9.0, past_v), h24, last.u)
+    d_free = u_known - w_known + contact.static_overlap
+    root = _root_of_overlap(d_free, last, contact, zero, law, linear)
+    p = root * root
+    hertz = contact.stiffness * p * root
+    d = where_greater(d_free, zero, p, d_free)
+    s = contact.dashpot * _raised(p, law) - s_plate
+    total = known + h38 * hertz + s
+    v = (above - total) * per_mass
+    f = hertz - n_plate
+    force = hertz + contact.rate0 * s + past_rate
+    stored = 0.4 * hertz * p + 0.5 * contact.compliance * force * force
+    stored = where_greater(p, zero, stored, zero)
+    stretch = d + contact.compliance * force
+    dissipated = _dissipated_at_plate(last, contact, p, s, total, stretch, stored, zero)
+    return Last(
+        u=fma(fma(v, 9.0, past_v), h24, last.u),
+        v0=v,
+        v1=last.v0,
+        v2=last.v1,
+        v3=last.v2,
+        f0=f,
+        f1=last.f0,
+        f2=last.f1,
+        impulse=fma(fma(f, 9.0, past_f), h24, last.impulse),
+        i1=last.impulse,
+        i2=last.i1,
+        s0=s,
+        s1=last.s0,
+        s2=last.s1,
+        total=total,
+        overlap=p,
+        d0=d,
+        d1=last.d0,
+        d2=last.d1,
+        stretch=stretch,
+        stored=stored,
+        dissipated=dissipated,
+    )
+
+
+@_step
+def _dissipated_at_plate(
+    last: Last, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
+) -> Any:
+    """Book what the plate's contact and, at its release, the cut modes lose in a step."""
+    impulse = total - last.total
+    # Touching for the part of the step in which `stretch` is positive.
+    part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
+    part = where_greater(zero, last.stretch, part, zero + 1.0)
+    touching = (s + contact.static_dashpot) * p / part
+    work = (impulse + contact.static_force * contact.step) * (stretch - last.stretch)
+    opening = work - contact.step * (stored - last.stored)
+    lost = where_greater(last.overlap, zero, (s - last.s0) * (p - last.overlap), touching)
+    lost = where_greater(p, zero, lost, opening)
+    return last.dissipated + lost + contact.mobility * impulse * impulse
+
+
+@_step
+def _settle(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
+    """Correct the forces inside the chain and their impulses, and book what the dashpots take."""
+    for k in range(0, size, BLOCK):
+        d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
+        d = d + load(bodies.static_overlap, k, BLOCK)
+        p = positive(d)
+        f = load(bodies.stiffness, k, BLOCK) * p * sqrt(p)
+        f = f - load(bodies.static_force, k, BLOCK)
+        f0, f1 = load(bodies.f0, k, BLOCK), load(bodies.f1, k, BLOCK)
+        past = fma(f0, 19.0, fma(f1, -5.0, load(bodies.f2, k, BLOCK)))
+        store(bodies.impulse, k, fma(fma(f, 9.0, past), h24, load(bodies.impulse, k, BLOCK)))
+        store(bodies.f2, k, f1)
+        store(bodies.f1, k, f0)
+        store(bodies.f0, k, f)
+        taken = _raised(p, law) - _raised(load(bodies.overlap, k, BLOCK), law)
+        taken = taken * load(bodies.dashpot, k, BLOCK)
+        taken = fma(taken, d - load(bodies.gap, k, BLOCK), load(bodies.dissipated, k, BLOCK))
+        store(bodies.dissipated, k, taken)
+        store(bodies.gap, k, d)
+        store(bodies.overlap, k, p)
+
+
+@_step
+def _force(
+    i: int, bodies: Bodies, last: Last, contact: Contact, chains: Chains, closing: Any, width: int, law: int
+) -> Any:
+    """Force of contact i; `closing`: rate at which the one with the plate is pressed."""
+    if i < chains.mass.shape[0] - 1:
+        p = load(bodies.overlap, i * width, width)
+        rate = load(bodies.v0, i * width, width) - load(bodies.v0, (i + 1) * width, width)
+        hertz = load(bodies.f0, i * width, width) + chains.static_force[i]
+    else:
+        p = last.overlap
+        rate = closing
+        hertz = last.f0 + contact.static_force
+    dashpot = load(chains.dashpot, i * width, width) * _raised_slope(p, law) * rate
+    zero = broadcast(0.0, width)
+    return where_greater(p, zero, hertz + dashpot, zero)
+
+
+@_step
+def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chains, width: int) -> Any:
+    """Energy of chain and contacts, and what left them, but for the modes of the plate."""
+    n_last = chains.mass.shape[0] - 1
+    spent = last.dissipated
+    for i in range(n_last):
+        spent = spent + load(bodies.dissipated, i * width, width)
+    energy = spent * (1.0 / contact.step) + chains.retainer_force * last.u
+    energy = energy + contact.static_force * (last.u - last.stretch + contact.rest) + last.stored
+    energy = energy - chains.precompression * load(bodies.u, width, width)
+    for i in range(n_last + 1):
+        v = load(bodies.v0, i * width, width)
+        fallen = load(bodies.u, i * width, width)
+        energy = energy + 0.5 * chains.mass[i] * v * v - chains.mass[i] * chains.gravity * fallen
+        if i < n_last:
+            q = load(bodies.overlap, i * width, width)
+            energy = energy + 0.4 * chains.stiffness[i] * q * q * sqrt(q)
+    return energy
+
+
+@_step
+def _energy_of_modes(y: FloatArray, sums: FloatArray, bank: FloatArray, last: Last, width: int) -> Any:
+    for j in range(BLOCK):
+        store(sums, j * width, broadcast(0.0, width))
+    for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
+        for j in range(BLOCK):
+            k = b * BANK_ROWS * BLOCK + j
+            if width == 1:
+                m = 2 * b * BLOCK + j
+                re, im = load(y, m, width), load(y, m + BLOCK, width)
+            else:
+                m = 2 * (b * BLOCK + j) * width
+                re, im = load(y, m, width), load(y, m + width, width)
+            bent = re + bank[k + 12 * BLOCK] * last.impulse + bank[k + 14 * BLOCK] * last.s0
+            moving = im + bank[k + 13 * BLOCK] * last.impulse + bank[k + 15 * BLOCK] * last.s0
+            bent = bent * bank[k + 10 * BLOCK]
+            moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (last.impulse + last.s0)
+            bent = load(sums, j * width, width) + 0.5 * (moving * moving + bent * bent)
+            store(sums, j * width, bent)
+    return _sum_of_eight(sums, width)
 
 
 @cache
 def kernel(width: int, linear: bool) -> Callable[..., None]:
     """Compile the time loop for `width` shots side by side, with linear dashpots or with any.
 
-    The function returned fills its last four arguments::
+    The function returned fills the arrays of `found`::
 
-        integrate(mass, stiffness, damping, static_force, static_overlap, gravity, impact_speed, second_step,
-                  second_speed, sensor, retainer_force, precompression, law, step, bank, residual_compliance,
-                  mobility, interval, sensor_force, contact_force, residual_j, reflection_step)
+        integrate(chains, strikes, specimen, law, step, interval, found)
 
-    mass, stiffness, static_force, static_overlap, gravity, sensor, precompression
-        The fields of `granular_chain.Chain`.
-    damping
-        float64, shape (n_bodies * width,): `Chain.dashpot_impulse_n_s_per_m` of every shot, the shots of
-        a contact side by side.
-    impact_speed
-        float64, shape (width,).
-    second_step, second_speed
-        int64 and float64, shape (width,): at this step the striker, taken off before, touches the body below
-        with that speed; a negative step: it strikes once.
-    retainer_force
-        Constant force that carries the last sphere where there is no specimen; zero elsewhere.
     law
         Index of the dashpots' exponent in `LAWS_OF_DAMPING`.
     step
         h in s.
-    bank
-        float64, shape (n_blocks * BANK_ROWS * BLOCK,): `modal_weights.modal_weights`.
-    residual_compliance
-        C of the modes above the cut, m/N.
-    mobility
-        Speed per force of an infinite thin plate, m/(s N); zero for every other specimen.
     interval
         The energy balance is drawn up every so many steps and at the end.
-    sensor_force
-        float64, shape (n_steps * width,).
-    contact_force
-        float64, shape (n_bodies * n_steps * width,) for the force of every contact, (0,) where nobody asks.
-    residual_j
-        float64, shape (width,): largest defect of the energy balance.
-    reflection_step
-        float64, shape (width,): step of the largest force between chain and plate; there the incident
-        wave turns round.
     """
     made: Callable[..., None] = _compiled(_time_loop(width, linear))
     return made
@@ -205,389 +613,82 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
     def integrate(
-        mass: FloatArray,
-        stiffness: FloatArray,
-        damping: FloatArray,
-        static_force: FloatArray,
-        static_overlap: FloatArray,
-        gravity: float,
-        impact_speed: FloatArray,
-        second_step: IntegerArray,
-        second_speed: FloatArray,
-        sensor: int,
-        retainer_force: float,
-        precompression: float,
+        chains: Chains,
+        strikes: Strikes,
+        specimen: Propagator,
         law_of_damping: int,
         step: float,
-        bank: FloatArray,
-        residual_compliance: float,
-        mobility: float,
         interval: int,
-        sensor_force: FloatArray,
-        contact_force: FloatArray,
-        residual_j: FloatArray,
-        reflection_step: FloatArray,
+        found: Found,
     ) -> None:
-        LAW = 0 if LINEAR else law_of_damping  # known while compiling where it is linear
-        last = mass.shape[0] - 1
-        n_blocks = bank.shape[0] // (BANK_ROWS * BLOCK)
-        n_steps = sensor_force.shape[0] // W
-        observed = contact_force.shape[0] > 0
+        law = 0 if LINEAR else law_of_damping  # known while compiling where it is linear
+        last_body = chains.mass.shape[0] - 1
+        size = -(-last_body * W // BLOCK) * BLOCK
+        n_steps = found.sensor_force.shape[0] // W
+        bank = specimen.bank
         h24 = step / 24.0
-        h38 = 9.0 * h24
         zero = broadcast(0.0, W)
-        speed = load(impact_speed, 0, W)
-
-        # All bodies but the last, body after body, of each all shots; BLOCK numbers are treated at a time.
-        # What fills the last block up has neither stiffness nor dashpot nor speed.
-        size = -(-last * W // BLOCK) * BLOCK
-        row = size + W + BLOCK
-        x = np.zeros(ROWS * row)
-        for i in range(last):
-            for k in range(i * W, i * W + W):
-                x[OVERLAP * row + k] = x[GAP * row + k] = x[STATIC_OVERLAP * row + k] = static_overlap[i]
-                x[STATIC_FORCE * row + k] = static_force[i]
-                x[STIFFNESS * row + k] = stiffness[i]
-                x[DAMPING * row + k] = damping[k]
-                x[INVERSE_MASS * row + k] = 1.0 / mass[i]
-        # Before first touch the striker fell freely and all else stood still: an exact history.
-        store(x, V0 * row, speed)
-        store(x, V1 * row, speed - step * gravity)
-        store(x, V2 * row, speed - 2.0 * step * gravity)
-        store(x, V3 * row, speed - 3.0 * step * gravity)
-        # The last body.
-        u = v0 = v1 = v2 = v3 = f0 = f1 = f2 = impulse = total = zero
-        overlap = zero + static_overlap[last]
-        per_mass = 1.0 / mass[last]
-
-        y = np.zeros(2 * n_blocks * BLOCK * W)
+        speed = load(strikes.speed, 0, W)
+        bodies = _bodies_at_rest(chains, speed, step, W)
+        contact = _contact(chains, specimen, step, W, law, LINEAR)
+        last = _last_at_rest(contact, zero)
+        y = np.zeros(bank.shape[0] // (BANK_ROWS * BLOCK) * 2 * BLOCK * W)  # two numbers a mode
         sums = np.zeros(BLOCK * W)
-        i1 = i2 = zero  # I at the plate's contact one and two steps ago; `impulse` is the latest
-        s0 = s1 = s2 = zero  # S
-        w_per_i = w_per_s = mobility  # deflection by this step's own I and S
-        w_per_last_i = w_per_last_s = 0.0  # and by the last step's
-        for b in range(n_blocks):
-            for j in range(BLOCK):
-                k = b * BANK_ROWS * BLOCK + j
-                w_per_i += bank[k + 12 * BLOCK]
-                w_per_s += bank[k + 14 * BLOCK]
-                w_per_last_i += bank[k + 2 * BLOCK]
-                w_per_last_s += bank[k + 8 * BLOCK]
-        a_plate = stiffness[last]
-        g_plate = damping[last * W]  # of all shots
-        n_plate = static_force[last]
-        s_plate = g_plate * lane(_raised(broadcast(static_overlap[last], 1), LAW), 0)
-        # What 1 / gamma must make up for; see the head of this module.
-        active = residual_compliance / (12.0 * step) + step / (3.0 * mass[last])
-        if LINEAR and g_plate * active <= ACTIVE_PART_LIMIT:
-            rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
-        else:
-            rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
-        rate0 /= step
-        rate1 /= step
-        rate2 /= step
-        rate3 /= step
-        soft = a_plate * (h38 * (h38 * per_mass + w_per_i) + residual_compliance)
-        drag = g_plate * (h38 * per_mass + w_per_s + residual_compliance * rate0)
-
-        dissipated = zero  # at the plate, times the step
-        worst = zero
-        energy = 0.5 * mass[0] * speed * speed + 0.5 * residual_compliance * n_plate**2
-        for i in range(last + 1):
-            energy = energy + 0.4 * stiffness[i] * static_overlap[i] ** 2.5
         given_energy = np.zeros(W)  # with the strikes
-        store(given_energy, 0, energy)
-        launch_speed = impact_speed.copy()
-        # Contact and cut modes in series: together compressed by `stretch`, which has no jumps.
-        rest = static_overlap[last] + residual_compliance * n_plate
-        stretch = zero + rest
-        # In the cut modes; they hold nothing while the contact is open.
-        stored = zero + (0.4 * a_plate * static_overlap[last] ** 2.5 + 0.5 * residual_compliance * n_plate**2)
-        past0 = past1 = past2 = zero + static_overlap[last]  # d at the plate now, one and two steps ago
-        largest = turn = zero
-        store(sensor_force, 0, zero + 0.5 * (static_force[sensor - 1] + static_force[sensor]))
-        if observed:
-            for i in range(last + 1):
-                store(contact_force, i * n_steps * W, zero + static_force[i])
-
-        def sum_of_eight() -> Any:
-            front = (load(sums, 0, W) + load(sums, W, W)) + (load(sums, 2 * W, W) + load(sums, 3 * W, W))
-            back = load(sums, 4 * W, W) + load(sums, 5 * W, W)
-            return front + (back + (load(sums, 6 * W, W) + load(sums, 7 * W, W)))
-
-        def force_at(i: int, at_plate: Any) -> Any:
-            if i < last:
-                p = load(x, OVERLAP * row + i * W, W)
-                rate = load(x, V0 * row + i * W, W) - load(x, V0 * row + (i + 1) * W, W)
-                hertz = load(x, F0 * row + i * W, W) + static_force[i]
-            else:
-                p = overlap
-                rate = at_plate
-                hertz = f0 + n_plate
-            dashpot = load(damping, i * W, W) * _raised_slope(p, LAW) * rate
-            return where_greater(p, zero, hertz + dashpot, zero)
+        store(given_energy, 0, _energy_at_first(chains, speed, contact.compliance))
+        launch_speed = strikes.speed.copy()
+        worst = largest = turn = zero
+        for i in range(last_body + 1):
+            if found.contact_force.shape[0]:
+                store(found.contact_force, i * n_steps * W, zero + chains.static_force[i])
+        at_sensor = chains.static_force[chains.sensor - 1] + chains.static_force[chains.sensor]
+        store(found.sensor_force, 0, zero + 0.5 * at_sensor)
 
         for n in range(1, n_steps):
             for k in range(W):
-                if n - 1 == second_step[k]:
-                    gained = _struck_twice(
-                        x,
-                        row,
-                        W,
-                        k,
-                        mass[0],
-                        stiffness[0],
-                        gravity,
-                        step,
-                        n - 1,
-                        launch_speed,
-                        second_speed[k],
-                    )
+                if n - 1 == strikes.second_step[k]:
+                    second_speed = strikes.second_speed[k]
+                    gained = _struck_twice(bodies, chains, launch_speed, n - 1, k, W, step, second_speed)
                     given_energy[k] += gained
 
-            # The plate's deflection but for this step's own impulse, in sums of every eighth mode. What the
-            # last step gave is added at the end: nothing else needs to wait for its contact.
             if W == 1:
-                sum_of_blocks = broadcast(0.0, BLOCK)
-                i0_, i1_, i2_, s0_ = lane(impulse, 0), lane(i1, 0), lane(i2, 0), lane(s0, 0)
-                for b in range(n_blocks):
-                    k = b * BANK_ROWS * BLOCK
-                    m = 2 * b * BLOCK
-                    y_re, y_im = load(y, m, BLOCK), load(y, m + BLOCK, BLOCK)
-                    cos, sin = load(bank, k, BLOCK), load(bank, k + BLOCK, BLOCK)
-                    re = fma(load(bank, k + 4 * BLOCK, BLOCK), i1_, cos * y_re)
-                    im = fma(load(bank, k + 5 * BLOCK, BLOCK), i1_, cos * y_im)
-                    re = fma(load(bank, k + 6 * BLOCK, BLOCK), i2_, re)
-                    im = fma(load(bank, k + 7 * BLOCK, BLOCK), i2_, im)
-                    re = fma(sin, y_im, re)
-                    im = fma(sin, 0.0 - y_re, im)
-                    sum_of_blocks = sum_of_blocks + re
-                    re = fma(load(bank, k + 8 * BLOCK, BLOCK), s0_, re)
-                    im = fma(load(bank, k + 9 * BLOCK, BLOCK), s0_, im)
-                    store(y, m, fma(load(bank, k + 2 * BLOCK, BLOCK), i0_, re))
-                    store(y, m + BLOCK, fma(load(bank, k + 3 * BLOCK, BLOCK), i0_, im))
-                store(sums, 0, sum_of_blocks)
+                _turn_modes_of_one(y, sums, bank, last)
             else:
-                for j in range(BLOCK):
-                    store(sums, j * W, zero)
-                for b in range(n_blocks):
-                    for j in range(BLOCK):
-                        k = b * BANK_ROWS * BLOCK + j
-                        m = 2 * (b * BLOCK + j) * W
-                        y_re, y_im = load(y, m, W), load(y, m + W, W)
-                        cos, sin = bank[k], bank[k + BLOCK]
-                        re = fma(bank[k + 4 * BLOCK], i1, cos * y_re)
-                        im = fma(bank[k + 5 * BLOCK], i1, cos * y_im)
-                        re = fma(bank[k + 6 * BLOCK], i2, re)
-                        im = fma(bank[k + 7 * BLOCK], i2, im)
-                        re = fma(sin, y_im, re)
-                        im = fma(-sin, y_re, im)
-                        store(sums, j * W, load(sums, j * W, W) + re)
-                        re = fma(bank[k + 8 * BLOCK], s0, re)
-                        im = fma(bank[k + 9 * BLOCK], s0, im)
-                        store(y, m, fma(bank[k + 2 * BLOCK], impulse, re))
-                        store(y, m + W, fma(bank[k + 3 * BLOCK], impulse, im))
-            w_free = fma(impulse, w_per_last_i, fma(s0, w_per_last_s, sum_of_eight()))
+                _turn_modes_of_many(y, sums, bank, last, W)
+            w_free = fma(last.s0, contact.w_per_last_s, _sum_of_eight(sums, W))
+            w_free = fma(last.impulse, contact.w_per_last_i, w_free)
+            _predict_places(bodies, last, last_body * W, size, h24)
+            striker = chains.mass[0] * (load(launch_speed, 0, W) + chains.gravity * (n * step))
+            _predict_impulses(bodies, striker, size, W, h24, law)
+            above = load(bodies.given, last_body * W, W)
+            _move(bodies, size, W, h24)
 
-            # Predict the overlaps inside the chain and with them the impulses.
-            for k in range(0, size, BLOCK):
-                past = fma(load(x, V2 * row + k, BLOCK), 37.0, -9.0 * load(x, V3 * row + k, BLOCK))
-                past = fma(load(x, V1 * row + k, BLOCK), -59.0, past)
-                past = fma(load(x, V0 * row + k, BLOCK), 55.0, past)
-                store(x, AHEAD * row + k, fma(past, h24, load(x, U * row + k, BLOCK)))
-            past = fma(v0, 55.0, fma(v1, -59.0, fma(v2, 37.0, -9.0 * v3)))
-            store(x, AHEAD * row + last * W, fma(past, h24, u))
-            # What moves the striker.
-            store(x, TOTAL * row, mass[0] * (load(launch_speed, 0, W) + gravity * (n * step)))
-            for k in range(0, size, BLOCK):
-                q = load(x, STATIC_OVERLAP * row + k, BLOCK)
-                p_ = load(x, AHEAD * row + k, BLOCK) - load(x, AHEAD * row + k + W, BLOCK) + q
-                p_ = positive(p_)
-                f = load(x, STIFFNESS * row + k, BLOCK) * p_ * sqrt(p_) - load(
-                    x, STATIC_FORCE * row + k, BLOCK
-                )
-                past = fma(load(x, F1 * row + k, BLOCK), -5.0, load(x, F2 * row + k, BLOCK))
-                past = fma(load(x, F0 * row + k, BLOCK), 19.0, past)
-                given = fma(fma(f, 9.0, past), h24, load(x, IMPULSE * row + k, BLOCK))
-                given = fma(load(x, DAMPING * row + k, BLOCK), _raised(p_, LAW) - _raised(q, LAW), given)
-                store(x, TOTAL * row + k + W, given)
-            above = load(x, TOTAL * row + last * W, W)
-
-            # Correct velocities and displacements of all bodies but the last.
-            for k in range(0, size, BLOCK):
-                v = load(x, TOTAL * row + k, BLOCK) - load(x, TOTAL * row + k + W, BLOCK)
-                v = v * load(x, INVERSE_MASS * row + k, BLOCK)
-                v0_, v1_, v2_ = (
-                    load(x, V0 * row + k, BLOCK),
-                    load(x, V1 * row + k, BLOCK),
-                    load(x, V2 * row + k, BLOCK),
-                )
-                past = fma(v0_, 19.0, fma(v1_, -5.0, v2_))
-                store(x, U * row + k, fma(fma(v, 9.0, past), h24, load(x, U * row + k, BLOCK)))
-                store(x, V3 * row + k, v2_)
-                store(x, V2 * row + k, v1_)
-                store(x, V1 * row + k, v0_)
-                store(x, V0 * row + k, v)
-
-            # Solve the plate's contact: p + (..) p^q + (..) p^(3/2) = overlap without any new force, for
-            # the square root of p.
-            past_f = fma(f0, 19.0, fma(f1, -5.0, f2))
-            past_v = fma(v0, 19.0, fma(v1, -5.0, v2))
-            known = fma(past_f - 9.0 * n_plate, h24, impulse)
-            past_rate = rate1 * s0 + rate2 * s1 + rate3 * s2
-            w_known = w_free + w_per_i * known - w_per_s * s_plate
-            w_known = w_known + residual_compliance * (past_rate - (rate0 * s_plate + n_plate))
-            u_known = fma(fma((above - known + s_plate) * per_mass, 9.0, past_v), h24, u)
-            d_free = u_known - w_known + static_overlap[last]
-            # Two steps with the slope where the last three overlaps point; that slope waits for nothing.
-            root = sqrt(positive(3.0 * (past0 - past1) + past2))
-            p = root * root
-            if LINEAR:
-                slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
-            else:
-                slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, LAW)) * root
-            per_slope = 1.0 / slope
-            change = zero
-            for _ in range(2):
-                p = root * root
-                if LINEAR:
-                    change = (d_free - fma(root, soft, zero + (1.0 + drag)) * p) * per_slope
-                else:
-                    miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, LAW)
-                    change = miss * per_slope
-                root = root + change
-            # Newton's method where that has not converged or, after a touch, had no start: from the overlap
-            # that there would be without the spring.
-            going = unless_within(absolute(change), CHORD_TOLERANCE * root, zero + 1.0, zero)
-            root = where_greater(going, zero, sqrt(positive(d_free * (1.0 / (1.0 + drag)))), root)
-            going = where_greater(d_free, zero, going, zero)
-            for _ in range(60):
-                if all_positive(0.5 - going):
-                    break
-                p = root * root
-                if LINEAR:
-                    miss = d_free - fma(root, soft, zero + (1.0 + drag)) * p
-                    slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
-                else:
-                    miss = d_free - fma(root, soft, zero + 1.0) * p - drag * _raised(p, LAW)
-                    slope = (fma(root, 3.0 * soft, zero + 2.0) + 2.0 * drag * _raised_slope(p, LAW)) * root
-                change = miss / slope
-                root = where_greater(going, zero, root + change, root)
-                going = where_greater(absolute(change), NEWTON_TOLERANCE * root, going, zero)
-            root = where_greater(d_free, zero, root, zero)
-            p = root * root
-            hertz = a_plate * p * root
-            d_plate = where_greater(d_free, zero, p, d_free)
-            old_total = total
-            s = g_plate * _raised(p, LAW) - s_plate
-            total = known + h38 * hertz + s
-
-            # Correct the last body, too.
-            v = (above - total) * per_mass
-            u = fma(fma(v, 9.0, past_v), h24, u)
-            v3 = v2
-            v2 = v1
-            v1 = v0
-            v0 = v
-            store(x, U * row + last * W, u)
-            store(x, V0 * row + last * W, v)
-
-            # What the plate's contact and, at its release, the cut modes lose.
-            old_overlap, old_stretch, old_stored = overlap, stretch, stored
-            overlap = p
-            f = hertz - n_plate
-            i2 = i1
-            i1 = impulse
-            impulse = fma(fma(f, 9.0, past_f), h24, impulse)
-            f2 = f1
-            f1 = f0
-            f0 = f
-            force = hertz + rate0 * s + past_rate
-            stretch = d_plate + residual_compliance * force
-            stored = 0.4 * hertz * p + 0.5 * residual_compliance * force * force
-            stored = where_greater(p, zero, stored, zero)
-            impulse_step = total - old_total
-            # Touching for the part of the step in which `stretch` is positive.
-            part = where_greater(stretch, zero, stretch / (stretch - old_stretch), zero + 1.0)
-            part = where_greater(zero, old_stretch, part, zero + 1.0)
-            touching = (s + s_plate) * p / part
-            work = (impulse_step + n_plate * step) * (stretch - old_stretch)
-            opening = work - step * (stored - old_stored)
-            lost = where_greater(old_overlap, zero, (s - s0) * (p - old_overlap), touching)
-            lost = where_greater(p, zero, lost, opening)
-            dissipated = dissipated + lost + mobility * impulse_step * impulse_step
-            s2 = s1
-            s1 = s0
-            s0 = s
-            turn = where_greater(f, largest, zero + float(n), turn)
-            largest = where_greater(f, largest, f, largest)
-
-            # Correct the forces and their impulses.
-            for k in range(0, size, BLOCK):
-                d = load(x, U * row + k, BLOCK) - load(x, U * row + k + W, BLOCK)
-                d = d + load(x, STATIC_OVERLAP * row + k, BLOCK)
-                p_ = positive(d)
-                f_ = load(x, STIFFNESS * row + k, BLOCK) * p_ * sqrt(p_)
-                f_ = f_ - load(x, STATIC_FORCE * row + k, BLOCK)
-                f0_, f1_ = load(x, F0 * row + k, BLOCK), load(x, F1 * row + k, BLOCK)
-                past = fma(f0_, 19.0, fma(f1_, -5.0, load(x, F2 * row + k, BLOCK)))
-                store(x, IMPULSE * row + k, fma(fma(f_, 9.0, past), h24, load(x, IMPULSE * row + k, BLOCK)))
-                store(x, F2 * row + k, f1_)
-                store(x, F1 * row + k, f0_)
-                store(x, F0 * row + k, f_)
-                given = _raised(p_, LAW) - _raised(load(x, OVERLAP * row + k, BLOCK), LAW)
-                given = given * load(x, DAMPING * row + k, BLOCK)
-                given = fma(given, d - load(x, GAP * row + k, BLOCK), load(x, DISSIPATED * row + k, BLOCK))
-                store(x, DISSIPATED * row + k, given)
-                store(x, GAP * row + k, d)
-                store(x, OVERLAP * row + k, p_)
+            before = last
+            last = _press_plate(before, contact, above, w_free, zero, law, LINEAR)
+            store(bodies.u, last_body * W, last.u)
+            store(bodies.v0, last_body * W, last.v0)
+            turn = where_greater(last.f0, largest, zero + float(n), turn)
+            largest = where_greater(last.f0, largest, last.f0, largest)
+            _settle(bodies, size, W, h24, law)
 
             # The plate's speed is not known: its contact closes at the rate of the last four d.
-            closing = (11.0 * d_plate - 18.0 * past0 + 9.0 * past1 - 2.0 * past2) * (1.0 / (6.0 * step))
-            past2 = past1
-            past1 = past0
-            past0 = d_plate
-            mean = force_at(sensor - 1, closing) + force_at(sensor, closing)
-            store(sensor_force, n * W, 0.5 * mean)
-            if observed:
-                for i in range(last + 1):
-                    store(contact_force, (i * n_steps + n) * W, force_at(i, closing))
+            closing = 11.0 * last.d0 - 18.0 * last.d1 + 9.0 * last.d2 - 2.0 * before.d2
+            closing = closing * (1.0 / (6.0 * step))
+            over = _force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
+            under = _force(chains.sensor, bodies, last, contact, chains, closing, W, law)
+            store(found.sensor_force, n * W, 0.5 * (over + under))
+            if found.contact_force.shape[0]:
+                for i in range(last_body + 1):
+                    force = _force(i, bodies, last, contact, chains, closing, W, law)
+                    store(found.contact_force, (i * n_steps + n) * W, force)
 
             if n % interval == 0 or n == n_steps - 1:
-                spent = dissipated
-                for i in range(last):
-                    spent = spent + load(x, DISSIPATED * row + i * W, W)
-                energy = spent * (1.0 / step) + retainer_force * u
-                energy = energy + n_plate * (u - stretch + rest) + stored
-                energy = energy - precompression * load(x, U * row + W, W)
-                for i in range(last + 1):
-                    v = load(x, V0 * row + i * W, W)
-                    fallen = load(x, U * row + i * W, W)
-                    energy = energy + 0.5 * mass[i] * v * v - mass[i] * gravity * fallen
-                    if i < last:
-                        q = load(x, OVERLAP * row + i * W, W)
-                        energy = energy + 0.4 * stiffness[i] * q * q * sqrt(q)
-                for j in range(BLOCK):
-                    store(sums, j * W, zero)
-                for b in range(n_blocks):
-                    for j in range(BLOCK):
-                        k = b * BANK_ROWS * BLOCK + j
-                        if W == 1:
-                            m = 2 * b * BLOCK + j
-                            re, im = load(y, m, W), load(y, m + BLOCK, W)
-                        else:
-                            m = 2 * (b * BLOCK + j) * W
-                            re, im = load(y, m, W), load(y, m + W, W)
-                        bent = re + bank[k + 12 * BLOCK] * impulse + bank[k + 14 * BLOCK] * s0
-                        moving = im + bank[k + 13 * BLOCK] * impulse + bank[k + 15 * BLOCK] * s0
-                        bent = bent * bank[k + 10 * BLOCK]
-                        moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (impulse + s0)
-                        bent = load(sums, j * W, W) + 0.5 * (moving * moving + bent * bent)
-                        store(sums, j * W, bent)
-                defect = absolute(energy + sum_of_eight() - load(given_energy, 0, W))
+                energy = _energy_of_bodies(bodies, last, contact, chains, W)
+                energy = energy + _energy_of_modes(y, sums, bank, last, W)
+                defect = absolute(energy - load(given_energy, 0, W))
                 # So that what is not a number ends up in `worst` as well.
                 worst = unless_within(defect, worst, defect, worst)
-        store(residual_j, 0, worst)
-        store(reflection_step, 0, turn)
+        store(found.defect_j, 0, worst)
+        store(found.reflection_step, 0, turn)
 
     return integrate

@@ -32,7 +32,8 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
 from simulator.plate.models import ModalPlate, modal_plate
 from simulator.shot.modal_weights import modal_weights
-from simulator.shot.side_by_side import UNMOVED, Propagator, integrate
+from simulator.shot.registers import Propagator
+from simulator.shot.side_by_side import UNMOVED, integrate
 from simulator.shot.time_step import record_duration_s, resolving_step_s, stiffest_contact_n_per_m
 
 FloatArray = NDArray[np.float64]
@@ -416,7 +417,7 @@ def _specimen_without_modes(plate: PlateParameters) -> Propagator:
     impedance = thin_plate_impedance_n_s_per_m(
         plate.warm_youngs_modulus_pa, plate.poisson_ratio, plate.density_kg_per_m3, plate.thickness_m
     )
-    return replace(UNMOVED, mobility_m_per_n_s=1.0 / impedance)
+    return UNMOVED._replace(mobility_m_per_n_s=1.0 / impedance)
 
 
 def _without_last(values: FloatArray) -> FloatArray:

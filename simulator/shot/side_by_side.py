@@ -9,20 +9,12 @@ from numpy.typing import NDArray
 
 from simulator.chain.spheres import Chain
 from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, WIDEST, kernel
+from simulator.shot.registers import Chains, Found, Propagator, Strikes
 
 FloatArray = NDArray[np.float64]
 
 WORTH_A_WIDE_PASS = 4
-"""Shots from which on a pass of `coupled_kernel.WIDEST` lanes costs less than one after the other."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Propagator:
-    """What the kernel needs to know about the specimen, for one depth and step."""
-
-    bank: FloatArray
-    residual_compliance_m_per_n: float = 0.0
-    mobility_m_per_n_s: float = 0.0
+"""Shots from which on a pass of `kernel.WIDEST` lanes costs less than one after the other."""
 
 
 UNMOVED = Propagator(bank=np.empty(0))
@@ -74,39 +66,38 @@ def _side_by_side(
     bodies = len(chain.mass_kg)
     force = np.empty((steps, width))
     contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
-    defect_j, reflection_step = np.empty(width), np.empty(width)
+    found = Found(force.ravel(), contacts.ravel(), np.empty(width), np.empty(width))
     kernel(width, chain.damping_exponent == 0.0)(
-        chain.mass_kg,
-        chain.stiffness_n_per_m15,
-        np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
-        chain.static_force_n,
-        chain.static_overlap_m,
-        chain.gravity_m_per_s2,
-        np.array([lane.impact_speed_m_per_s for lane in lanes]),
-        np.array(
-            [-1 if lane.second_delay_s is None else round(lane.second_delay_s / step) for lane in lanes]
+        Chains(
+            chain.mass_kg,
+            chain.stiffness_n_per_m15,
+            np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
+            chain.static_force_n,
+            chain.static_overlap_m,
+            chain.gravity_m_per_s2,
+            chain.sensor,
+            chain.precompression_n,
+            retainer_force_n,
         ),
-        np.array([lane.second_speed_m_per_s for lane in lanes]),
-        chain.sensor,
-        retainer_force_n,
-        chain.precompression_n,
+        Strikes(
+            np.array([lane.impact_speed_m_per_s for lane in lanes]),
+            np.array(
+                [-1 if lane.second_delay_s is None else round(lane.second_delay_s / step) for lane in lanes]
+            ),
+            np.array([lane.second_speed_m_per_s for lane in lanes]),
+        ),
+        specimen,
         LAWS_OF_DAMPING.index(chain.damping_exponent),
         step,
-        specimen.bank,
-        specimen.residual_compliance_m_per_n,
-        specimen.mobility_m_per_n_s,
         ENERGY_INTERVAL_STEPS,
-        force.ravel(),
-        contacts.ravel(),
-        defect_j,
-        reflection_step,
+        found,
     )
     return [
         Record(
             force_n=force[:, k],
             contact_force_n=contacts[:, :, k] if contact_forces else None,
-            defect_j=float(defect_j[k]),
-            reflection_step=int(reflection_step[k]),
+            defect_j=float(found.defect_j[k]),
+            reflection_step=int(found.reflection_step[k]),
         )
         for k in range(len(chains))
     ]

@@ -1,0 +1,171 @@
+"""What the time loop is given, holds from step to step, and fills: arrays and vectors by name.
+
+numba takes named tuples apart; in machine code nothing of them is left.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntegerArray = NDArray[np.int64]
+
+
+class Chains(NamedTuple):
+    """Chains that differ in speed and dashpots only: fields of `chain.spheres.Chain`, and more.
+
+    Attributes
+    ----------
+    mass, stiffness, static_force, static_overlap
+        float64, shape (n_bodies,).
+    dashpot
+        float64, shape (n_bodies * width,): `Chain.dashpot_impulse_n_s_per_m` of every shot, the shots of a
+        contact side by side.
+    retainer_force
+        Constant force that carries the last sphere where there is no specimen; zero elsewhere.
+    """
+
+    mass: FloatArray
+    stiffness: FloatArray
+    dashpot: FloatArray
+    static_force: FloatArray
+    static_overlap: FloatArray
+    gravity: float
+    sensor: int
+    precompression: float
+    retainer_force: float
+
+
+class Strikes(NamedTuple):
+    """How the striker hits, float64 and int64, shape (width,).
+
+    At `second_step` it, taken off before, touches the body below with `second_speed`; a negative step: it
+    strikes once.
+    """
+
+    speed: FloatArray
+    second_step: IntegerArray
+    second_speed: FloatArray
+
+
+class Propagator(NamedTuple):
+    """What the time loop needs to know about the specimen, for one depth and step.
+
+    Attributes
+    ----------
+    bank
+        float64, shape (n_blocks * BANK_ROWS * BLOCK,): `modal_weights.modal_weights`.
+    residual_compliance_m_per_n
+        C of the modes above the cut.
+    mobility_m_per_n_s
+        Speed per force of an infinite thin plate; zero for every other specimen.
+    """
+
+    bank: FloatArray
+    residual_compliance_m_per_n: float = 0.0
+    mobility_m_per_n_s: float = 0.0
+
+
+class Found(NamedTuple):
+    """What the time loop fills, float64.
+
+    Attributes
+    ----------
+    sensor_force
+        Shape (n_steps * width,).
+    contact_force
+        Shape (n_bodies * n_steps * width,): force of every contact; (0,) where nobody asks.
+    defect_j
+        Shape (width,): largest defect of the energy balance.
+    reflection_step
+        Shape (width,): step of the largest force between chain and plate; there the incident wave turns
+        round.
+    """
+
+    sensor_force: FloatArray
+    contact_force: FloatArray
+    defect_j: FloatArray
+    reflection_step: FloatArray
+
+
+class Bodies(NamedTuple):
+    """All bodies but the last, of each all shots, and the contacts below them.
+
+    BLOCK numbers are treated at a time. What fills the last block up has neither stiffness nor dashpot nor
+    speed. Digits count the steps into the past.
+    """
+
+    u: FloatArray
+    v0: FloatArray
+    v1: FloatArray
+    v2: FloatArray
+    v3: FloatArray
+    f0: FloatArray
+    f1: FloatArray
+    f2: FloatArray
+    impulse: FloatArray
+    given: FloatArray  # the impulse of spring and dashpot that a body has got from above
+    gap: FloatArray  # d, negative where the contact is open
+    overlap: FloatArray
+    ahead: FloatArray  # u, predicted
+    dissipated: FloatArray
+    stiffness: FloatArray
+    dashpot: FloatArray
+    static_force: FloatArray
+    static_overlap: FloatArray
+    per_mass: FloatArray
+
+
+class Contact(NamedTuple):
+    """What stays the same at the contact with the plate."""
+
+    step: float
+    stiffness: float
+    dashpot: float
+    static_force: float
+    static_overlap: float
+    static_dashpot: float
+    per_mass: float
+    compliance: float
+    mobility: float
+    w_per_i: float  # deflection by this step's own I and S
+    w_per_s: float
+    w_per_last_i: float  # and by the last step's
+    w_per_last_s: float
+    rate0: float  # backward difference
+    rate1: float
+    rate2: float
+    rate3: float
+    soft: float
+    drag: float
+    rest: float  # contact and cut modes in series, together compressed before the strike
+
+
+class Last(NamedTuple):
+    """The last body, its contact with the plate, and the plate's past; a vector each, one shot a lane."""
+
+    u: Any
+    v0: Any
+    v1: Any
+    v2: Any
+    v3: Any
+    f0: Any
+    f1: Any
+    f2: Any
+    impulse: Any  # I at the plate's contact
+    i1: Any  # one and two steps ago
+    i2: Any
+    s0: Any  # S
+    s1: Any
+    s2: Any
+    total: Any
+    overlap: Any
+    d0: Any  # d at the plate now, one and two steps ago
+    d1: Any
+    d2: Any
+    stretch: Any  # of contact and cut modes in series, which has no jumps
+    stored: Any  # in the cut modes; they hold nothing while the contact is open
+    dissipated: Any  # at the plate, times the step
