@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -82,50 +81,6 @@ class Baseline:
     def p(self) -> int:
         """Number of features."""
         return len(self.feature_names)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain lists, numbers and strings; `from_dict` restores the same bits, through JSON too."""
-        return {
-            "name": self.name,
-            "feature_names": list(self.feature_names),
-            "set_indices": list(self.set_indices),
-            "mean": self.mean.tolist(),
-            "covariance": self.covariance.tolist(),
-            "distances_squared": self.distances_squared.tolist(),
-            "suspects": list(self.suspects),
-            "suspect_limit": self.suspect_limit,
-            "warnings": list(self.warnings),
-            "extractor_version": self.extractor_version,
-        }
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> Baseline:
-        """Restore what `to_dict` gave.
-
-        Raises
-        ------
-        InvalidInputError
-            A key is missing, or shapes contradict each other.
-        """
-        keys = (
-            "name", "feature_names", "set_indices", "mean", "covariance", "distances_squared",
-            "suspects", "suspect_limit", "warnings", "extractor_version",
-        )  # fmt: skip
-        missing = [key for key in keys if key not in stored]
-        if missing:
-            raise InvalidInputError(f"stored baseline lacks {', '.join(missing)}; fit it again from its sets")
-        return cls(
-            name=str(stored["name"]),
-            feature_names=tuple(stored["feature_names"]),
-            set_indices=tuple(int(index) for index in stored["set_indices"]),
-            mean=np.array(stored["mean"], dtype=np.float64),
-            covariance=np.array(stored["covariance"], dtype=np.float64),
-            distances_squared=np.array(stored["distances_squared"], dtype=np.float64),
-            suspects=tuple(int(index) for index in stored["suspects"]),
-            suspect_limit=float(stored["suspect_limit"]),
-            warnings=tuple(stored["warnings"]),
-            extractor_version=str(stored["extractor_version"]),
-        )
 
 
 def _read_only(values: FloatArray) -> FloatArray:

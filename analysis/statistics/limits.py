@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, chdtri, fdtrc, fdtri
+from scipy.special import betaincinv, fdtrc, fdtri
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError
 
@@ -96,13 +96,6 @@ def paper_limit(baseline_distances_squared: ArrayLike) -> float:
     if distances.ndim != 1 or distances.size < 2:
         raise NotEnoughSetsError(f"distances of shape {distances.shape}; mean and SD need at least two")
     return float(distances.mean() + 3.0 * distances.std(ddof=1))
-
-
-def chi_square_limit(p: int, rate: float = NOMINAL_RATE) -> float:
-    """Limit for a known mean and covariance, (1 - rate) quantile of chi-square(p); for comparison only."""
-    if p < 1 or not 0.0 < rate < 1.0:
-        raise InvalidInputError(f"p is {p} and rate {rate}; need p >= 1 and a rate between 0 and 1")
-    return float(chdtri(p, rate))
 
 
 def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:

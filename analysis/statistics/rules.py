@@ -6,7 +6,7 @@ the catalogue holds.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analysis.errors import InvalidInputError
@@ -64,20 +64,6 @@ def next_alarm_state(
     return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
 
 
-def alarm_states(
-    outliers: Iterable[bool | None],
-    rule: AlarmRule = AlarmRule(),
-    start: AlarmState = AlarmState(),
-) -> list[AlarmState]:
-    """State after each set of a sequence, oldest first."""
-    states = []
-    state = start
-    for outlier in outliers:
-        state = next_alarm_state(state, outlier, rule)
-        states.append(state)
-    return states
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleRule:
     """A hole: no reflected wave in ``shots`` shots of a set, in ``consecutive_sets`` sets running.
@@ -121,20 +107,6 @@ def next_hole_state(
     silent = sum("no_psw" in flags for flags in shot_flags)
     running = state.sets_running + 1 if silent >= rule.shots else 0
     return HoleState(sets_running=running, hole=state.hole or running >= rule.consecutive_sets)
-
-
-def hole_states(
-    sets: Iterable[Sequence[Sequence[str]]],
-    rule: HoleRule = HoleRule(),
-    start: HoleState = HoleState(),
-) -> list[HoleState]:
-    """State after each set of a sequence, oldest first."""
-    states = []
-    state = start
-    for shot_flags in sets:
-        state = next_hole_state(state, shot_flags, rule)
-        states.append(state)
-    return states
 
 
 def next_poor_sets(running: int, *, n_valid: int, n_tried: int, n_planned: int, minimum_valid: int) -> int:

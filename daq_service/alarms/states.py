@@ -22,7 +22,6 @@ from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity
 
-ACTIVE_STATES = ("unacknowledged", "acknowledged", "returned_unacknowledged")
 SEVERITIES: tuple[Severity, ...] = ("low", "medium", "high", "critical")
 AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
     "unacknowledged": "acknowledged",

@@ -1,6 +1,7 @@
 """What no gain, offset, delay or change of units may alter."""
 
 import math
+from itertools import accumulate
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from support.synthetic_records import Scene
 
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import contributions, distance_squared
-from analysis.statistics.rules import AlarmRule, alarm_states
+from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.waves.features import ALL_FEATURE_NAMES, INVALIDATING_FLAGS, extract_from_volts
 
 SCENES = st.builds(
@@ -137,6 +138,11 @@ def test_contributions_do_not_depend_on_units(random):
 
 
 VERDICTS = st.lists(st.sampled_from([True, False, None]), max_size=60)
+
+
+def alarm_states(verdicts, rule):
+    states = accumulate(verdicts, lambda state, one: next_alarm_state(state, one, rule), initial=AlarmState())
+    return list(states)[1:]
 
 
 @given(verdicts=VERDICTS, k=st.integers(1, 5), spare=st.integers(0, 3))

@@ -8,7 +8,6 @@ from analysis.errors import InvalidInputError, NotEnoughSetsError
 from analysis.statistics.limits import (
     F_PREDICTIVE,
     PAPER_MEAN_3SD,
-    chi_square_limit,
     f_predictive_limit,
     false_alarm_rate,
     limits,
@@ -31,8 +30,8 @@ def test_predictive_limit_is_the_scaled_f_quantile(n, p, rate):
 
 
 def test_predictive_limit_tends_to_chi_square():
-    assert f_predictive_limit(10**7, 5) == pytest.approx(chi_square_limit(5), rel=1e-5)
-    assert chi_square_limit(5) == pytest.approx(stats.chi2.isf(0.0027, 5), rel=1e-9)
+    # What is left of the estimated covariance goes with 1 / n.
+    assert f_predictive_limit(10**7, 5) == pytest.approx(stats.chi2.isf(0.0027, 5), rel=1e-5)
 
 
 def test_paper_limit_is_mean_and_three_standard_deviations():
@@ -62,8 +61,8 @@ def test_bad_input_is_refused():
         f_predictive_limit(48, 5, 0.0)
     with pytest.raises(InvalidInputError, match="p is 0"):
         false_alarm_rate(20.0, 48, 0)
-    with pytest.raises(InvalidInputError, match="rate 2"):
-        chi_square_limit(5, 2.0)
+    with pytest.raises(InvalidInputError, match="rate is 2"):
+        f_predictive_limit(48, 5, 2.0)
     with pytest.raises(NotEnoughSetsError, match="at least 7"):
         phase_one_limit(6, 5)
     with pytest.raises(InvalidInputError, match="rate is 1"):

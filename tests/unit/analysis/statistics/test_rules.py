@@ -11,14 +11,20 @@ from analysis.statistics.rules import (
     AlarmState,
     HoleRule,
     HoleState,
-    alarm_states,
-    hole_states,
     next_alarm_state,
     next_hole_state,
     next_poor_sets,
 )
 
 O, X = False, True  # noqa: E741 an inlier and an outlier, to be read as a string of marks
+
+
+def after_each(step, start, sets, rule):
+    return list(itertools.accumulate(sets, lambda state, one: step(state, one, rule), initial=start))[1:]
+
+
+def alarm_states(outliers, rule=AlarmRule(), start=AlarmState()):  # noqa: B008 frozen
+    return after_each(next_alarm_state, start, outliers, rule)
 
 
 def active(outliers, rule=AlarmRule()):  # noqa: B008 frozen
@@ -88,7 +94,7 @@ WALL_SET = [SILENT] * 6 + [HEARD] * 4
 
 
 def holes(sets, rule=HoleRule()):  # noqa: B008 frozen
-    return [state.hole for state in hole_states(sets, rule)]
+    return [state.hole for state in after_each(next_hole_state, HoleState(), sets, rule)]
 
 
 def test_two_silent_sets_running_are_a_hole():
