@@ -67,30 +67,30 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
     """
     truth: dict[str, float] = {}
     missed, gain_factor = False, 1.0
-    if faults.missed.is_active:
+    if faults.missed.probability > 0.0:
         missed = hour_h >= faults.missed.onset_h and bool(
             generator(seed, Purpose.MISSED_STRIKE, key=key).random() < faults.missed.probability
         )
         truth["fault_missed"] = float(missed)
     delay_s, height_fraction = None, 1.0
-    if faults.double.is_active:
+    if faults.double.probability > 0.0:
         if hour_h >= faults.double.onset_h:
             delay_s, height_fraction = _second_strike(faults, seed, key)
         truth["fault_double_delay_s"] = math.nan if delay_s is None else delay_s
         truth["fault_double_height_fraction"] = math.nan if delay_s is None else height_fraction
     tilt_rad = faults.tilt.tilt_rad * _grown(faults.tilt.onset_h, faults.tilt.ramp_h, hour_h)
-    if faults.tilt.is_active:
+    if faults.tilt.tilt_rad > 0.0:
         truth["fault_tilt_rad"] = tilt_rad
     wear = faults.bead_wear
     radius_factor = 1.0 + wear.radius_growth_fraction * _grown(wear.onset_h, wear.ramp_h, hour_h)
-    if wear.is_active:
+    if wear.radius_growth_fraction > 0.0:
         truth["fault_bead_wear_radius_factor"] = radius_factor
-    if faults.pzt_ageing.is_active:
+    if faults.pzt_ageing.loss_fraction_per_year > 0.0:
         years = max(hour_h - faults.pzt_ageing.onset_h, 0.0) / HOURS_PER_YEAR
         truth["fault_pzt_ageing_gain_factor"] = (1.0 - faults.pzt_ageing.loss_fraction_per_year) ** years
         gain_factor *= truth["fault_pzt_ageing_gain_factor"]
     damping_factor = 1.0
-    if faults.loose_contact.is_active:
+    if faults.loose_contact.probability > 0.0:
         loose = hour_h >= faults.loose_contact.onset_h and bool(
             generator(seed, Purpose.LOOSE_CONTACT, key=key).random() < faults.loose_contact.probability
         )
@@ -100,9 +100,9 @@ def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: 
         gain_factor *= truth["fault_loose_contact_gain_factor"]
     warmer = faults.temperature
     temperature_k = warmer.change_k * _grown(warmer.onset_h, warmer.ramp_h, hour_h)
-    if warmer.is_active:
+    if warmer.change_k != 0.0:
         truth["fault_temperature_k"] = temperature_k
-    if faults.clipping.is_active:
+    if faults.clipping.gain_factor > 1.0:
         stepped = hour_h >= faults.clipping.onset_h
         truth["fault_clipping_gain_factor"] = faults.clipping.gain_factor if stepped else 1.0
         gain_factor *= truth["fault_clipping_gain_factor"]
@@ -163,11 +163,11 @@ def interference_of_shot(
     """
     truth: dict[str, float] = {}
     hum, spikes = faults.mains_hum, faults.spikes
-    if not (hum.is_active or spikes.is_active):
+    if hum.amplitude_v == 0.0 and spikes.rate_hz == 0.0:
         return None, truth
     phase_rad = _hum_phase_rad(hum, seed, key)
     hum_v = hum.amplitude_v if hour_h >= hum.onset_h else 0.0
-    if hum.is_active:
+    if hum.amplitude_v > 0.0:
         truth |= {"fault_mains_hum_v": hum_v, "fault_mains_hum_phase_rad": phase_rad}
     time_s, height_v = _spikes(spikes, seed, key, hour_h, adc)
     found = Interference(
@@ -178,7 +178,7 @@ def interference_of_shot(
         spike_v=height_v,
         spike_fwhm_s=spikes.fwhm_s,
     )
-    if spikes.is_active:
+    if spikes.rate_hz > 0.0:
         inside = time_s >= -adc.pretrigger_samples / adc.sample_rate_hz
         truth["fault_spikes"] = float(np.count_nonzero(inside))
         truth["fault_spike_v"] = spikes.height_v
@@ -187,7 +187,7 @@ def interference_of_shot(
 
 
 def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
-    if not hum.is_active:
+    if hum.amplitude_v == 0.0:
         return 0.0
     return float(generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
 
@@ -196,7 +196,7 @@ def _spikes(
     spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
     """Draw times and heights of a Poisson process from the arming to the record's end."""
-    if not spikes.is_active or hour_h < spikes.onset_h:
+    if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
     random = generator(seed, Purpose.SPIKES, key=key)
     before_s = max(spikes.armed_s, adc.pretrigger_samples / adc.sample_rate_hz)

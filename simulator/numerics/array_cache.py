@@ -119,8 +119,13 @@ def read_arrays(path: Path) -> dict[str, FloatArray] | None:
     return arrays
 
 
-def write_arrays(path: Path, arrays: Mapping[str, FloatArray]) -> None:
-    """Keep `arrays` at `path`; a folder that cannot be written is logged, and nothing is kept."""
+def write_arrays(
+    path: Path, arrays: Mapping[str, FloatArray], *, limit_bytes: int = FOLDER_LIMIT_BYTES
+) -> None:
+    """Keep `arrays` at `path`; a folder that cannot be written is logged, and nothing is kept.
+
+    Beyond `limit_bytes` the folder loses its oldest files.
+    """
     content = _encoded(arrays)
     unfinished = None
     try:
@@ -131,7 +136,7 @@ def write_arrays(path: Path, arrays: Mapping[str, FloatArray]) -> None:
             file.write(MAGIC + hashlib.sha256(content).digest())
             file.write(content)
         unfinished.replace(path)
-        _keep_within(path.parent, FOLDER_LIMIT_BYTES)
+        _keep_within(path.parent, limit_bytes)
     except OSError as error:
         # Windows lets nobody replace a file that another process is reading: then it is there already.
         level = logging.DEBUG if path.is_file() else logging.WARNING

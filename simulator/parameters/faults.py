@@ -24,11 +24,6 @@ class MissedStrikeFault:
     probability: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Probability a strike; a repeated strike is drawn anew."""
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.probability > 0.0
-
 
 @bounded
 class DoubleStrikeFault:
@@ -52,11 +47,6 @@ class DoubleStrikeFault:
                 f"({self.shortest_delay_s} s)"
             )
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.probability > 0.0
-
 
 @bounded
 class TiltFault:
@@ -68,11 +58,6 @@ class TiltFault:
     """Hours until it has its full size; 0: at once."""
     tilt_rad: Annotated[float, Ge(0.0), Le(0.2)] = 0.0
     """Full size of the tilt on top of the scattered one; together at most 0.2 rad."""
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.tilt_rad > 0.0
 
 
 @bounded
@@ -86,11 +71,6 @@ class BeadWearFault:
     radius_growth_fraction: Annotated[float, Ge(0.0), Le(3.0)] = 0.0
     """Full growth of the radius of curvature over the nominal radius; the stiffness A goes with its root."""
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.radius_growth_fraction > 0.0
-
 
 @bounded
 class PztAgeingFault:
@@ -100,11 +80,6 @@ class PztAgeingFault:
     """Hour at which it begins."""
     loss_fraction_per_year: Annotated[float, Ge(0.0), Le(0.99)] = 0.0
     """Part of the sensitivity lost in a year of 8,766 h."""
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.loss_fraction_per_year > 0.0
 
 
 @bounded
@@ -120,11 +95,6 @@ class LooseContactFault:
     damping_factor: Annotated[float, Ge(1.0), Le(30.0)] = 4.0
     """Dashpot between chain and plate over the usual one (assumption)."""
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.probability > 0.0
-
 
 @bounded
 class TemperatureFault:
@@ -137,11 +107,6 @@ class TemperatureFault:
     change_k: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
     """Full difference from the room's temperature."""
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.change_k != 0.0
-
 
 @bounded
 class ClippingFault:
@@ -151,11 +116,6 @@ class ClippingFault:
     """Hour of the step."""
     gain_factor: Annotated[float, Ge(1.0), Le(1e3)] = 1.0
     """Gain after the step over the one before; the default range clips from about 2 on."""
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.gain_factor > 1.0
 
 
 @bounded
@@ -173,11 +133,6 @@ class SpikesFault:
     armed_s: Annotated[float, Ge(0.0), Le(10.0)] = 0.1
     """Time the digitizer stands armed before the wave, open to a false trigger (assumption)."""
 
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.rate_hz > 0.0
-
 
 @bounded
 class MainsHumFault:
@@ -189,11 +144,6 @@ class MainsHumFault:
     """Amplitude at the digitizer's input; below the trigger level, or the board would trigger on it."""
     frequency_hz: Annotated[float, Ge(10.0), Le(1e3)] = 50.0
     """Frequency: 50 or 60 Hz, or a harmonic."""
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it can ever act."""
-        return self.amplitude_v > 0.0
 
 
 @bounded

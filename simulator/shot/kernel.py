@@ -289,7 +289,7 @@ def _struck_twice(
     bodies.f0[k] = bodies.f1[k] = bodies.f2[k] = 0.0
     bodies.overlap[k] = bodies.gap[k] = 0.0
     launch_speed[k] = speed - gravity * (n * step) + impulse / mass
-    return gained
+    return float(gained)
 
 
 @_step

@@ -151,6 +151,8 @@ class ShotModel:
         one that resolves the chain, 0.5 us for the paper's.
     prepared_plate
         What `modal_plate` gives for `plate` and `corrosion`, where the caller has it for another chain.
+    energy_tolerance
+        Largest defect of the energy balance, relative to the impact energy.
 
     Raises
     ------
@@ -168,12 +170,14 @@ class ShotModel:
         cache_folder: Path | None = DEFAULT_CACHE_FOLDER,
         step_s: float | None = None,
         prepared_plate: ModalPlate | None = None,
+        energy_tolerance: float = ENERGY_TOLERANCE,
     ) -> None:
         self._chain = chain
         self._plate = plate
         self._corrosion = corrosion
         self._nominal = nominal = build_chain(chain, plate)
         self._chosen_step = step_s is not None
+        self._energy_tolerance = energy_tolerance
         for name, value in (("duration_s", duration_s), ("step_s", step_s)):
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
@@ -201,6 +205,7 @@ class ShotModel:
                 self._corrosion,
                 duration_s=self._chosen_duration_s,
                 prepared_plate=self._modal_plate,
+                energy_tolerance=self._energy_tolerance,
             )
         other = copy(self)
         other._chain = chain
@@ -357,7 +362,7 @@ class ShotModel:
             open_balances = {}
             for k, record in zip(pending, records, strict=True):
                 defect = record.defect_j / chains[k].impact_energy_j
-                if not defect <= ENERGY_TOLERANCE:
+                if not defect <= self._energy_tolerance:
                     open_balances[k] = defect
                     continue
                 observed = record.contact_force_n
@@ -375,8 +380,8 @@ class ShotModel:
                 return [forces[k] for k in range(len(chains))]
         raise IntegrationError(
             f"the energy balance is off by {open_balances[pending[0]]:.3g} of the impact energy with a step "
-            f"of {step:.3g} s; at most {ENERGY_TOLERANCE} is allowed; look for an extreme mass, stiffness or "
-            f"damping"
+            f"of {step:.3g} s; at most {self._energy_tolerance} is allowed; look for an extreme mass, "
+            "stiffness or damping"
         )
 
     def _attempts(self) -> Iterator[tuple[int, bool]]:

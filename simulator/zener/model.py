@@ -71,7 +71,7 @@ class ZenerReflection:
     tof_s: float
 
 
-def solve_impact(inelasticity: float) -> ZenerImpact:
+def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerImpact:
     """Restitution and contact time of eq. 8, solved numerically.
 
     Eq. 8, ``sigma'' + (1 + lambda d/dtau) sigma^(3/2) = 0``, has a force whose second derivative is infinite
@@ -87,6 +87,8 @@ def solve_impact(inelasticity: float) -> ZenerImpact:
     ----------
     inelasticity
         Lambda of eq. 9, 0 to 200.
+    tolerance
+        Relative one of a step.
 
     Raises
     ------
@@ -101,8 +103,8 @@ def solve_impact(inelasticity: float) -> ZenerImpact:
     nothing is left to rebound and ``e = 0.679293 / lambda^5``.
     """
     _check_inelasticity(inelasticity, LARGEST_INELASTICITY, "make the plate thicker or the spheres smaller")
-    restitution, contact_time, residual = _integrate(inelasticity, TOLERANCE)
-    coarse_restitution, coarse_contact_time, _ = _integrate(inelasticity, 100.0 * TOLERANCE)
+    restitution, contact_time, residual = _integrate(inelasticity, tolerance)
+    coarse_restitution, coarse_contact_time, _ = _integrate(inelasticity, 100.0 * tolerance)
     difference = max(
         abs(coarse_restitution / restitution - 1.0),
         abs(coarse_contact_time / contact_time - 1.0),

@@ -15,7 +15,7 @@ from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.contact import hertz_transform
 from simulator.plate.solid.reduction import passive_modes, solid_modes
-from simulator.shot import model as shot_model
+from simulator.shot.model import ShotModel
 from simulator.shot.pulse_summary import summarise
 
 E_PA, NU, RADIUS_M, DENSITY = 200e9, 0.3, 9.525e-3, 7790.0
@@ -89,7 +89,7 @@ class OneDepth:
 
 
 @pytest.mark.parametrize(("depth", "shift_us"), [(0.0, -0.35), (0.8, -0.12)])
-def test_what_the_rigid_mass_neglects(depth, shift_us, monkeypatch):
+def test_what_the_rigid_mass_neglects(depth, shift_us):
     """The sphere's own yielding in series with the plate's: its change of the reflected wave."""
     extra = extra_compliance_m_per_n(CONTACT_RADIUS_M)
     plate = PlateParameters(model="solid", solid=SolidMesh(edge_element=0.2, growth=3.0))
@@ -100,8 +100,7 @@ def test_what_the_rigid_mass_neglects(depth, shift_us, monkeypatch):
     )
     found = []
     for modes in (rigid, both):
-        monkeypatch.setattr(shot_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
-        shot = shot_model.ShotModel(ChainParameters(), plate, patch, cache_folder=None).shot()
-        found.append(summarise(shot))
+        model = ShotModel(ChainParameters(), plate, patch, prepared_plate=OneDepth(modes))
+        found.append(summarise(model.shot()))
     assert found[1].tof_us - found[0].tof_us == pytest.approx(shift_us, abs=0.01)  # quoted in the docs
     assert abs(found[1].amplitude_ratio - found[0].amplitude_ratio) < 1.1e-3

@@ -18,7 +18,7 @@ from simulator.plate.solid.contact import (
 )
 from simulator.plate.solid.plate import SolidPlate, assembled_solid, build_solid_plate
 from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver, solid_modes
-from simulator.shot import model as shot_model
+from simulator.shot.model import ShotModel
 
 THICK = PlateParameters(
     width_m=0.04,
@@ -184,15 +184,14 @@ class OneDepth:
 
 
 @pytest.mark.parametrize("depth", [0.0, 0.8])
-def test_usual_number_of_vectors_keeps_the_waveform(depth, monkeypatch):
+def test_usual_number_of_vectors_keeps_the_waveform(depth):
     patch = CorrosionParameters(depth_fraction=depth)
     waves = []
     for vectors in (60, 90):
         modes = solid_modes(PAPER, patch, vectors)
-        monkeypatch.setattr(shot_model, "modal_plate", lambda *_, modes=modes: OneDepth(modes))
         plate = replace(PAPER, model="solid")
-        shot = shot_model.ShotModel(
-            ChainParameters(), plate, patch, duration_s=1.4e-3, cache_folder=None
+        shot = ShotModel(
+            ChainParameters(), plate, patch, duration_s=1.4e-3, prepared_plate=OneDepth(modes)
         ).shot()
         waves.append(shot.force_n - shot.preload_n)
     # A tenth of the allowance of the whole waveform.

@@ -148,20 +148,18 @@ def test_a_writer_whose_file_was_swept_goes_on_without(tmp_path, monkeypatch, ca
     assert [path.name for path in tmp_path.iterdir()] == ["other.arrays"]
 
 
-def test_a_folder_grows_to_its_limit_and_loses_its_oldest(tmp_path, monkeypatch):
+def test_a_folder_grows_to_its_limit_and_loses_its_oldest(tmp_path):
     write_arrays(tmp_path / "a.arrays", ARRAYS)
     size = (tmp_path / "a.arrays").stat().st_size
-    monkeypatch.setattr(array_cache, "FOLDER_LIMIT_BYTES", 3 * size)
     for age, name in enumerate(("e", "d", "c", "b")):
-        write_arrays(tmp_path / f"{name}.arrays", ARRAYS)
+        write_arrays(tmp_path / f"{name}.arrays", ARRAYS, limit_bytes=3 * size)
         if (tmp_path / f"{name}.arrays").exists():
             aged(tmp_path / f"{name}.arrays", 100.0 - age)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.arrays", "b.arrays", "c.arrays"]
 
 
-def test_an_array_larger_than_the_limit_is_still_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(array_cache, "FOLDER_LIMIT_BYTES", 1)
-    kept_arrays(tmp_path, "key", lambda: ARRAYS)
+def test_an_array_larger_than_the_limit_is_still_kept(tmp_path):
+    write_arrays(tmp_path / "key.arrays", ARRAYS, limit_bytes=1)
     assert_same_bits(kept_arrays(tmp_path, "key", never), ARRAYS)
 
 
