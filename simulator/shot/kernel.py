@@ -224,24 +224,13 @@ def _last_at_rest(contact: Contact, zero: Any) -> Last:
     overlap = zero + c
     return Last(
         u=zero,
-        v0=zero,
-        v1=zero,
-        v2=zero,
-        v3=zero,
-        f0=zero,
-        f1=zero,
-        f2=zero,
-        impulse=zero,
-        i1=zero,
-        i2=zero,
-        s0=zero,
-        s1=zero,
-        s2=zero,
+        v=(zero, zero, zero, zero),
+        f=(zero, zero, zero),
+        i=(zero, zero, zero),
+        s=(zero, zero, zero),
+        d=(overlap, overlap, overlap),
         total=zero,
         overlap=overlap,
-        d0=overlap,
-        d1=overlap,
-        d2=overlap,
         stretch=zero + contact.rest,
         stored=zero + held,
         dissipated=zero,
@@ -300,7 +289,7 @@ def _turn_modes_of_one(y: FloatArray, sums: FloatArray, bank: FloatArray, last: 
     to wait for its contact.
     """
     sum_of_blocks = broadcast(0.0, BLOCK)
-    i0, i1, i2, s0 = lane(last.impulse, 0), lane(last.i1, 0), lane(last.i2, 0), lane(last.s0, 0)
+    i0, i1, i2, s0 = lane(last.i[0], 0), lane(last.i[1], 0), lane(last.i[2], 0), lane(last.s[0], 0)
     for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
         k = b * BANK_ROWS * BLOCK
         m = 2 * b * BLOCK
@@ -331,17 +320,17 @@ def _turn_modes_of_many(y: FloatArray, sums: FloatArray, bank: FloatArray, last:
             m = 2 * (b * BLOCK + j) * width
             y_re, y_im = load(y, m, width), load(y, m + width, width)
             cos, sin = bank[k], bank[k + BLOCK]
-            re = fma(bank[k + 4 * BLOCK], last.i1, cos * y_re)
-            im = fma(bank[k + 5 * BLOCK], last.i1, cos * y_im)
-            re = fma(bank[k + 6 * BLOCK], last.i2, re)
-            im = fma(bank[k + 7 * BLOCK], last.i2, im)
+            re = fma(bank[k + 4 * BLOCK], last.i[1], cos * y_re)
+            im = fma(bank[k + 5 * BLOCK], last.i[1], cos * y_im)
+            re = fma(bank[k + 6 * BLOCK], last.i[2], re)
+            im = fma(bank[k + 7 * BLOCK], last.i[2], im)
             re = fma(sin, y_im, re)
             im = fma(-sin, y_re, im)
             store(sums, j * width, load(sums, j * width, width) + re)
-            re = fma(bank[k + 8 * BLOCK], last.s0, re)
-            im = fma(bank[k + 9 * BLOCK], last.s0, im)
-            store(y, m, fma(bank[k + 2 * BLOCK], last.impulse, re))
-            store(y, m + width, fma(bank[k + 3 * BLOCK], last.impulse, im))
+            re = fma(bank[k + 8 * BLOCK], last.s[0], re)
+            im = fma(bank[k + 9 * BLOCK], last.s[0], im)
+            store(y, m, fma(bank[k + 2 * BLOCK], last.i[0], re))
+            store(y, m + width, fma(bank[k + 3 * BLOCK], last.i[0], im))
 
 
 @_step
@@ -359,7 +348,7 @@ def _predict_places(bodies: Bodies, last: Last, row_of_last: int, size: int, h24
         past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
         past = fma(load(bodies.v0, k, BLOCK), 55.0, past)
         store(bodies.ahead, k, fma(past, h24, load(bodies.u, k, BLOCK)))
-    past = fma(last.v0, 55.0, fma(last.v1, -59.0, fma(last.v2, 37.0, -9.0 * last.v3)))
+    past = fma(last.v[0], 55.0, fma(last.v[1], -59.0, fma(last.v[2], 37.0, -9.0 * last.v[3])))
     store(bodies.ahead, row_of_last, fma(past, h24, last.u))
 
 
@@ -400,7 +389,7 @@ def _root_of_overlap(d_free: Any, last: Last, contact: Contact, zero: Any, law: 
     Two steps with the slope where the last three overlaps point; that slope waits for nothing.
     """
     soft, drag = contact.soft, contact.drag
-    root = sqrt(positive(3.0 * (last.d0 - last.d1) + last.d2))
+    root = sqrt(positive(3.0 * (last.d[0] - last.d[1]) + last.d[2]))
     p = root * root
     if linear:
         slope = fma(root, 3.0 * soft, zero + 2.0 * (1.0 + drag)) * root
@@ -445,10 +434,10 @@ def _press_plate(
     h24 = contact.step / 24.0
     h38 = 9.0 * h24
     n_plate, s_plate, per_mass = contact.static_force, contact.static_dashpot, contact.per_mass
-    past_f = fma(last.f0, 19.0, fma(last.f1, -5.0, last.f2))
-    past_v = fma(last.v0, 19.0, fma(last.v1, -5.0, last.v2))
-    known = fma(past_f - 9.0 * n_plate, h24, last.impulse)
-    past_rate = contact.rate1 * last.s0 + contact.rate2 * last.s1 + contact.rate3 * last.s2
+    past_f = fma(last.f[0], 19.0, fma(last.f[1], -5.0, last.f[2]))
+    past_v = fma(last.v[0], 19.0, fma(last.v[1], -5.0, last.v[2]))
+    known = fma(past_f - 9.0 * n_plate, h24, last.i[0])
+    past_rate = contact.rate1 * last.s[0] + contact.rate2 * last.s[1] + contact.rate3 * last.s[2]
     w_known = w_free + contact.w_per_i * known - contact.w_per_s * s_plate
     w_known = w_known + contact.compliance * (past_rate - (contact.rate0 * s_plate + n_plate))
     u_known = fma(fma((above - known + s_plate) * per_mass, 9.0, past_v), h24, last.u)
@@ -468,24 +457,13 @@ def _press_plate(
     dissipated = _dissipated_at_plate(last, contact, p, s, total, stretch, stored, zero)
     return Last(
         u=fma(fma(v, 9.0, past_v), h24, last.u),
-        v0=v,
-        v1=last.v0,
-        v2=last.v1,
-        v3=last.v2,
-        f0=f,
-        f1=last.f0,
-        f2=last.f1,
-        impulse=fma(fma(f, 9.0, past_f), h24, last.impulse),
-        i1=last.impulse,
-        i2=last.i1,
-        s0=s,
-        s1=last.s0,
-        s2=last.s1,
+        v=(v, last.v[0], last.v[1], last.v[2]),
+        f=(f, last.f[0], last.f[1]),
+        i=(fma(fma(f, 9.0, past_f), h24, last.i[0]), last.i[0], last.i[1]),
+        s=(s, last.s[0], last.s[1]),
+        d=(d, last.d[0], last.d[1]),
         total=total,
         overlap=p,
-        d0=d,
-        d1=last.d0,
-        d2=last.d1,
         stretch=stretch,
         stored=stored,
         dissipated=dissipated,
@@ -504,7 +482,7 @@ def _dissipated_at_plate(
     touching = (s + contact.static_dashpot) * p / part
     work = (impulse + contact.static_force * contact.step) * (stretch - last.stretch)
     opening = work - contact.step * (stored - last.stored)
-    lost = where_greater(last.overlap, zero, (s - last.s0) * (p - last.overlap), touching)
+    lost = where_greater(last.overlap, zero, (s - last.s[0]) * (p - last.overlap), touching)
     lost = where_greater(p, zero, lost, opening)
     return last.dissipated + lost + contact.mobility * impulse * impulse
 
@@ -544,7 +522,7 @@ def _force(
     else:
         p = last.overlap
         rate = closing
-        hertz = last.f0 + contact.static_force
+        hertz = last.f[0] + contact.static_force
     dashpot = load(chains.dashpot, i * width, width) * _raised_slope(p, law) * rate
     zero = broadcast(0.0, width)
     return where_greater(p, zero, hertz + dashpot, zero)
@@ -583,10 +561,10 @@ def _energy_of_modes(y: FloatArray, sums: FloatArray, bank: FloatArray, last: La
             else:
                 m = 2 * (b * BLOCK + j) * width
                 re, im = load(y, m, width), load(y, m + width, width)
-            bent = re + bank[k + 12 * BLOCK] * last.impulse + bank[k + 14 * BLOCK] * last.s0
-            moving = im + bank[k + 13 * BLOCK] * last.impulse + bank[k + 15 * BLOCK] * last.s0
+            bent = re + bank[k + 12 * BLOCK] * last.i[0] + bank[k + 14 * BLOCK] * last.s[0]
+            moving = im + bank[k + 13 * BLOCK] * last.i[0] + bank[k + 15 * BLOCK] * last.s[0]
             bent = bent * bank[k + 10 * BLOCK]
-            moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (last.impulse + last.s0)
+            moving = moving * bank[k + 10 * BLOCK] + bank[k + 11 * BLOCK] * (last.i[0] + last.s[0])
             bent = load(sums, j * width, width) + 0.5 * (moving * moving + bent * bent)
             store(sums, j * width, bent)
     return _sum_of_eight(sums, width)
@@ -655,8 +633,8 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
                 _turn_modes_of_one(y, sums, bank, last)
             else:
                 _turn_modes_of_many(y, sums, bank, last, W)
-            w_free = fma(last.s0, contact.w_per_last_s, _sum_of_eight(sums, W))
-            w_free = fma(last.impulse, contact.w_per_last_i, w_free)
+            w_free = fma(last.s[0], contact.w_per_last_s, _sum_of_eight(sums, W))
+            w_free = fma(last.i[0], contact.w_per_last_i, w_free)
             _predict_places(bodies, last, last_body * W, size, h24)
             striker = chains.mass[0] * (load(launch_speed, 0, W) + chains.gravity * (n * step))
             _predict_impulses(bodies, striker, size, W, h24, law)
@@ -666,13 +644,13 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
             before = last
             last = _press_plate(before, contact, above, w_free, zero, law, LINEAR)
             store(bodies.u, last_body * W, last.u)
-            store(bodies.v0, last_body * W, last.v0)
-            turn = where_greater(last.f0, largest, zero + float(n), turn)
-            largest = where_greater(last.f0, largest, last.f0, largest)
+            store(bodies.v0, last_body * W, last.v[0])
+            turn = where_greater(last.f[0], largest, zero + float(n), turn)
+            largest = where_greater(last.f[0], largest, last.f[0], largest)
             _settle(bodies, size, W, h24, law)
 
             # The plate's speed is not known: its contact closes at the rate of the last four d.
-            closing = 11.0 * last.d0 - 18.0 * last.d1 + 9.0 * last.d2 - 2.0 * before.d2
+            closing = 11.0 * last.d[0] - 18.0 * last.d[1] + 9.0 * last.d[2] - 2.0 * before.d[2]
             closing = closing * (1.0 / (6.0 * step))
             over = _force(chains.sensor - 1, bodies, last, contact, chains, closing, W, law)
             under = _force(chains.sensor, bodies, last, contact, chains, closing, W, law)

@@ -148,24 +148,13 @@ class Last(NamedTuple):
     """The last body, its contact with the plate, and the plate's past; a vector each, one shot a lane."""
 
     u: Any
-    v0: Any
-    v1: Any
-    v2: Any
-    v3: Any
-    f0: Any
-    f1: Any
-    f2: Any
-    impulse: Any  # I at the plate's contact
-    i1: Any  # one and two steps ago
-    i2: Any
-    s0: Any  # S
-    s1: Any
-    s2: Any
-    total: Any
+    v: tuple[Any, Any, Any, Any]  # now, one step ago, ...
+    f: tuple[Any, Any, Any]  # of the plate's contact
+    i: tuple[Any, Any, Any]
+    s: tuple[Any, Any, Any]
+    d: tuple[Any, Any, Any]
+    total: Any  # impulse of spring and dashpot that the body has given to the plate
     overlap: Any
-    d0: Any  # d at the plate now, one and two steps ago
-    d1: Any
-    d2: Any
     stretch: Any  # of contact and cut modes in series, which has no jumps
     stored: Any  # in the cut modes; they hold nothing while the contact is open
     dissipated: Any  # at the plate, times the step
