@@ -14,8 +14,8 @@ from hardware_drivers.bounds import bounded
 class Window:
     """Two values with bounds of their own, and a check that takes both."""
 
-    start_s: Annotated[float, Gt(0.0)] = 1.0
-    stop_s: Annotated[float, Le(10.0)] | None = None
+    start_s: Annotated[float, Gt(0.125)] = 1.0
+    stop_s: Annotated[float, Le(10.25)] | None = None
     names: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -26,10 +26,10 @@ class Window:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"start_s": 0.0}, "start_s is 0.0; it must be greater than 0.0"),
-        ({"stop_s": 10.5}, "stop_s is 10.5; it must be at most 10.0"),
+        ({"start_s": 0.0}, "start_s is 0.0; it must be greater than 0.125"),
+        ({"stop_s": 10.5}, "stop_s is 10.5; it must be at most 10.25"),
         ({"start_s": float("nan")}, "start_s is nan; it must be a finite number"),
-        ({"start_s": -2.0, "stop_s": -3.0}, "start_s is -2.0; it must be greater than 0.0"),
+        ({"start_s": -2.0, "stop_s": -3.0}, "start_s is -2.0; it must be greater than 0.125"),
         ({"start_s": 3.0, "stop_s": 2.0}, "stop_s is 2.0; it must be at least start_s = 3.0"),
     ],
 )
