@@ -36,6 +36,9 @@ from analysis.waves.record_reduction import FloatArray
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
+EXTRACTOR_VERSION = "1.1"
+"""Of the travel time; changes whenever any result of any record would."""
+
 FIRST_ECHO_FRACTION = 0.5
 """The first maximum of the envelope above this part of the gate's largest is the first echo; each later
 echo has lost more energy, and the front wall's is far smaller."""

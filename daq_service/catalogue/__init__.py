@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from daq_service.catalogue.reader import Catalogue
-    from daq_service.catalogue.store import open_catalogue
+    from daq_service.catalogue.store import check_owner, open_catalogue
     from daq_service.catalogue.writer import Committed, RecorderCatalogue, SetCommit
 
-__all__ = ["Catalogue", "Committed", "RecorderCatalogue", "SetCommit", "open_catalogue"]
+__all__ = ["Catalogue", "Committed", "RecorderCatalogue", "SetCommit", "check_owner", "open_catalogue"]
 
 _MODULE_OF = {
     "Catalogue": "reader",
+    "check_owner": "store",
     "open_catalogue": "store",
     "Committed": "writer",
     "RecorderCatalogue": "writer",

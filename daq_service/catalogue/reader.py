@@ -13,7 +13,7 @@ from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, case, func, insert, select
 
 from daq_service.catalogue.connection import make_engine, translated, writing
-from daq_service.catalogue.errors import CatalogueError, NoDataYetError, OtherExperimentError
+from daq_service.catalogue.errors import CatalogueError, NoDataYetError
 from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
@@ -170,22 +170,6 @@ class Catalogue:
                 f"{self._path}: the experiment has not begun; start `solimon record` or wait for it"
             )
         return row
-
-    def check_owner(self, configuration_hash: str) -> None:
-        """Compare the folder's configuration with ours; a folder without an experiment is anybody's.
-
-        Raises
-        ------
-        OtherExperimentError
-            The folder belongs to another configuration.
-        """
-        row = self._newest_row(ExperimentRow)
-        if row is not None and row.configuration_hash != configuration_hash:
-            raise OtherExperimentError(
-                f"{self._path.parent} belongs to the experiment {row.name!r} with configuration "
-                f"{row.configuration_hash}, not to configuration {configuration_hash}; go on with the "
-                "configuration that began it, or choose another folder with --data-dir"
-            )
 
     def counts(self) -> dict[str, int]:
         """Sizes of the experiment so far.

@@ -16,33 +16,40 @@ from daq_service.catalogue.errors import (
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate
 from daq_service.catalogue.network_folder import network_filesystem
+from daq_service.catalogue.owner import refuse_other_test
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.writer import RecorderCatalogue
+from daq_service.settings.tree import Settings
 
-__all__ = ["Catalogue", "CatalogueError", "NoDataYetError", "RecorderCatalogue", "open_catalogue"]
+__all__ = [
+    "Catalogue",
+    "CatalogueError",
+    "NoDataYetError",
+    "RecorderCatalogue",
+    "check_owner",
+    "open_catalogue",
+]
+
+
+@overload
+def open_catalogue(folder: Path, *, writer: Literal[False] = ..., settings: None = ...) -> Catalogue: ...
 
 
 @overload
 def open_catalogue(
-    folder: Path, *, writer: Literal[False] = ..., configuration_hash: None = ...
-) -> Catalogue: ...
-
-
-@overload
-def open_catalogue(
-    folder: Path, *, writer: Literal[True], configuration_hash: str | None = ...
+    folder: Path, *, writer: Literal[True], settings: Settings | None = ...
 ) -> RecorderCatalogue: ...
 
 
-def open_catalogue(folder: Path, *, writer: bool = False, configuration_hash: str | None = None) -> Catalogue:
+def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | None = None) -> Catalogue:
     """Open the catalogue of a data folder.
 
     Parameters
     ----------
     writer
         True for the recorder: the file is made or migrated. The folder must exist.
-    configuration_hash
-        Writer only: refuse a folder that belongs to another configuration.
+    settings
+        Writer only: refuse a folder that belongs to another test, before it is migrated.
 
     Raises
     ------
@@ -53,13 +60,13 @@ def open_catalogue(folder: Path, *, writer: bool = False, configuration_hash: st
     SchemaVersionError
         The catalogue was made by another version of solimon.
     OtherExperimentError
-        The folder belongs to another configuration.
+        The folder belongs to another test (see `check_owner`).
     CatalogueError
         The file is damaged, or cannot be read or written.
     """
     _refuse_network(folder)
     path = folder / FILE_NAME
-    return _open_writer(path, configuration_hash) if writer else _open_reader(path)
+    return _open_writer(path, settings) if writer else _open_reader(path)
 
 
 def _refuse_network(folder: Path) -> None:
@@ -71,16 +78,42 @@ def _refuse_network(folder: Path) -> None:
         )
 
 
-def _open_writer(path: Path, configuration_hash: str | None) -> RecorderCatalogue:
+def check_owner(settings: Settings, folder: Path) -> None:
+    """Compare a folder's test with ours before anything is written; older revisions are read, too.
+
+    Raises
+    ------
+    OtherExperimentError
+        It began with another configuration, extractor or twin: each with both values, and the way out.
+    SchemaVersionError
+        A newer version of solimon made the catalogue.
+    """
+    _refuse_network(folder)
+    path = folder / FILE_NAME
+    if not path.is_file():
+        return  # nobody's yet
+    engine = make_engine(path, writable=False)
+    try:
+        with translated(path, "opening"):
+            found = _revision(engine)
+            if found is not None and found > SCHEMA_REVISION:
+                raise _other_schema(path, found)
+            if found is not None:
+                refuse_other_test(engine, path, settings)
+    finally:
+        engine.dispose()
+
+
+def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
     engine = make_engine(path, writable=True)
     try:
         with translated(path, "opening"):
             found = _revision(engine)
+            if settings is not None and found is not None and found <= SCHEMA_REVISION:
+                refuse_other_test(engine, path, settings)
             if found != SCHEMA_REVISION:
                 migrate(engine, path, found)
         catalogue = RecorderCatalogue(path, engine)
-        if configuration_hash is not None:
-            catalogue.check_owner(configuration_hash)
     except BaseException:
         engine.dispose()
         raise
@@ -98,16 +131,20 @@ def _open_reader(path: Path) -> Catalogue:
         if found is None:
             raise NoDataYetError(waiting)
         if found != SCHEMA_REVISION:
-            raise SchemaVersionError(
-                f"{path} has schema {found}, this version of solimon reads {SCHEMA_REVISION}; "
-                "start the recorder of this version, which migrates it, or install the version that made it"
-            )
+            raise _other_schema(path, found)
         catalogue = Catalogue(path, engine)
         catalogue.experiment_row()
     except BaseException:
         engine.dispose()
         raise
     return catalogue
+
+
+def _other_schema(path: Path, found: str) -> SchemaVersionError:
+    return SchemaVersionError(
+        f"{path} has schema {found}, this version of solimon reads {SCHEMA_REVISION}; "
+        "start the recorder of this version, which migrates it, or install the version that made it"
+    )
 
 
 def _revision(engine: Engine) -> str | None:

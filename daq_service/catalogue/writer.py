@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
-from daq_service.catalogue.errors import CatalogueWriteError
+from daq_service.catalogue.errors import CatalogueWriteError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -110,8 +110,12 @@ class RecorderCatalogue(Catalogue):
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
                 _insert(connection, [row])
-        self.check_owner(configuration_hash)
-        return self.experiment_row()
+        begun = self.experiment_row()
+        if begun.configuration_hash != configuration_hash:
+            raise OtherExperimentError(
+                f"{self._path} belongs to configuration {begun.configuration_hash}, not to {configuration_hash}"
+            )
+        return begun
 
     def committed_sets(self) -> set[int]:
         """Return the indices of the sets whose rows are stored: those a restart leaves out."""

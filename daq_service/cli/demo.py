@@ -15,11 +15,12 @@ from typing import Any
 import click
 
 from daq_service.acquisition.schedule import due_hours
+from daq_service.catalogue import check_owner
 from daq_service.cli.run import STOPPED, child_plans
 from daq_service.cli.summary import print_summary, summarise_run
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
-from daq_service.processes.data_folder import check_owner, prepare_data_folder, write_configuration
+from daq_service.processes.data_folder import prepare_data_folder, write_configuration
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 from daq_service.settings.tree import Settings

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from daq_service.catalogue import check_owner
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
 from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
-from daq_service.processes.data_folder import check_owner, data_folder, own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import data_folder, own_data_folder, prepare_data_folder
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings

@@ -9,6 +9,7 @@ from dataclasses import replace
 from analysis.errors import AnalysisError
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.ultrasound.thickness import (
+    EXTRACTOR_VERSION,
     EchoReference,
     ThicknessInterval,
     reference_echo,
@@ -24,9 +25,6 @@ from daq_service.catalogue.rows import ThicknessRow
 from daq_service.judgement.assessment import Assessment
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
-
-EXTRACTOR_VERSION = "1.1"
-"""Of the travel time; changes whenever any result of any record would."""
 
 FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
 

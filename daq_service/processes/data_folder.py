@@ -14,8 +14,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.errors import BusyError, StorageError
 from daq_service.settings.tree import Settings
@@ -131,21 +129,6 @@ def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) 
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
     return base / settings.storage.folder
-
-
-def check_owner(settings: Settings, folder: Path) -> None:
-    """Compare a folder's configuration with ours before anything is written to it.
-
-    Raises
-    ------
-    StorageError
-        The folder belongs to another configuration: both hashes and the remedy.
-    """
-    try:
-        with open_catalogue(folder) as catalogue:
-            catalogue.check_owner(settings.configuration_hash())
-    except NoDataYetError:
-        return  # nobody's yet
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:

@@ -85,7 +85,8 @@ class Recorder:
         # Simulated time has one frame whatever machine it runs on.
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
-        self._provenance = provenance(settings, rig)
+        folder_hash = catalogue.experiment_row().configuration_hash
+        self._provenance = provenance(settings, rig, configuration_hash=folder_hash)
         self._next_sequence = catalogue.next_sequence()
         self._cost = Cost()
         done = catalogue.committed_sets()
@@ -111,6 +112,7 @@ class Recorder:
             "dry_run": self._rig.dry_run,
             "sets_done": len(done),
             "before": not_running_because,
+            "versions": self._provenance["versions"],
         }
         self._say("recorder_started", started)
         for number, due in enumerate(self._plan):

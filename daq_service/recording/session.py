@@ -7,12 +7,13 @@ import logging
 import threading
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
 
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
@@ -67,9 +68,7 @@ def record(
     """
     cause = _why_not_running(folder, restarted_because)
     with ExitStack() as stack:
-        catalogue = stack.enter_context(
-            open_catalogue(folder, writer=True, configuration_hash=settings.configuration_hash())
-        )
+        catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
         clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
         heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
@@ -148,6 +147,13 @@ def _open_patiently(
 
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
+    with suppress(NoDataYetError):
+        row = catalogue.experiment_row()
+        if row.solimon_version != version("solimon"):
+            log.warning(
+                "solimon %s goes on with a test that %s began", version("solimon"), row.solimon_version
+            )
+        return row.epoch_utc_ns
     simulated = settings.clock.kind == "simulated"
     row = catalogue.create_experiment(
         name=settings.name,

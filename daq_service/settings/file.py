@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from daq_service.errors import UsageError
+from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
 
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
@@ -54,6 +55,10 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
     if not isinstance(values, dict):
         raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
     values.pop("$schema", None)
+    if (
+        path.suffix == ".json"
+    ):  # a folder's, maybe of an earlier version; a TOML file is a person's to correct
+        values = renamed(values)
     _refuse_unknown_variables()
     _resolve_recording(values, path)
     try:

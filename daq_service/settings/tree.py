@@ -283,9 +283,14 @@ class RigSettings(Section):
         return self
 
     @property
+    def on_twin(self) -> bool:
+        """True where the twin strikes: alone, or behind doubles of the boards."""
+        return self.kind == "simulated" or self.on_doubles
+
+    @property
     def simulates_time(self) -> bool:
         """True where a simulated clock makes sense: no real rig is waited for."""
-        return self.kind in ("simulated", "playback") or self.on_doubles
+        return self.on_twin or self.kind == "playback"
 
 
 class Settings(BaseSettings):
@@ -395,10 +400,15 @@ class Settings(BaseSettings):
                     f"{unknown[0]!r}"
                 )
 
+    def measured(self) -> dict[str, Any]:
+        """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
+        return self.model_dump(mode="json", exclude=dict(HASHED_OUT))
+
     def configuration_hash(self) -> str:
-        """SHA-256 of what the data depend on: the identity of a data folder."""
-        content = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
-        return hashlib.sha256(json.dumps(content, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+        """SHA-256 of what the data depend on: the name of the folder that this configuration begins."""
+        return hashlib.sha256(
+            json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
+        ).hexdigest()
 
     def names_of(self, method: Literal["solitary_wave", "pulse_echo"]) -> list[str]:
         """Positions monitored by a method, in the order of the file."""

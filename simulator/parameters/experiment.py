@@ -22,6 +22,9 @@ from simulator.parameters.electronics import AdcParameters, NoiseParameters, Sen
 from simulator.parameters.faults import FaultParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
+TWIN_VERSION = "1"
+"""Changes whenever a record of the same parameters and seed would by more than rounding."""
+
 
 @bounded
 class ThinningParameters:

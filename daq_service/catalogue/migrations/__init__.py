@@ -10,7 +10,8 @@ from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
 
 SCHEMA_REVISION = "0002"
-"""The newest revision in ``versions``: what this version of solimon reads and writes."""
+"""The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four
+digits, so that revisions compare as text."""
 
 
 def migrate(engine: Engine, path: Path, found: str | None) -> None:

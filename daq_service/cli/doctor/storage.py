@@ -11,11 +11,12 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from daq_service.archive import FolderSetReader
+from daq_service.catalogue import check_owner
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
-from daq_service.processes.data_folder import OWN_NAMES, check_owner, own_data_folder
+from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.settings.tree import Settings
 
 SLOW_WRITE_S = 1.0

@@ -138,6 +138,7 @@ class Evidence:
 
     folder: Path
     name: str
+    configuration: Mapping[str, Any]
     configuration_hash: str
     solimon_version: str
     from_twin: bool
@@ -195,6 +196,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     return Evidence(
         folder=folder,
         name=row.name,
+        configuration=configuration,
         configuration_hash=row.configuration_hash,
         solimon_version=row.solimon_version,
         from_twin=from_twin,

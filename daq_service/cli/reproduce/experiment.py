@@ -6,10 +6,11 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
+from daq_service.catalogue import check_owner
 from daq_service.cli.run import child_plans
 from daq_service.errors import BusyError, RigError, SolimonError, StorageError, UsageError
 from daq_service.processes.child import log_to
-from daq_service.processes.data_folder import check_owner, prepare_data_folder, write_configuration
+from daq_service.processes.data_folder import prepare_data_folder, write_configuration
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings

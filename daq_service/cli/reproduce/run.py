@@ -32,6 +32,7 @@ from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
+from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
 from simulator.errors import SimulatorError
 
@@ -254,7 +255,7 @@ def _origin(test: Evidence | None) -> str:
     """Whose measurements these are, for their causes."""
     if test is not None and not test.from_twin:
         return "specimen"
-    shipped = test is None or test.configuration_hash == twin_settings(test.seed).configuration_hash()
+    shipped = test is None or not differences(test.configuration, twin_settings(test.seed))
     return "shipped" if shipped else "twin"
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import orjson
 import pytest
 
-from daq_service.catalogue import SetCommit, connection, open_catalogue
+from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
     CatalogueDamagedError,
@@ -33,6 +33,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.tables import features, sets
+from daq_service.settings.tree import Settings
 
 HASH = "ab" * 32
 NAN = float("nan")
@@ -41,7 +42,7 @@ NS_PER_H = 3_600_000_000_000
 
 
 def begin(folder, configuration_hash=HASH):
-    catalogue = open_catalogue(folder, writer=True, configuration_hash=configuration_hash)
+    catalogue = open_catalogue(folder, writer=True)
     catalogue.create_experiment(
         name="test",
         configuration_hash=configuration_hash,
@@ -248,12 +249,18 @@ def test_a_network_folder_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_folder_of_another_configuration_is_refused_by_both_names(tmp_path, writer):
-    other = "cd" * 32
-    with pytest.raises(OtherExperimentError) as caught:
-        open_catalogue(tmp_path, writer=True, configuration_hash=other)
-    assert HASH in str(caught.value)
-    assert other in str(caught.value)
-    assert "--data-dir" in str(caught.value)
+    other = Settings(plate={"thickness_m": 0.006})
+    for look in (
+        check_owner,
+        lambda settings, folder: open_catalogue(folder, writer=True, settings=settings),
+    ):
+        with pytest.raises(OtherExperimentError) as caught:
+            look(other, tmp_path)
+        told = str(caught.value)
+        assert HASH in told
+        assert other.configuration_hash() in told
+        assert "plate.thickness_m began with 0.00635, is 0.006 now" in told
+        assert "--data-dir" in told
 
 
 def test_the_experiment_is_made_once(tmp_path, writer):

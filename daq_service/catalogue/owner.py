@@ -1,0 +1,71 @@
+"""Whose folder it is: the test that its catalogue began, of whatever revision, compared with ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Table, select
+
+from daq_service.catalogue.errors import OtherExperimentError
+from daq_service.catalogue.tables import events, experiment, features, thickness
+from daq_service.settings.stored import differences
+from daq_service.settings.tree import Settings
+from simulator.parameters.experiment import TWIN_VERSION
+
+
+def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
+    """Go on only where the next set measures the same as the first one.
+
+    Raises
+    ------
+    OtherExperimentError
+        Every key or version that differs with both values, and the way out.
+    """
+    with engine.begin() as connection:
+        columns = (experiment.c.name, experiment.c.configuration_hash, experiment.c.configuration)
+        row = connection.execute(select(*columns, experiment.c.solimon_version)).one_or_none()
+        if row is None:
+            return  # nobody's yet
+        lines = _other_versions(connection, settings)
+    own_hash = settings.configuration_hash()
+    if row.configuration_hash != own_hash:
+        lines = [*differences(row.configuration, settings), *lines]
+    if lines:
+        raise OtherExperimentError(
+            f"{path.parent} belongs to the experiment {row.name!r} with configuration "
+            f"{row.configuration_hash}, not to configuration {own_hash}:\n"
+            + "\n".join(f"  {line}" for line in lines)
+            + "\nGo on with the configuration that began it (where a default, an extractor or the twin has "
+            f"changed, with solimon {row.solimon_version}), or choose another folder with --data-dir."
+        )
+
+
+def _other_versions(connection: Connection, settings: Settings) -> list[str]:
+    """Say which extractor, or which twin, is not the one that the folder's last rows come from."""
+    # Loading the extractors takes a while, and only a folder that has a test needs it.
+    from analysis.ultrasound import thickness as pulse_echo
+    from analysis.waves import features as solitary_wave
+
+    used = {
+        "extractor of solitary waves": (_newest(connection, features), solitary_wave.EXTRACTOR_VERSION),
+        "extractor of pulse echoes": (_newest(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
+    }
+    if settings.rig.on_twin:
+        used["physics of the twin"] = (_twin_version(connection), TWIN_VERSION)
+    return [
+        f"{name}: began with {began}, is {now} now"
+        for name, (began, now) in used.items()
+        if began not in (None, now)
+    ]
+
+
+def _newest(connection: Connection, table: Table) -> Any:
+    return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
+
+
+def _twin_version(connection: Connection) -> Any:
+    """Version that the last recorder stated; the first one in a folder from before any was stated."""
+    started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
+    payload = connection.execute(started.limit(1)).scalar()
+    return None if payload is None else payload.get("versions", {}).get("twin", "1")

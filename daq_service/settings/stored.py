@@ -1,0 +1,151 @@
+"""The configuration that a data folder keeps, read by today's keys and compared with the one given.
+
+A folder outlives versions. A key that came later counts with its default, one that got another name or
+went is looked up in `RENAMED`; what then differs, differs in what is measured.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from pydantic import ValidationError
+from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
+
+from daq_service.settings.tree import HASHED_OUT, Settings
+
+KeyPath = tuple[str, ...]
+
+RENAMED: Mapping[str, str | None] = {}
+"""Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
+or None for one that went without changing what is measured."""
+
+SHOWN = 12
+"""A refusal names this many keys: nobody reads more."""
+
+
+class _Stored(Settings):
+    """The tree without the environment, which belongs to today's start."""
+
+    @classmethod
+    def settings_customise_sources(
+        cls,
+        settings_cls: type[BaseSettings],
+        init_settings: PydanticBaseSettingsSource,
+        env_settings: PydanticBaseSettingsSource,
+        dotenv_settings: PydanticBaseSettingsSource,
+        file_secret_settings: PydanticBaseSettingsSource,
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        return (init_settings,)
+
+
+def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested tables under today's names, without the keys that went."""
+    moved = ((_todays(path), value) for path, value in _flat(values).items())
+    return _nested({path: value for path, value in moved if path})
+
+
+def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
+    """Say key by key where a stored configuration means something else than the one given.
+
+    Parameters
+    ----------
+    stored
+        Nested tables: every key of the version that wrote them.
+
+    Returns
+    -------
+    list of str
+        A line a key, with both values; empty where the same is measured.
+    """
+    given_flat = _flat(given.model_dump(mode="json"))
+    flat = {
+        path: given_flat.get(path, value) if _is_hashed_out(path) else value
+        for path, value in _flat(renamed(stored)).items()
+    }
+    foreign = _unknown(_nested(flat))
+    unknown = {path for path in flat if any(path[: len(key)] == key for key in foreign)}
+    told = {
+        path: f"began with {json.dumps(flat[path])}; this version has no such key"
+        for path in unknown
+        if not _is_hashed_out(path)
+    }
+    try:
+        began = _flat(_Stored(**_nested({p: v for p, v in flat.items() if p not in unknown})).measured())
+    except ValidationError as error:
+        told |= {_path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()}
+    else:
+        now = _flat(given.measured())
+        told |= {
+            path: f"began with {_value(began, path)}, is {_value(now, path)} now"
+            for path in {**began, **now}
+            if _value(began, path) != _value(now, path)
+        }
+    # A position repeats what it takes from the tables above it.
+    lines = [
+        f"{'.'.join(path)} {text}"
+        for path, text in sorted(told.items())
+        if path[:1] != ("positions",) or told.get(path[2:]) != text
+    ]
+    return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"and {len(lines) - SHOWN} more"]
+
+
+def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
+    try:
+        _Stored(**values)
+    except ValidationError as error:
+        kinds = {"extra_forbidden", "unexpected_keyword_argument"}
+        return {_path(problem["loc"]) for problem in error.errors() if problem["type"] in kinds}
+    return set()
+
+
+def _is_hashed_out(path: KeyPath) -> bool:
+    below: Any = HASHED_OUT
+    for name in path:
+        if name not in below:
+            return False
+        if isinstance(below, set) or below[name] is True:
+            return True
+        below = below[name]
+    return False
+
+
+def _todays(path: KeyPath) -> KeyPath | None:
+    """Where a key stands today, None where it went."""
+    for old, new in RENAMED.items():
+        names = old.split(".")
+        if len(path) >= len(names) and all(a in ("*", b) for a, b in zip(names, path, strict=False)):
+            any_names = iter([b for a, b in zip(names, path, strict=False) if a == "*"])
+            if new is None:
+                return None
+            head = tuple(next(any_names) if name == "*" else name for name in new.split("."))
+            return head + path[len(names) :]
+    return path
+
+
+def _path(location: tuple[int | str, ...]) -> KeyPath:
+    return tuple(str(part) for part in location)
+
+
+def _value(flat: Mapping[KeyPath, Any], path: KeyPath) -> str:
+    return json.dumps(flat[path]) if path in flat else "no value"
+
+
+def _flat(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
+    """Tables by the path of each key; an empty table and a list count as values."""
+    flat: dict[KeyPath, Any] = {}
+    for name, value in values.items():
+        below = isinstance(value, Mapping) and value
+        flat |= _flat(value, (*above, name)) if below else {(*above, name): value}
+    return flat
+
+
+def _nested(flat: Mapping[KeyPath, Any]) -> dict[str, Any]:
+    tree: dict[str, Any] = {}
+    for path, value in flat.items():
+        below = tree
+        for name in path[:-1]:
+            below = below.setdefault(name, {})
+        below[path[-1]] = value
+    return tree

@@ -1,0 +1,160 @@
+"""Folders that earlier versions began: gone on with, or refused by name; never rewritten."""
+
+import hashlib
+import logging
+import sqlite3
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.small_experiment import rows_of, run
+
+from daq_service.archive import read_set, set_files
+from daq_service.catalogue import check_owner
+from daq_service.errors import StorageError
+from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
+
+FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
+TRANSDUCER, PROBE_TOO = FOLDERS / "transducer.toml", FOLDERS / "transducer_and_probe.toml"
+CONFIGURATION_OF = {"9c4a9b9": PROBE_TOO, "ab39956": TRANSDUCER, "c3c2e28": TRANSDUCER}
+TO_THE_END = {"schedule": {"end_h": 2.0}}
+SETS = 20
+FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselines", "events")
+"""Tables whose rows nobody changes once they are there; an alarm follows its state, and
+the verdicts of a baseline's sets wait for it."""
+
+Unpack = Callable[[str], Path]
+
+
+@pytest.fixture
+def unpack(tmp_path: Path) -> Unpack:
+    """Give a copy of the folder that a commit left."""
+
+    def copy(commit: str) -> Path:
+        folder = tmp_path / commit
+        with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
+            archive.extractall(folder, filter="data")
+        return folder
+
+    return copy
+
+
+def settings_of(commit: str, **tables: Any) -> Settings:
+    return load_settings(CONFIGURATION_OF[commit], overrides={**TO_THE_END, **tables})
+
+
+def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Rows as they stand in the file, whatever its revision."""
+    database = sqlite3.connect(folder / "catalogue.sqlite")
+    database.row_factory = sqlite3.Row
+    rows = {
+        table: [dict(row) for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")]
+        for table in FINAL_TABLES
+    }
+    database.close()
+    return rows
+
+
+def digests(folder: Path, pattern: str) -> dict[str, str]:
+    return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob(pattern)}
+
+
+def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
+    """Go on to the end and return the rows; what was there is as it was."""
+    before, files = stored_rows(folder), digests(folder, "sets/*.h5")
+    assert run(settings_of(commit), folder)
+    after = stored_rows(folder)
+    for table, rows in before.items():
+        kept = [{name: row[name] for name in rows[0]} for row in after[table][: len(rows)]] if rows else []
+        assert kept == rows, table
+    assert digests(folder, "sets/*.h5").items() >= files.items()
+    assert len(set_files(folder)) == SETS > len(files)
+    return after
+
+
+@pytest.mark.parametrize("commit", ["9c4a9b9", "ab39956"])
+def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpack, commit: str) -> None:
+    folder = unpack(commit)
+    rows = goes_on(folder, commit)
+    (experiment,) = rows["experiment"]
+    assert len({row["set_index"] for row in rows["sets"]}) == SETS
+    # The keys that came later would give another hash; every file bears the one that began the folder.
+    lacks_keys = commit != "9c4a9b9"
+    assert (experiment["configuration_hash"] != settings_of(commit).configuration_hash()) == lacks_keys
+    first, last = read_set(set_files(folder)[0]).provenance, read_set(set_files(folder)[SETS - 1]).provenance
+    assert first["configuration_hash"] == last["configuration_hash"] == experiment["configuration_hash"]
+    assert last["configuration"] == settings_of(commit).model_dump(mode="json")
+    assert last["versions"]["twin"] == "1"
+
+
+def test_going_on_gives_the_rows_of_a_run_in_one_go(unpack: Unpack, tmp_path: Path) -> None:
+    folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
+    assert run(settings_of("9c4a9b9"), folder)
+    assert run(settings_of("9c4a9b9"), whole)
+    assert rows_of(folder) == rows_of(whole)
+
+
+def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack: Unpack) -> None:
+    folder = unpack("c3c2e28")
+    files = digests(folder, "**/*.*")
+    for refused in (lambda: check_owner(settings_of("c3c2e28"), folder), lambda: goes_on(folder, "c3c2e28")):
+        with pytest.raises(StorageError, match=r"extractor of solitary waves: began with 1\.0, is 1\.1 now"):
+            refused()
+        assert digests(folder, "**/*.*").items() >= files.items()
+
+
+def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
+    unpack: Unpack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As if the extractor had stayed what it was: everything else of this folder can be gone on with.
+    monkeypatch.setattr("analysis.waves.features.EXTRACTOR_VERSION", "1.0")
+    folder = unpack("c3c2e28")
+    check_owner(settings_of("c3c2e28"), folder)
+    rows = goes_on(folder, "c3c2e28")
+    assert {row["n_missed"] for row in rows["sets"]} == {0}
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("daq_service.catalogue.owner.TWIN_VERSION", "physics of the twin: began with 1, is 2 now"),
+        (
+            "analysis.ultrasound.thickness.EXTRACTOR_VERSION",
+            "of pulse echoes: began with 1.1, is 2",
+        ),
+        ("analysis.waves.features.EXTRACTOR_VERSION", "of solitary waves: began with 1.1, is 2"),
+    ],
+)
+def test_a_version_that_measures_otherwise_names_what_changed(
+    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, told: str
+) -> None:
+    folder = unpack("9c4a9b9")
+    monkeypatch.setattr(name, "2")
+    with pytest.raises(StorageError) as caught:
+        check_owner(settings_of("9c4a9b9"), folder)
+    assert told in str(caught.value)
+    assert "with solimon 0.1.0), or choose another folder with --data-dir" in str(caught.value)
+    assert caught.value.exit_code == 4
+
+
+def test_a_changed_key_is_named_with_both_values(unpack: Unpack) -> None:
+    folder = unpack("ab39956")
+    with pytest.raises(StorageError) as caught:
+        check_owner(settings_of("ab39956", plate={"elements_per_edge": 18, "contact": "patch"}), folder)
+    lines = [line.strip() for line in str(caught.value).splitlines()[1:-1]]
+    assert lines == [
+        'plate.contact began with "node", is "patch" now',
+        "plate.elements_per_edge began with 16, is 18 now",
+    ]
+
+
+def test_a_new_version_of_the_package_alone_is_told_and_not_refused(
+    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("daq_service.recording.session.version", lambda name: "9.0.0")
+    with caplog.at_level(logging.WARNING):
+        goes_on(unpack("ab39956"), "ab39956")
+    assert "solimon 9.0.0 goes on with a test that 0.1.0 began" in caplog.text

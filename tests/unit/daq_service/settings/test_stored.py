@@ -1,0 +1,99 @@
+"""A stored configuration means what today's does, or the keys that differ are named."""
+
+import copy
+from typing import Any
+
+import pytest
+
+from daq_service.settings import stored
+from daq_service.settings.stored import SHOWN, differences, renamed
+from daq_service.settings.tree import NoveltySettings, Settings
+
+NOW = Settings()
+
+
+def kept() -> dict[str, Any]:
+    """What a folder of today's default test keeps."""
+    return NOW.model_dump(mode="json")
+
+
+def test_what_this_version_stores_is_what_it_reads() -> None:
+    assert differences(kept(), NOW) == []
+
+
+def test_a_key_that_came_later_counts_with_its_default() -> None:
+    before = kept()
+    del before["quality"], before["plate"]["contact"]
+    for place in before["positions"].values():
+        del place["plate"]["contact"]
+    assert differences(before, NOW) == []
+    assert differences(before, Settings(plate={"contact": "patch"})) == [
+        'plate.contact began with "node", is "patch" now'
+    ]
+
+
+def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
+    given = Settings(positions={"B": {"method": "solitary_wave", "chain": {"drop_height_m": 5.1e-3}}})
+    before = given.model_dump(mode="json")
+    before["positions"]["B"]["chain"]["drop_height_m"] = 5e-3
+    assert differences(before, given) == ["positions.B.chain.drop_height_m began with 0.005, is 0.0051 now"]
+
+
+def test_a_changed_default_is_a_change_of_meaning() -> None:
+    """The stored configuration holds every value in full, so the default of its day is not lost."""
+    before = kept()
+    given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
+    assert differences(before, given) == ["novelty.false_alarm_rate began with 0.0027, is 0.01 now"]
+
+
+def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SOLIMON_CHAIN__DROP_HEIGHT_M", "5.1e-3")
+    assert differences(kept(), NOW) == []
+    assert differences(kept(), Settings()) == ["chain.drop_height_m began with 0.005, is 0.0051 now"]
+
+
+def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it() -> None:
+    before = kept()
+    before["novelty"]["ghost"] = 3
+    before["web"]["ghost"] = 4
+    before["web"]["port"] = -1
+    before["positions"]["B"]["plate"]["ghost"] = before["plate"]["ghost"] = [1, 2]
+    assert differences(before, NOW) == [
+        "novelty.ghost began with 3; this version has no such key",
+        "plate.ghost began with [1, 2]; this version has no such key",
+    ]
+
+
+def test_a_value_that_this_version_refuses_is_named() -> None:
+    before = kept()
+    before["alarms"]["k"] = 0
+    (line,) = differences(before, NOW)
+    assert line.startswith("alarms.k Input should be greater than or equal to 1")
+
+
+@pytest.mark.parametrize(("today", "measured"), [("positions.*.plate.contact", "node"), (None, None)])
+def test_a_renamed_key_is_read_under_its_name_of_today(
+    monkeypatch: pytest.MonkeyPatch, today: str | None, measured: str | None
+) -> None:
+    monkeypatch.setattr(stored, "RENAMED", {"positions.*.plate.touch": today})
+    before = kept()
+    for place in before["positions"].values():
+        place["plate"]["touch"] = place["plate"].pop("contact")
+    moved = renamed(before)
+    assert all(place["plate"].get("contact") == measured for place in moved["positions"].values())
+    assert differences(before, NOW) == []
+
+
+def test_a_renamed_table_takes_its_keys_along(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stored, "RENAMED", {"judgement": "novelty"})
+    before = kept()
+    before["judgement"] = {**before.pop("novelty"), "false_alarm_rate": 0.01}
+    unchanged = copy.deepcopy(before)
+    assert differences(before, NOW) == ["novelty.false_alarm_rate began with 0.01, is 0.0027 now"]
+    assert before == unchanged
+
+
+def test_a_long_list_of_differences_is_cut_with_its_length() -> None:
+    *lines, last = differences(kept(), Settings(positions={"Z": {"method": "pulse_echo"}}))
+    assert len(lines) == SHOWN
+    assert last.startswith("and ")
