@@ -12,7 +12,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from analysis.waves.features import FLAGS, ShotFeatures, extract_features
+from analysis.waves.features import ShotFeatures, extract_features
+from analysis.waves.quality_gate import FLAGS
 from hardware_drivers.measurement import ShotKey
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import ThinningParameters, TwinParameters

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-NS_PER_S = 1_000_000_000
-NS_PER_H = 3600 * NS_PER_S
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
 IDLE_INTERVAL_S = 0.05
 """How often a waiting clock lets its caller look around; the Protocol allows 0.2 s."""
 
@@ -42,11 +42,11 @@ def parse_utc(text: str) -> int:
     return (delta.days * 86_400 + delta.seconds) * NS_PER_S + delta.microseconds * 1000
 
 
-def format_utc(utc_ns: int) -> str:
-    """Integer nanoseconds of UTC to RFC 3339 with milliseconds."""
+def format_utc(utc_ns: int, decimals: int = 9) -> str:
+    """Integer nanoseconds of UTC to RFC 3339 (ISO 8601), cut to ``decimals`` (0 to 9) of the seconds."""
     whole, rest = divmod(utc_ns, NS_PER_S)
     stamp = datetime.fromtimestamp(whole, tz=UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    return f"{stamp}.{rest // 1_000_000:03d}Z"
+    return stamp + (f".{rest:09d}"[: decimals + 1] if decimals else "") + "Z"
 
 
 def _sysctl_text(name: str) -> str:

@@ -10,11 +10,10 @@ from numpy.typing import ArrayLike
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.limits import phase_one_limit
+from analysis.statistics.rules import MINIMUM_SETS
 from analysis.waves.features import EXTRACTOR_VERSION, FEATURE_NAMES
 from analysis.waves.record_reduction import FloatArray
 
-MINIMUM_SETS = 15
-"""Fewer sets are refused: at p = 5 the limit would exceed 65 and its realised rate scatter tenfold."""
 ADVISED_SETS = 48
 """Fewer sets bring a warning: the paper's 24 hours at one set every 30 minutes."""
 SMALLEST_EIGENVALUE = 1e-10

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 from scipy.special import betaincinv, fdtrc, fdtri
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError
+from analysis.statistics.rules import NOMINAL_RATE
 
 PAPER_MEAN_3SD = "paper_mean_3sd"
 F_PREDICTIVE = "f_predictive"
-NOMINAL_RATE = 0.0027
-"""One in 370: a normal variable beyond three standard deviations (the paper's 99.73 %)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,5 +1,7 @@
 """Rules over the sequence of sets: when verdicts become an alarm, and when the wall has a hole.
 
+The configuration's defaults are those of the rules here, which load without NumPy.
+
 States are small frozen values; a step takes one and returns the next, so a restart resumes from what
 the catalogue holds.
 """
@@ -10,6 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analysis.errors import InvalidInputError
+
+NOMINAL_RATE = 0.0027
+"""One in 370: a normal variable beyond three standard deviations (the paper's 99.73 %)."""
+MINIMUM_SETS = 15
+"""Fewer make no baseline: at p = 5 the limit would exceed 65 and its realised rate scatter tenfold."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,7 @@ from scipy.fft import next_fast_len
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
+from analysis.waves.quality_gate import FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
     ExtractionSettings,
     FloatArray,
@@ -67,14 +68,6 @@ OTHER_FEATURE_NAMES = (
     "noise_rms_v",
 )
 ALL_FEATURE_NAMES = FEATURE_NAMES + OTHER_FEATURE_NAMES
-
-FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "psw_merged", "baseline", "noisy")
-INVALIDATING_FLAGS = frozenset({"missed", "double", "clipped", "inverted", "no_psw"})
-"""A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
-
-The other three leave the vector usable: a merged PSW is what a badly corroded wall sends back, and
-dropping it would hide the damage.
-"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,7 +334,7 @@ def _autocorrelation(
     return (peak + shift) * record.step_s, height * record.block_samples / power
 
 
-def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = 7) -> SetFeatures:
+def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
     """Mean and standard deviation of the valid shots' features.
 
     Parameters

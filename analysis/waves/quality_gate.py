@@ -9,12 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, get_args
 
 from analysis.errors import InvalidInputError
-from analysis.waves.features import FLAGS
 
-RESTRIKE_FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "noisy")
+FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "psw_merged", "baseline", "noisy")
+"""What may be wrong with a shot."""
+INVALIDATING_FLAGS = frozenset({"missed", "double", "clipped", "inverted", "no_psw"})
+"""A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
+
+The other three leave the vector usable: a merged PSW is what a badly corroded wall sends back, and
+dropping it would hide the damage.
+"""
+MINIMUM_VALID_SHOTS = 7
+"""Of the paper's ten; fewer make no mean."""
+
+RestrikeFlag = Literal["missed", "double", "clipped", "inverted", "no_psw", "noisy"]
+RESTRIKE_FLAGS: tuple[RestrikeFlag, ...] = get_args(RestrikeFlag)
 """Flags of a shot that a repetition may cure; a merged reflection or a drifting baseline it would not."""
 
 ACCEPTED: Final = "accepted"
@@ -29,7 +40,7 @@ class RestrikeRule:
     Attributes
     ----------
     flags
-        Of `analysis.waves.features.FLAGS`; a strike that left no record counts as ``missed``.
+        Of `FLAGS`; a strike that left no record counts as ``missed``.
     restrikes_per_set
         For each transducer.
     """

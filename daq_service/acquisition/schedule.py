@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-NS_PER_H = 3_600_000_000_000
+from hardware_drivers.nanoseconds import NS_PER_H
 
 
 class PhaseLike(Protocol):

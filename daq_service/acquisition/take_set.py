@@ -16,8 +16,7 @@ from daq_service.acquisition.schedule import DueSet
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
-
-NS_PER_S = 1_000_000_000
+from hardware_drivers.nanoseconds import NS_PER_S
 
 LOST_IN_A_ROW = 3
 """Records running that a lost connection may cost before the set is given up: as many as a driver's

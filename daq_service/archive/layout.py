@@ -27,7 +27,6 @@ import json
 import uuid
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from typing import Any, Literal
 
 import numpy as np
@@ -43,14 +42,15 @@ from daq_service.archive.nexus import (
 )
 from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.archive.units import unit_of
+from daq_service.clock import format_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
 
 FORMAT_VERSION = "1.1"
 """Raised in its first number when an older reader would misunderstand the file."""
 CLIPPED = 1
 """Bit of ``shots/flags``."""
 _PREVIEW_POINTS = 500
-_NS_PER_S = 1_000_000_000
 
 Record = Shot | PulseEchoRecord
 
@@ -90,7 +90,7 @@ def build_image(record: SetRecord) -> bytes:
                 "default": "entry",
                 "creator": "solimon",
                 "creator_version": _version(record),
-                "file_time": iso_utc(record.ended_utc_ns),
+                "file_time": format_utc(record.ended_utc_ns),
                 "solimon_format_version": FORMAT_VERSION,
             },
         )
@@ -107,12 +107,6 @@ def build_image(record: SetRecord) -> bytes:
         _add_preview(entry, groups)
         _add_provenance(entry, record)
         return image_of(file)
-
-
-def iso_utc(utc_ns: int) -> str:
-    """RFC 3339 time with nanoseconds (ISO 8601, as NeXus wants it)."""
-    whole, rest = divmod(utc_ns, _NS_PER_S)
-    return f"{datetime.fromtimestamp(whole, tz=UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
 
 
 def _version(record: SetRecord) -> str:
@@ -155,8 +149,8 @@ def _add_facts(entry: Any, record: SetRecord) -> None:
     # Named by its content: the same set has the same name wherever it is written.
     identity = f"{hash_}/{record.set_index}/{record.started_utc_ns}/{sequences}"
     add_field(entry, "title", f"Set {record.set_index}, hour {record.due_h:g}")
-    add_field(entry, "start_time", iso_utc(record.started_utc_ns))
-    add_field(entry, "end_time", iso_utc(record.ended_utc_ns))
+    add_field(entry, "start_time", format_utc(record.started_utc_ns))
+    add_field(entry, "end_time", format_utc(record.ended_utc_ns))
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=hash_)
     add_field(entry, "set_index", np.int64(record.set_index))
@@ -201,7 +195,7 @@ def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
 
 def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
     time_axes: dict[tuple[float, int, int], Any] = {}
-    start = iso_utc(record.due_utc_ns)
+    start = format_utc(record.due_utc_ns)
     for group in groups:
         signal = "record" if group.is_echo else "waveform"
         data = add_group(
@@ -226,7 +220,7 @@ def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) 
         add_field(data, f"{signal}_scaling_factor", np.float64(scale), units="V")
         add_field(data, f"{signal}_offset", np.float64(offset))
         _add_time_axis(data, group, time_axes)
-        shot_time_s = [(shot.stamp.utc_ns - record.due_utc_ns) / _NS_PER_S for shot in group.records]
+        shot_time_s = [(shot.stamp.utc_ns - record.due_utc_ns) / NS_PER_S for shot in group.records]
         add_field(data, "shot_time", np.array(shot_time_s), units="s", start=start, long_name="time of shot")
         add_field(data, "shot_id", np.array([shot.sequence for shot in group.records], dtype=np.int64))
         echoes = [echo for echo in group.records if isinstance(echo, PulseEchoRecord)]
@@ -406,5 +400,5 @@ def _add_provenance(entry: Any, record: SetRecord) -> None:
     note = add_group(entry, "provenance", "NXnote")
     add_field(note, "type", "application/json")
     add_field(note, "description", "configuration, host and versions that made this set")
-    add_field(note, "date", iso_utc(record.ended_utc_ns))
+    add_field(note, "date", format_utc(record.ended_utc_ns))
     add_field(note, "data", [text], chunk=(1,))

@@ -12,6 +12,7 @@ from typing import Any, NewType
 
 from daq_service.clock import parse_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
 TEMPORARY_SUFFIX = ".tmp"
@@ -183,7 +184,7 @@ def waveform_crc32(waveform: Waveform) -> int:
 
 def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
     """Make the reference of a set; references sort by time."""
-    due = datetime.fromtimestamp(due_utc_ns // 1_000_000_000, tz=UTC)
+    due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
     return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5")
 
 

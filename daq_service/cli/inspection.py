@@ -78,7 +78,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "free_bytes": shutil.disk_usage(existing).free,
         "data_folder": str(folder),
         "last_due_h": planned[-1].due_h if planned else None,
-        "end_utc": format_utc(planned[-1].due_utc_ns) if planned else None,
+        "end_utc": format_utc(planned[-1].due_utc_ns, 3) if planned else None,
     }
 
 

@@ -11,9 +11,8 @@ from dataclasses import dataclass, replace
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from hardware_drivers.measurement import Stamp
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SupplyParameters
-
-NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

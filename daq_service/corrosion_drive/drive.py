@@ -17,10 +17,11 @@ from typing import Literal, Protocol, runtime_checkable
 
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
 from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
-from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, NS_PER_S, ReadingLog
+from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from hardware_drivers.instruments import ClimateProbe, Clock, PowerSupply
 from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
 
 log = logging.getLogger(__name__)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from daq_service.catalogue.rows import ReadingQuality
+from hardware_drivers.nanoseconds import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 LONGEST_GAP_INTERVALS = 3.0
 """Readings further apart than this many intervals are not joined by a straight line."""
 

@@ -16,7 +16,8 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from daq_service.clock import NS_PER_S, boot_name
+from daq_service.clock import boot_name
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 

@@ -18,10 +18,11 @@ from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
-SHORTEST_INTERVAL_NS, LONGEST_INTERVAL_NS = 100_000_000, 1_000_000_000
+SHORTEST_INTERVAL_NS, LONGEST_INTERVAL_NS = NS_PER_S // 10, NS_PER_S
 COSTS_BETWEEN = 100
 """All positions' pictures together take a hundredth of the time: a slow disk makes them rarer, down to one a
 second."""

@@ -25,7 +25,7 @@ from daq_service.acquisition.taken_set import (
 )
 from daq_service.archive import Archive, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.clock import NS_PER_H, boot_id
+from daq_service.clock import boot_id
 from daq_service.errors import RigError
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -38,13 +38,14 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Shot
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
 
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
-SELF_CALIBRATION_TAKES_NS = 180 * 1_000_000_000
+SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
 one comes at once, since nobody knows how long the boards have been warm."""
 

@@ -22,11 +22,11 @@ from daq_service.archive import (
     due_utc_ns,
 )
 from daq_service.archive.errors import ArchiveError
-from daq_service.clock import NS_PER_H
 from daq_service.errors import UsageError
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.nanoseconds import NS_PER_H
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
 from hardware_drivers.playback.parameters import PlaybackParameters

@@ -15,6 +15,8 @@ from typing import Any, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
+from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
+from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.niscope.parameters import NiscopeParameters
@@ -171,16 +173,9 @@ class FeatureSettings(Section):
 class QualitySettings(Section):
     """What happens to a poor shot, and to a transducer that gives nothing else."""
 
-    restrike_flags: tuple[Literal["missed", "double", "clipped", "inverted", "no_psw", "noisy"], ...] = (
-        "missed",
-        "double",
-        "clipped",
-        "inverted",
-        "no_psw",
-        "noisy",
-    )
+    restrike_flags: tuple[RestrikeFlag, ...] = RESTRIKE_FLAGS
     """Flags of a shot that is struck once more; both records are stored, the better one counts."""
-    restrikes_per_set: int = Field(default=3, ge=0, le=1000)
+    restrikes_per_set: int = Field(default=RestrikeRule().restrikes_per_set, ge=0, le=1000)
     """Repetitions of each transducer in a set; 0: none."""
     no_data_sets: int = Field(default=2, ge=1, le=1000)
     """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
@@ -193,9 +188,9 @@ class BaselineSettings(Section):
 
     hours: float = Field(default=24.0, gt=0.0, le=1e6)
     """Sets due up to this hour are the baseline (paper: the first 24 h)."""
-    minimum_sets: int = Field(default=15, ge=7, le=100_000)
+    minimum_sets: int = Field(default=MINIMUM_SETS, ge=7, le=100_000)
     """Fewer valid sets give no limit, with the reason."""
-    minimum_valid_shots: int = Field(default=7, ge=1, le=1000)
+    minimum_valid_shots: int = Field(default=MINIMUM_VALID_SHOTS, ge=1, le=1000)
     """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
     approval: Literal["automatic"] = "automatic"
     """`automatic`: nobody signed the baseline; every chart says so."""
@@ -206,20 +201,20 @@ class NoveltySettings(Section):
 
     limit: Literal["f_predictive", "paper_mean_3sd"] = "f_predictive"
     """The limit that decides; the other one is computed and shown too."""
-    false_alarm_rate: float = Field(default=0.0027, gt=0.0, lt=0.5)
+    false_alarm_rate: float = Field(default=NOMINAL_RATE, gt=0.0, lt=0.5)
     """Chance of a healthy set beyond the F limit (paper: 99.73 % confidence)."""
 
 
 class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
-    k: int = Field(default=3, ge=1, le=100)
+    k: int = Field(default=AlarmRule().k, ge=1, le=100)
     """Outliers among the last `n` judged sets that raise the alarm."""
-    n: int = Field(default=5, ge=1, le=100)
+    n: int = Field(default=AlarmRule().n, ge=1, le=100)
     """Judged sets looked at."""
-    hole_shots: int = Field(default=7, ge=1, le=1000)
+    hole_shots: int = Field(default=HoleRule().shots, ge=1, le=1000)
     """Shots of a set without a reflected wave that point at a hole."""
-    hole_sets: int = Field(default=2, ge=1, le=100)
+    hole_sets: int = Field(default=HoleRule().consecutive_sets, ge=1, le=100)
     """Such sets in a row that retire the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""

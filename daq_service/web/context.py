@@ -16,10 +16,11 @@ from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogu
 from daq_service.errors import StorageError
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.json_answer import NS_PER_H, NS_PER_S, rfc3339, with_utc
+from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, no_data_yet, not_found
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 LOOK_BACK_EVENTS = 20
 """The recorder's farewell is among its last events: behind it come at most answers to commands."""
@@ -155,7 +156,9 @@ class Freshness:
         last = newest[-1] if newest else None
         wall_ns = time.time_ns()
         self._written_ns: int | None = None if last is None else last.wall_utc_ns
-        self.wall_age_s = None if self._written_ns is None else max(0.0, (wall_ns - self._written_ns) / 1e9)
+        self.wall_age_s = (
+            None if self._written_ns is None else max(0.0, (wall_ns - self._written_ns) / NS_PER_S)
+        )
         if self.clock == "wall":
             self.now_utc_ns = wall_ns
         else:
@@ -181,7 +184,7 @@ class Freshness:
 
     def utc_of(self, hour: float) -> str | None:
         """RFC 3339 time of an hour of the experiment."""
-        return rfc3339(self.epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
+        return rfc3339_of_hour(self.epoch_utc_ns, hour)
 
     def row(self, row: Row, **beside: Any) -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hardware_drivers.instruments import Clock
-
-NS_PER_S = 1_000_000_000
+from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class RecordedClock:

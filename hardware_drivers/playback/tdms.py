@@ -21,6 +21,7 @@ import numpy as np
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
 from hardware_drivers.playback.tdms_channel import (
     Channel,
@@ -33,7 +34,6 @@ from hardware_drivers.playback.tdms_channel import (
 from hardware_drivers.playback.tdms_file import ValuesReader, read_channels, require_nptdms
 from hardware_drivers.playback.tdms_key import samples_of_record, shot_key
 
-_NS_PER_S = 1_000_000_000
 _NAMES_SHOWN = 5
 """Of names that did not match, in the message that nothing matched."""
 
@@ -255,7 +255,7 @@ def _appended(
 ) -> Iterator[tuple[ShotKey, _Place]]:
     """Give the first record of a channel and those appended to it."""
     for number in range(n_samples // place.n_samples):
-        later_ns = round(number * mapping.shot_interval_s * _NS_PER_S)
+        later_ns = round(number * mapping.shot_interval_s * NS_PER_S)
         yield (
             replace(key, shot_index=key.shot_index + number),
             replace(

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Calibration, Counts
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.ni_scaling import ScalingError, raw_polynomial
 from hardware_drivers.playback.parameters import TdmsMapping
 
@@ -29,7 +30,6 @@ _RAW_TYPES = {np.dtype(np.int8): 8, np.dtype(np.int16): 16, np.dtype(np.int32): 
 _SCALED_TYPES = {np.dtype(np.float32), np.dtype(np.float64)}
 _TDMS_EPOCH_S = -2_082_844_800
 """TDMS counts from 1904-01-01T00:00Z."""
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -293,4 +293,4 @@ def start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
             f"{mapping.start_time_property} is {stamp!r}, no time stamp", "give another start_time_property"
         ) from error
     # Fractions are 2^-64 s; half is added to round to the nearest nanosecond.
-    return (seconds + _TDMS_EPOCH_S) * _NS_PER_S + ((fractions * _NS_PER_S + (1 << 63)) >> 64)
+    return (seconds + _TDMS_EPOCH_S) * NS_PER_S + ((fractions * NS_PER_S + (1 << 63)) >> 64)

@@ -23,6 +23,7 @@ import serial
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import Stamp
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SerialLineParameters
 from hardware_drivers.serial_port.port import PORT_ERRORS, open_port
 
@@ -114,7 +115,7 @@ class SerialLine:
             return False
         now_ns = self._stamp().mono_ns
         if self._trouble is not None and not at_once and now_ns < self._next_attempt_ns:
-            wait_s = (self._next_attempt_ns - now_ns) / 1e9
+            wait_s = (self._next_attempt_ns - now_ns) / NS_PER_S
             kind, message = self._trouble
             raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
@@ -127,7 +128,7 @@ class SerialLine:
                 self.parameters.reconnect_first_s * 2.0 ** min(self._attempts - 1, 40),
                 self.parameters.reconnect_longest_s,
             )
-            self._next_attempt_ns = self._stamp().mono_ns + round(wait_s * 1e9)
+            self._next_attempt_ns = self._stamp().mono_ns + round(wait_s * NS_PER_S)
             tries = f"after {self._attempts} attempt" + ("s" if self._attempts > 1 else "")
             self._trouble = (type(error), f"{error} ({tries})")
             raise type(error)(self._trouble[1]) from error

@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.experiment import ThinningParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
 HARMONICS = 5
 """Slow variations of the rate between onset and reference hour: periods down to a fifth of it."""
-
-NS_PER_S = 1_000_000_000
-S_PER_H = 3_600.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,4 +95,4 @@ def held_hour_h(elapsed_ns: int, update_interval_s: float) -> float:
     interval it opens.
     """
     interval_ns = round(update_interval_s * NS_PER_S)
-    return elapsed_ns // interval_ns * interval_ns / NS_PER_S / S_PER_H
+    return elapsed_ns // interval_ns * interval_ns / NS_PER_S / 3600.0

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import UTC, datetime
 from typing import Any
 
 import orjson
 from starlette.responses import JSONResponse
 
-NS_PER_S = 1_000_000_000
-NS_PER_H = 3600 * NS_PER_S
+from daq_service.clock import format_utc
+from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class JsonAnswer(JSONResponse):
@@ -28,14 +27,13 @@ def rfc3339(utc_ns: int | None) -> str | None:
     """Nanoseconds of UTC as RFC 3339 text without loss, e.g. ``2024-01-01T00:30:00.000000250Z``."""
     if utc_ns is None:
         return None
-    whole, rest = divmod(utc_ns, NS_PER_S)
-    text = datetime.fromtimestamp(whole, tz=UTC).strftime("%Y-%m-%dT%H:%M:%S")
-    if rest:
-        digits = f"{rest:09d}"
-        text += "." + (
-            digits[:3] if digits.endswith("000000") else digits[:6] if digits.endswith("000") else digits
-        )
-    return text + "Z"
+    decimals = 9 if utc_ns % 1000 else 6 if utc_ns % 1_000_000 else 3 if utc_ns % NS_PER_S else 0
+    return format_utc(utc_ns, decimals)
+
+
+def rfc3339_of_hour(epoch_utc_ns: int, hour: float) -> str | None:
+    """Give the time of an hour of the experiment, to the second."""
+    return rfc3339(epoch_utc_ns + round(hour * 3600.0) * NS_PER_S)
 
 
 def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
@@ -52,6 +50,6 @@ def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
             answer[key] = value
     for key in [key for key in answer if key.endswith("_h")]:
         hours = answer[key]
-        stamp = None if hours is None else rfc3339(epoch_utc_ns + round(hours * 3600.0) * NS_PER_S)
+        stamp = None if hours is None else rfc3339_of_hour(epoch_utc_ns, hours)
         answer.setdefault(key.removesuffix("_h") + "_utc", stamp)
     return answer

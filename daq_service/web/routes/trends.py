@@ -9,7 +9,7 @@ from fastapi import APIRouter, Query
 
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow
-from daq_service.web.answers.json_answer import NS_PER_S, JsonAnswer, rfc3339
+from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hour
 from daq_service.web.answers.models import Trend, problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
@@ -75,9 +75,7 @@ def get_trend(
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     columns = read_columns(context, position, chosen, from_h, last_h)
-    columns["due_utc"] = [
-        rfc3339(fresh.epoch_utc_ns + round(hour * 3600.0) * NS_PER_S) for hour in columns["due_h"]
-    ]
+    columns["due_utc"] = [rfc3339_of_hour(fresh.epoch_utc_ns, hour) for hour in columns["due_h"]]
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
         {

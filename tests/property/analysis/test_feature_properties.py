@@ -12,7 +12,8 @@ from support.synthetic_records import Scene
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import contributions, distance_squared
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
-from analysis.waves.features import ALL_FEATURE_NAMES, INVALIDATING_FLAGS, extract_from_volts
+from analysis.waves.features import ALL_FEATURE_NAMES, extract_from_volts
+from analysis.waves.quality_gate import INVALIDATING_FLAGS
 
 SCENES = st.builds(
     Scene,

@@ -3,8 +3,15 @@
 import pytest
 
 from analysis.errors import InvalidInputError
-from analysis.waves.features import FLAGS
-from analysis.waves.quality_gate import ACCEPTED, RESTRIKE_FLAGS, SUPERSEDED, Attempt, RestrikeRule, outcomes
+from analysis.waves.quality_gate import (
+    ACCEPTED,
+    FLAGS,
+    RESTRIKE_FLAGS,
+    SUPERSEDED,
+    Attempt,
+    RestrikeRule,
+    outcomes,
+)
 
 
 @pytest.mark.parametrize("flag", FLAGS)
