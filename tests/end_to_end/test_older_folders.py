@@ -158,3 +158,14 @@ def test_a_new_version_of_the_package_alone_is_told_and_not_refused(
     with caplog.at_level(logging.WARNING):
         goes_on(unpack("ab39956"), "ab39956")
     assert "solimon 9.0.0 goes on with a test that 0.1.0 began" in caplog.text
+
+
+def test_the_configuration_that_an_earlier_demo_wrote_is_read(unpack: Unpack) -> None:
+    folder = unpack("ab39956")
+    (row,) = stored_rows(folder)["experiment"]
+    assert "damping_law" not in row["configuration"], "the key came later"
+    written = folder / "configuration.json"
+    written.write_text(row["configuration"], encoding="utf-8")
+    again = load_settings(written)
+    assert again.chain.damping_law == "linear"
+    check_owner(again, folder)
