@@ -113,7 +113,8 @@ class RecorderCatalogue(Catalogue):
         begun = self.experiment_row()
         if begun.configuration_hash != configuration_hash:
             raise OtherExperimentError(
-                f"{self._path} belongs to configuration {begun.configuration_hash}, not to {configuration_hash}"
+                f"{self._path} belongs to configuration {begun.configuration_hash}, "
+                f"not to {configuration_hash}"
             )
         return begun
 

@@ -56,7 +56,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
     judged = [row for row in verdicts if not row.in_baseline and row.outlier is not None]
     after = [row for row in judged if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
-    last = _last_good_feature(catalogue, settings, position)
+    last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
     limit = None
     if baseline is not None:
         limit = baseline.limit_f if settings.novelty.limit == "f_predictive" else baseline.limit_paper
@@ -101,13 +101,9 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else value * factor
 
 
-def _last_good_feature(catalogue: Catalogue, settings: Settings, position: str) -> FeatureRow | None:
+def _last_good_feature(catalogue: Catalogue, minimum_valid: int, position: str) -> FeatureRow | None:
     rows = catalogue.rows(FeatureRow, position=position, scope="set")
-    good = [
-        row
-        for row in rows
-        if row.n_valid >= settings.baseline.minimum_valid_shots and row.tof_pp_s is not None
-    ]
+    good = [row for row in rows if row.n_valid >= minimum_valid and row.tof_pp_s is not None]
     return good[-1] if good else None
 
 

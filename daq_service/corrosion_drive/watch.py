@@ -17,9 +17,10 @@ from daq_service.catalogue.rows import AlarmRow, EventRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive
 from daq_service.judgement.transaction import Transaction
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import RigSettings
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Rig
+from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +47,7 @@ class DriveWatch:
 
     def __init__(
         self,
-        settings: Settings,
+        settings: RigSettings,
         rig: Rig,
         catalogue: Catalogue,
         alarms: Alarms,
@@ -55,14 +56,14 @@ class DriveWatch:
         self._alarms = alarms
         self._store = store
         self._clock = rig.clock
-        self._off_at_end = settings.rig.supply is not None and settings.rig.supply.off_at_end
+        self._off_at_end = settings.supply is not None and settings.supply.off_at_end
         self._drive = ElectrochemicalDrive(
             rig.supply,
             rig.climate,
             rig.clock,
-            settings.rig.supply,
-            _state_before(settings, catalogue, alarms),
-            climate_parameters=settings.rig.climate,
+            settings.supply,
+            _state_before(settings.supply, catalogue, alarms),
+            climate_parameters=settings.climate,
         )
 
     def tick(self, hour: float) -> None:
@@ -152,28 +153,15 @@ class DriveWatch:
         return "the supply is off"
 
 
-def drive_watch(
-    settings: Settings,
-    rig: Rig,
-    catalogue: Catalogue,
-    alarms: Alarms,
-    store: Callable[[Transaction], None],
-) -> DriveWatch | None:
-    """Watch of the test's supply and climate probe; None where it has neither."""
-    if rig.supply is None and rig.climate is None:
-        return None
-    return DriveWatch(settings, rig, catalogue, alarms, store)
-
-
-def _state_before(settings: Settings, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+def _state_before(supply: SupplyParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
     state = DriveState()
     told = catalogue.rows(EventRow, topics={"environment"})
-    if settings.rig.supply is not None and told:
+    if supply is not None and told:
         state = restored_state(
             catalogue.last_environment(),
             written_utc_ns=told[-1].utc_ns,
-            parameters=settings.rig.supply,
+            parameters=supply,
         )
     tripped = alarms.get((None, "interlock_tripped"))
     standing = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")

@@ -14,7 +14,7 @@ from daq_service.alarms.states import Condition, Moment, retired_positions, upda
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
-from daq_service.corrosion_drive.watch import drive_watch
+from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment
 from daq_service.judgement.restored import restored_assessors
 from daq_service.judgement.transaction import Transaction
@@ -44,7 +44,9 @@ class Ledger:
         self._cost = cost
         self._assessors = restored_assessors(settings, catalogue, archive, rehearsal=rig.dry_run)
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
-        self.drive = drive_watch(settings, rig, catalogue, self.alarms, self.commit)
+        self.drive = None
+        if rig.supply is not None or rig.climate is not None:
+            self.drive = DriveWatch(settings.rig, rig, catalogue, self.alarms, self.commit)
 
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""

@@ -21,7 +21,7 @@ from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
-from daq_service.settings.tree import RigSettings, Settings
+from daq_service.settings.tree import ClockSettings, RigSettings, Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
@@ -70,7 +70,7 @@ def record(
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
-        clock = _clock(settings, _resume_utc_ns(catalogue, epoch_ns))
+        clock = _clock(settings.clock, _resume_utc_ns(catalogue, epoch_ns))
         heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
@@ -172,10 +172,10 @@ def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
     return max(ended, default=epoch_ns)
 
 
-def _clock(settings: Settings, start_ns: int) -> SimulatedClock | WallClock:
-    if settings.clock.kind == "wall":
+def _clock(settings: ClockSettings, start_ns: int) -> SimulatedClock | WallClock:
+    if settings.kind == "wall":
         return WallClock()
-    return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+    return SimulatedClock(start_ns, pace_h_per_s=settings.pace_h_per_s)
 
 
 def _why_not_running(folder: Path, restarted_because: str) -> str:

@@ -15,7 +15,7 @@ from daq_service.acquisition.schedule import plan
 from daq_service.acquisition.take_set import strikes_after
 from daq_service.clock import boot_id
 from daq_service.errors import UsageError
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.instruments import Acquired, Clock, Digitizer, Echo, PulseEchoUnit, Rig, SelfCalibrating
 from hardware_drivers.measurement import ShotKey, Stamp
 
@@ -44,13 +44,13 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
             case "simulated":
                 rig = stack.enter_context(_simulated(settings, clock, epoch_utc_ns))
             case "daqmx":
-                rig = stack.enter_context(_daqmx(settings, clock))
+                rig = stack.enter_context(_daqmx(settings.rig, clock))
                 if settings.rig.on_doubles:
                     rig = stack.enter_context(_announced(rig, settings, epoch_utc_ns))
             case "playback":
                 rig = stack.enter_context(_playback(settings, clock))
         # Entered last, left first: coils and drive are off before any connection is closed.
-        yield stack.enter_context(_with_serial_instruments(rig, settings, stack))
+        yield stack.enter_context(_with_serial_instruments(rig, settings.rig, stack))
 
 
 @contextmanager
@@ -111,20 +111,20 @@ def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
 
 
 @contextmanager
-def _daqmx(settings: Settings, clock: Clock) -> Iterator[Rig]:
+def _daqmx(settings: RigSettings, clock: Clock) -> Iterator[Rig]:
     from hardware_drivers.daqmx import open_daqmx
 
-    assert settings.rig.daqmx is not None, "the settings ask for it"
+    assert settings.daqmx is not None, "the settings ask for it"
     with ExitStack() as stack:
-        boards = stack.enter_context(open_daqmx(settings.rig.daqmx))
-        dry_run = settings.rig.daqmx.dry_run
+        boards = stack.enter_context(open_daqmx(settings.daqmx))
+        dry_run = settings.daqmx.dry_run
         identity = {**boards.identity, **({"dry_run": "yes"} if dry_run else {})}
         calibrating: list[SelfCalibrating] = [boards.self_calibrating]
         pulse_echo = None
-        if settings.rig.niscope is not None:
+        if settings.niscope is not None:
             from hardware_drivers.niscope.pulse_echo import open_niscope
 
-            pulse_echo = stack.enter_context(open_niscope(settings.rig.niscope))
+            pulse_echo = stack.enter_context(open_niscope(settings.niscope))
             identity |= pulse_echo.identity()
             calibrating.append(pulse_echo)
         yield Rig(
@@ -169,23 +169,23 @@ def _playback(settings: Settings, clock: Clock) -> Iterator[Rig]:
 
 
 @contextmanager
-def _with_serial_instruments(rig: Rig, settings: Settings, stack: ExitStack) -> Iterator[Rig]:
+def _with_serial_instruments(rig: Rig, settings: RigSettings, stack: ExitStack) -> Iterator[Rig]:
     """Add the electrochemical drive and the climate probe; leave everything safe."""
     boot = boot_id()
 
     def stamp() -> Stamp:
         return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot)
 
-    if settings.rig.supply is not None:
+    if settings.supply is not None:
         from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
-        supply = ScpiPowerSupply(settings.rig.supply, stamp=stamp)
+        supply = ScpiPowerSupply(settings.supply, stamp=stamp)
         stack.callback(supply.close)
         rig = replace(rig, supply=supply)
-    if settings.rig.climate is not None:
+    if settings.climate is not None:
         from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
-        probe = ScpiClimateProbe(settings.rig.climate, stamp=stamp)
+        probe = ScpiClimateProbe(settings.climate, stamp=stamp)
         stack.callback(probe.close)
         rig = replace(rig, climate=probe)
     with rig:

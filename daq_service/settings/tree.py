@@ -72,6 +72,11 @@ class ClockSettings(Section):
     pace_h_per_s: float | None = Field(default=None, gt=0.0, le=1e4)
     """Hours of experiment a second on the simulated clock; absent: as fast as it goes."""
 
+    @property
+    def is_paced(self) -> bool:
+        """True where simulated time is slowed down for people to watch."""
+        return self.kind == "simulated" and self.pace_h_per_s is not None
+
     @field_validator("epoch")
     @classmethod
     def _is_a_time(cls, text: str) -> str:

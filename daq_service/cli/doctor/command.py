@@ -22,7 +22,8 @@ from daq_service.cli.doctor.trial import Trial, require_position, strike_once
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import data_folder
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import RigSettings, Settings
+from hardware_drivers.daqmx.parameters import DaqmxParameters
 
 Progress = Callable[[str], None]
 
@@ -75,7 +76,7 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     yield _recorder(owner)
     yield from storage_checks(settings, folder)
     if owner:
-        yield from _left_alone(settings)
+        yield from _left_alone(settings.rig)
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from rig_checks(settings, missing, progress)
@@ -96,7 +97,7 @@ def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Ite
     rig = settings.rig
     if rig.kind != "daqmx":
         yield Check(area="rig", name="rig", state="ok", found=f"{rig.kind}: no boards to look at")
-    elif rig.daqmx is not None and _usable({"nidaqmx"} | _grpc(settings), missing):
+    elif rig.daqmx is not None and _usable({"nidaqmx"} | _grpc(rig.daqmx), missing):
         from hardware_drivers.daqmx.survey import survey
 
         progress(f"NI-DAQmx boards, {len(rig.daqmx.transducers)} transducers; nothing strikes")
@@ -120,8 +121,7 @@ def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Ite
         yield from climate_checks(rig.climate)
 
 
-def _grpc(settings: Settings) -> set[str]:
-    boards = settings.rig.daqmx
+def _grpc(boards: DaqmxParameters | None) -> set[str]:
     return {"grpcio"} if boards is not None and boards.transport == "grpc" else set()
 
 
@@ -147,9 +147,8 @@ def _recorder(owner: str) -> Check:
     return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
 
 
-def _left_alone(settings: Settings) -> Iterator[Check]:
+def _left_alone(rig: RigSettings) -> Iterator[Check]:
     """Skip what the running recorder uses: a look would reserve boards and ports it needs to strike."""
-    rig = settings.rig
     there = {
         "boards": rig.kind == "daqmx",
         "ultrasonic probes": rig.niscope is not None,

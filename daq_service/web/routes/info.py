@@ -5,7 +5,6 @@ from __future__ import annotations
 from fastapi import APIRouter
 
 from daq_service.acquisition import schedule
-from daq_service.settings.tree import ClockSettings
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import Info, problems
 from daq_service.web.answers.version import distribution_version
@@ -39,7 +38,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "kind": settings.clock.kind,
                 "epoch_utc": rfc3339(fresh.epoch_utc_ns),
                 "pace_h_per_s": settings.clock.pace_h_per_s,
-                "can_finish_now": is_paced(settings.clock) and fresh.recorder.word == "running",
+                "can_finish_now": settings.clock.is_paced and fresh.recorder.word == "running",
             },
             "schedule": {
                 "n_sets": len(hours),
@@ -70,8 +69,3 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "as_of": fresh.as_of(),
         }
     )
-
-
-def is_paced(clock: ClockSettings) -> bool:
-    """Tell a simulated test that is slowed down for people to watch."""
-    return clock.kind == "simulated" and clock.pace_h_per_s is not None

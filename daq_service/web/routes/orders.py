@@ -23,7 +23,6 @@ from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import CommandRow, problems
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.info import is_paced
 
 router = APIRouter(tags=["commands"])
 
@@ -79,7 +78,7 @@ def _written(context: Context, order: Order) -> Response:
     catalogue = context.catalogue()
     facts = Facts(
         recorder=context.freshness().recorder.word,
-        can_skip_time=is_paced(context.settings.clock),
+        can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
         positions=context.settings.names_of("solitary_wave"),
         has_supply=context.settings.rig.supply is not None,
