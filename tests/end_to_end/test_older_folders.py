@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from support.small_experiment import rows_of, run
+from support.stored_files import read_set, set_files
 
-from daq_service.archive import read_set, set_files
 from daq_service.catalogue import check_owner
 from daq_service.errors import StorageError
 from daq_service.settings.file import load_settings
