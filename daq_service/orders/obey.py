@@ -7,10 +7,11 @@ import time
 from collections.abc import Callable
 
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.clock import NS_PER_S, SimulatedClock
+from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.orders.kinds import Facts, read_order
 from daq_service.orders.running_test import RunningTest
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 

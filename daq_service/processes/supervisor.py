@@ -22,9 +22,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq_service.clock import NS_PER_S, boot_name
+from daq_service.clock import boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 

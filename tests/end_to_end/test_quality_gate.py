@@ -19,7 +19,7 @@ from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow, ShotRow
 from daq_service.cli.inspection import describe_status, print_status
-from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.errors import RigError
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import (
@@ -30,6 +30,7 @@ from hardware_drivers.errors import (
 )
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.nanoseconds import NS_PER_H
 
 EPOCH_NS = parse_utc("2024-01-01T00:00:00Z")
 STEP_NS = 4_000_000_000

@@ -22,12 +22,13 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.clock import NS_PER_H, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.judgement.transaction import shot_row
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+from hardware_drivers.nanoseconds import NS_PER_H
 from support.synthetic_records import Scene
 
 N_BASELINE = 48

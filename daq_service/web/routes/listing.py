@@ -12,10 +12,11 @@ from fastapi import APIRouter, Query
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import Row, SetRow
 from daq_service.web.answers import cursors
-from daq_service.web.answers.json_answer import NS_PER_H, JsonAnswer
+from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf, Freshness
+from hardware_drivers.nanoseconds import NS_PER_H
 
 LARGEST_PAGE = 1000
 LARGEST_HOUR = 1e7

@@ -11,7 +11,7 @@ from support.begun_experiment import begun_catalogue, tell
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.inspection import describe_status
-from daq_service.clock import NS_PER_S, boot_name
+from daq_service.clock import boot_name
 from daq_service.errors import BusyError
 from daq_service.orders.give import give_order
 from daq_service.processes.heartbeat import FILE_NAME, Beat
@@ -19,6 +19,7 @@ from daq_service.processes.recorder_state import Word, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
+from hardware_drivers.nanoseconds import NS_PER_S
 
 BOOT, NOW_NS = "this boot", 1000 * NS_PER_S
 

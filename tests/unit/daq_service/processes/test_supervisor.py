@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import pytest
 
-from daq_service.clock import NS_PER_S, boot_name
+from daq_service.clock import boot_name
 from daq_service.processes.heartbeat import Beat
 from daq_service.processes.supervisor import (
     HEALTHY_AFTER_S,
@@ -20,6 +20,7 @@ from daq_service.processes.supervisor import (
     ChildPlan,
     Supervisor,
 )
+from hardware_drivers.nanoseconds import NS_PER_S
 
 KILLED = -9
 RECORDER = ChildPlan(name="recorder", arguments=["record", "{cause}"], watched=True, environment={"A": "1"})
