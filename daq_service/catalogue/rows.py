@@ -8,7 +8,7 @@ column in the API.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
@@ -268,6 +268,11 @@ def columns_of(kind: type[Row]) -> tuple[Column, ...]:
         of_type, told = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
         columns.append(Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), told=told))
     return tuple(columns)
+
+
+def measured(kind: type[Row]) -> tuple[str, ...]:
+    """Names of the values that a row of a measurement carries: those that may be missing."""
+    return tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")  # type: ignore[arg-type] # every kind of row is a dataclass
 
 
 def values(row: Row) -> dict[str, Any]:

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 
-from analysis.waves.features import ALL_FEATURE_NAMES
-from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow
+from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow, measured
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hour
 from daq_service.web.answers.models import Trend, problems
 from daq_service.web.answers.problem import Problem
@@ -17,10 +16,9 @@ from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 
 router = APIRouter(tags=["trends"])
 
-THICKNESS = ("travel_time_s", "thickness_m", "thickness_loss_m", "correlation_coefficient")
 VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
 COMMON = ("set_index", "due_h", "quality")
-MEASURED = {"solitary_wave": ALL_FEATURE_NAMES, "pulse_echo": THICKNESS}
+MEASURED = {"solitary_wave": measured(FeatureRow), "pulse_echo": measured(ThicknessRow)}
 
 
 def unit_of(field: str) -> str:
@@ -109,9 +107,9 @@ def read_columns(
 ) -> dict[str, list[Any]]:
     """Read `COMMON` and the chosen columns; a set without verdict has null in the verdict's columns."""
     method = context.settings.positions[position].method
-    measured = [name for name in fields if name in MEASURED[method]]
+    own = [name for name in fields if name in MEASURED[method]]
     judged = [name for name in fields if name in VERDICTS]
-    columns = measured_columns(context, position, [*COMMON, *measured], from_h, last_h)
+    columns = measured_columns(context, position, [*COMMON, *own], from_h, last_h)
     if judged:
         verdicts = context.catalogue().columns(
             VerdictRow, ["set_index", *judged], position=position, first_h=from_h, last_h=last_h

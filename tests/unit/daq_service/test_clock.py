@@ -32,7 +32,7 @@ class FakeWall:
 
 
 def test_a_time_survives_being_written_and_read() -> None:
-    assert format_utc(parse_utc("2024-01-01T12:30:00.250Z")) == "2024-01-01T12:30:00.250Z"
+    assert format_utc(parse_utc("2024-01-01T12:30:00.250Z"), 3) == "2024-01-01T12:30:00.250Z"
 
 
 def test_a_time_east_of_greenwich_is_turned_into_utc() -> None:
