@@ -1,0 +1,151 @@
+"""Tests that leave something behind, hang or swallow a warning fail: shown on tests that do so on purpose."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+TESTS = Path(__file__).parents[1]
+
+INNER_PYTEST = (
+    sys.executable,
+    "-m",
+    "pytest",
+    "-p",
+    "no:cacheprovider",
+    "-c",
+    TESTS.parent / "pyproject.toml",
+)
+CONFTEST = """
+from support.leaks import LeakGuard, mark_descendants
+
+def pytest_configure(config):
+    mark_descendants()
+    config.pluginmanager.register(LeakGuard(grace_s=0.5))
+"""
+
+WRONGDOERS = '''
+import os, subprocess, sys, threading
+import pytest
+
+kept = []
+WAIT_FOR_INPUT = [sys.executable, "-c", "input()"]
+WITH_A_CHILD = """
+import subprocess, sys
+child = subprocess.Popen([sys.executable, "-c", "input()"])
+print(child.pid, flush=True)
+"""
+
+
+def test_leaves_a_thread():
+    thread = threading.Thread(target=threading.Event().wait, name="forgotten", daemon=True)
+    thread.start()
+
+
+def test_leaves_a_process():
+    kept.append(subprocess.Popen(WAIT_FOR_INPUT, stdin=subprocess.PIPE))
+    kept[-1].stdin, there = None, kept[-1].stdin
+    kept.append(there)
+
+
+def test_leaves_an_orphan():
+    here, there = os.pipe()
+    kept.append(there)  # closed when this interpreter ends, and then the orphan ends too
+    subprocess.run([sys.executable, "-c", WITH_A_CHILD], stdin=here, check=True)
+    os.close(here)
+
+
+def test_leaves_an_open_file():
+    kept.append(open(__file__))
+
+
+def test_drops_an_open_file():
+    open(__file__)
+
+
+@pytest.mark.timeout(0.5)
+def test_hangs():
+    threading.Event().wait()
+
+
+def test_ends_all_in_time():
+    thread = threading.Timer(0.01, print)
+    thread.start()
+'''
+
+WIDE = """
+import subprocess, sys, threading
+from concurrent.futures import ThreadPoolExecutor
+import pytest
+
+@pytest.fixture(scope="module")
+def pool():
+    with ThreadPoolExecutor(2) as pool:
+        pool.submit(int).result()
+        yield pool
+
+def test_the_pool_grows(pool):
+    at_once = threading.Barrier(2)
+    for waiting in [pool.submit(at_once.wait, 60.0) for _ in range(2)]:
+        waiting.result()
+
+def test_leaves_a_thread_beside_the_pool(pool):
+    threading.Thread(target=threading.Event().wait, name="forgotten", daemon=True).start()
+
+def test_is_the_last_with_the_pool(pool):
+    pass
+"""
+
+
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Run these tests as the suite's are; return what each one failed with, "" when it passed."""
+    folder = tmp_path_factory.mktemp("guarded")
+    for name, text in (("conftest", CONFTEST), ("test_wrongdoers", WRONGDOERS), ("test_wide", WIDE)):
+        (folder / f"{name}.py").write_text(text, encoding="utf-8")
+    report = folder / "report.xml"
+    paths = [str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")]
+    done = subprocess.run(
+        [*INNER_PYTEST, "--junit-xml", report, "--rootdir", folder, folder],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert report.exists(), done.stdout + done.stderr
+    return {
+        case.attrib["name"]: " ".join(found.attrib["message"] for found in case if "message" in found.attrib)
+        for case in ElementTree.parse(report).iter("testcase")
+    }
+
+
+def test_a_thread_left_behind_fails_its_test(said: dict[str, str]) -> None:
+    assert "left behind: thread 'forgotten'" in said["test_leaves_a_thread"]
+    assert said["test_ends_all_in_time"] == ""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="orphans and open files are looked up in /proc")
+def test_a_process_or_an_open_file_left_behind_fails_its_test(said: dict[str, str]) -> None:
+    assert "; process " in said["test_leaves_a_process"]
+    assert "process " in said["test_leaves_an_orphan"]
+    assert "test_wrongdoers.py)" in said["test_leaves_an_open_file"]
+
+
+def test_a_fixture_of_a_module_owes_its_threads_until_it_ends(said: dict[str, str]) -> None:
+    assert said["test_the_pool_grows"] == ""
+    assert "left behind: thread 'forgotten'" in said["test_is_the_last_with_the_pool"]
+    assert "::test_leaves_a_thread_beside_the_pool" in said["test_is_the_last_with_the_pool"]
+    assert "ThreadPool" not in said["test_is_the_last_with_the_pool"]
+
+
+def test_a_warning_that_nobody_can_catch_fails_its_test(said: dict[str, str]) -> None:
+    assert "PytestUnraisableExceptionWarning" in said["test_drops_an_open_file"]
+
+
+def test_every_test_has_a_time_limit(said: dict[str, str], request: pytest.FixtureRequest) -> None:
+    assert "Timeout" in said["test_hangs"]
+    assert 0.0 < float(request.config.getini("timeout")) <= 120.0

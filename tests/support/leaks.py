@@ -1,0 +1,145 @@
+"""A test that leaves a thread, a process or an open file behind fails, by name.
+
+What a fixture of a module or of the session holds at the end of its setup belongs to that fixture; while one
+lives that holds something, its threads, processes and files may become more, and when the last one has
+ended, nothing may be left. `conftest.py` takes the hooks over.
+"""
+
+from __future__ import annotations
+
+import gc
+import multiprocessing
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from multiprocessing import forkserver, resource_tracker
+from pathlib import Path
+
+import pytest
+
+GRACE_S = 10.0
+"""What was told to end takes a moment, on a loaded machine a long one; only a leak waits it out."""
+
+LONG_LIVED_FILES = {
+    "anon_inode:": "the pollers of gRPC's core, one for the life of a process",
+    "/dev/urandom": "the interpreter's and OpenSSL's source of randomness",
+    "/dev/null": "opened once by subprocess and matplotlib, shared afterwards",
+}
+PROC = Path("/proc")
+MARK = "SOLIMON_TESTS_OF"
+"""Environment variable that every descendant inherits, also one whose parent was killed."""
+
+
+def mark_descendants() -> None:
+    """Have every process that this one starts carry its id."""
+    os.environ[MARK] = str(os.getpid())
+
+
+def _servants() -> set[int | None]:
+    """multiprocessing's two servers, which live as long as the interpreter."""
+    return {resource_tracker._resource_tracker._pid, forkserver._forkserver._forkserver_pid}
+
+
+class _Looker:
+    """What this process holds; of processes seen before only whether they still run is asked again."""
+
+    def __init__(self) -> None:
+        self._strangers: set[str] = set()
+        self._ours: set[str] = set()
+
+    def things(self) -> set[str]:
+        """Return a name for each thread, descendant and open file."""
+        threads = {f"thread {thread.name!r} ({id(thread):#x})" for thread in threading.enumerate()}
+        children = {f"process {child.pid}" for child in multiprocessing.active_children()}
+        if sys.platform != "linux":
+            return threads | children  # neither descendants nor open files can be listed without a library
+        return threads | children | self._processes() | _open_files()
+
+    def _processes(self) -> set[str]:
+        now = {name for name in os.listdir(PROC) if name.isdigit()}  # noqa: PTH208 - twice as fast
+        self._strangers &= now
+        self._ours &= now
+        for name in now - self._strangers - self._ours:
+            wanted = f"{MARK}={os.getpid()}".encode()
+            try:
+                ours = wanted in (PROC / name / "environ").read_bytes().split(b"\0")
+            except OSError:
+                continue  # ended meanwhile, or another user's
+            (self._ours if ours else self._strangers).add(name)
+        servants = {str(process_id) for process_id in _servants()} | {str(os.getpid())}
+        return {f"process {name}" for name in self._ours - servants if _runs(name)}
+
+
+def _runs(name: str) -> bool:
+    try:
+        return (PROC / name / "stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _open_files() -> set[str]:
+    found = set()
+    for name in os.listdir(PROC / "self" / "fd"):  # noqa: PTH208 - twice as fast
+        try:
+            target = str((PROC / "self" / "fd" / name).readlink())
+        except OSError:
+            continue  # the listing's own
+        if not target.startswith(tuple(LONG_LIVED_FILES)):
+            found.add(f"file {name} ({target})")
+    return found
+
+
+class LeakGuard:
+    """Compares what is there after each test with what was there before it."""
+
+    def __init__(self, grace_s: float = GRACE_S) -> None:
+        self._grace_s = grace_s
+        self._looker = _Looker()
+        self._allowed: set[str] = set()
+        self._since: dict[str, str] = {}
+        self._holders: set[str] = set()
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        if not self._holders:
+            self._allowed = self._looker.things()
+        return (yield)
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(
+        self, fixturedef: pytest.FixtureDef[object], request: pytest.FixtureRequest
+    ) -> Iterator[object]:
+        if fixturedef.scope == "function":
+            return (yield)
+        name = f"{fixturedef.argname} of {fixturedef.baseid}"
+        before = self._looker.things()
+        result = yield
+        if self._looker.things() - before:
+            self._holders.add(name)
+            request.node.addfinalizer(lambda: self._holders.discard(name))
+        return result
+
+    @pytest.hookimpl(wrapper=True, tryfirst=True)
+    def pytest_runtest_teardown(self, item: pytest.Item) -> Iterator[None]:
+        yield
+        left = self._looker.things() - self._allowed
+        if self._holders:
+            for thing in left:
+                self._since.setdefault(thing, item.nodeid)
+            return
+        left = self._after_grace(left)
+        told = [f"{thing}, there since {self._since.get(thing, item.nodeid)}" for thing in sorted(left)]
+        self._since.clear()
+        if told:
+            pytest.fail("left behind: " + "; ".join(told), pytrace=False)
+
+    def _after_grace(self, left: set[str]) -> set[str]:
+        deadline_s, pause = time.monotonic() + self._grace_s, threading.Event()
+        while left and time.monotonic() < deadline_s:
+            gc.collect()  # what only a cycle still holds is not left behind
+            left = left & self._looker.things()
+            if left:
+                pause.wait(0.01)
+        return left
