@@ -148,4 +148,4 @@ def test_a_warning_that_nobody_can_catch_fails_its_test(said: dict[str, str]) ->
 
 def test_every_test_has_a_time_limit(said: dict[str, str], request: pytest.FixtureRequest) -> None:
     assert "Timeout" in said["test_hangs"]
-    assert 0.0 < float(request.config.getini("timeout")) <= 120.0
+    assert 0.0 < float(request.config.getini("timeout")) <= 300.0

@@ -7,8 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
 import urllib.request
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -16,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.command_line import solimon_here
 from support.small_experiment import rows_of
+from support.waiting import until
 
 from daq_service.processes.heartbeat import read_heartbeat
 
@@ -78,17 +78,6 @@ def line_with(process: subprocess.Popen[str], pattern: str) -> str:
         if match := re.search(pattern, line):
             return match[0]
     pytest.fail(f"no {pattern!r} in the output: {seen}")
-
-
-def wait_for(condition: Any, what: str) -> Any:
-    """Poll a condition of another process."""
-    deadline = time.monotonic() + LIMIT_S
-    pause = threading.Event()
-    while time.monotonic() < deadline:
-        if value := condition():
-            return value
-        pause.wait(0.02)
-    pytest.fail(f"{what} did not happen within {LIMIT_S:g} s")
 
 
 def sets_done(folder: Path) -> int:
@@ -164,7 +153,7 @@ def test_a_recorder_killed_at_any_time_is_restarted_and_changes_no_row(
     two_hours: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:
     whole = tmp_path / "whole"
-    demo(whole, "--hours", "6")
+    demo(whole, "--hours", "5")
     folder = tmp_path / "killed"
     arguments = (
         "demo",
@@ -172,7 +161,7 @@ def test_a_recorder_killed_at_any_time_is_restarted_and_changes_no_row(
         "--no-web",
         "--json",
         "--hours",
-        "6",
+        "5",
         "--pace",
         "4",
         "--data-dir",
@@ -180,8 +169,8 @@ def test_a_recorder_killed_at_any_time_is_restarted_and_changes_no_row(
     )
     with started(*arguments) as process:
         for sets in (2, 7):
-            wait_for(lambda sets=sets: sets_done(folder) >= sets, f"set {sets}")
-            recorder = wait_for(lambda: children_of(process.pid).get("record"), "the recorder's start")
+            until(lambda sets=sets: sets_done(folder) >= sets, f"set {sets}")
+            recorder = until(lambda: children_of(process.pid).get("record"), "the recorder's start")
             os.kill(recorder, signal.SIGKILL)
         assert process.wait(LIMIT_S) == 0
     assert rows_of(folder) == rows_of(whole)
@@ -193,14 +182,12 @@ def test_a_recorder_killed_at_any_time_is_restarted_and_changes_no_row(
 def test_nothing_strikes_on_after_the_supervisor_is_killed(tmp_path: Path) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
         line_with(process, "http://127.0.0.1")
-        wait_for(lambda: sets_done(tmp_path) >= 2, "the second set")
+        until(lambda: sets_done(tmp_path) >= 2, "the second set")
         children = children_of(process.pid)
         assert set(children) == {"record", "serve"}
         os.kill(process.pid, signal.SIGKILL)
         process.wait(LIMIT_S)
-        begun = time.monotonic()
-        wait_for(lambda: not any(is_running(child) for child in children.values()), "the children's end")
-        assert time.monotonic() - begun < 5.0, "everything ends within 5 s"
+        until(lambda: not any(is_running(child) for child in children.values()), "the children's end")
     before = sets_done(tmp_path)
     # No clean-up by hand: the same folder goes on at once.
     assert demo(tmp_path, "--hours", str(0.5 * (before + 2)))["sets"] == before + 2
@@ -210,9 +197,9 @@ def test_nothing_strikes_on_after_the_supervisor_is_killed(tmp_path: Path) -> No
 def test_a_killed_web_service_comes_back_at_its_address_and_costs_no_set(tmp_path: Path) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
         url = line_with(process, r"http://127\.0\.0\.1:\d+")
-        web = wait_for(lambda: children_of(process.pid).get("serve"), "the web service's start")
+        web = until(lambda: children_of(process.pid).get("serve"), "the web service's start")
         os.kill(web, signal.SIGKILL)
-        wait_for(lambda: children_of(process.pid).get("serve", web) != web, "the web service's restart")
+        until(lambda: children_of(process.pid).get("serve", web) != web, "the web service's restart")
 
         def answers() -> bool:
             try:
@@ -221,26 +208,24 @@ def test_a_killed_web_service_comes_back_at_its_address_and_costs_no_set(tmp_pat
             except OSError:
                 return False  # not up yet
 
-        wait_for(answers, "an answer at the old address")
+        until(answers, "an answer at the old address")
         before = sets_done(tmp_path)
-        wait_for(lambda: sets_done(tmp_path) > before, "another set")
+        until(lambda: sets_done(tmp_path) > before, "another set")
 
 
 @posix_only
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_ctrl_c_and_sigterm_end_everything_within_five_seconds(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_ctrl_c_and_sigterm_end_everything_without_a_kill(tmp_path: Path, number: signal.Signals) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--data-dir", str(tmp_path)) as process:
         line_with(process, "http://127.0.0.1")
-        wait_for(lambda: sets_done(tmp_path) >= 1, "the first set")
+        until(lambda: sets_done(tmp_path) >= 1, "the first set")
         children = children_of(process.pid)
-        begun = time.monotonic()
         # To the whole group, as a terminal does.
         os.killpg(process.pid, number)
         assert process.wait(LIMIT_S) == 130
-        assert time.monotonic() - begun < 5.0
         assert not any(is_running(child) for child in children.values())
+    log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
+    assert "killed" not in log, "each child left by itself before its time was up"
     rows = rows_of(tmp_path)
     stored = {row.set_index for row in rows["sets"] if row.n_taken}
     assert len(stored) == sets_done(tmp_path), "every file has its rows"
@@ -288,11 +273,11 @@ def test_an_operators_stop_is_kept_by_the_supervisor(tmp_path: Path) -> None:
 
 def test_orders_come_from_another_terminal(tmp_path: Path) -> None:
     def order(*arguments: str) -> tuple[int, str]:
-        done = solimon(*arguments, "--data-dir", str(tmp_path))
+        done = solimon_here(*arguments, "--data-dir", str(tmp_path), env=QUICK)
         return done.returncode, done.stdout + done.stderr
 
     with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
-        wait_for(lambda: sets_done(tmp_path) >= 1, "the first set")
+        until(lambda: sets_done(tmp_path) >= 1, "the first set")
         code, said = order("hold", "--note", "door open", "--author", "ann", "--json")
         assert code == 0
         answer = json.loads(said)
@@ -311,7 +296,7 @@ def test_orders_come_from_another_terminal(tmp_path: Path) -> None:
         assert order("reinstate", "--position", "C")[0] == 0
         assert order("release")[0] == 0
         stored = sets_done(tmp_path)
-        wait_for(lambda: sets_done(tmp_path) > stored, "a set after the release")
+        until(lambda: sets_done(tmp_path) > stored, "a set after the release")
 
 
 @posix_only
@@ -360,7 +345,7 @@ def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
 
 def test_a_second_recorder_on_the_same_folder_is_refused(tmp_path: Path) -> None:
     with started("demo", "--pace", "2", "--hours", "60", "--no-web", "--data-dir", str(tmp_path)):
-        wait_for(lambda: read_heartbeat(tmp_path) if tmp_path.exists() else None, "the recorder's start")
+        until(lambda: read_heartbeat(tmp_path) if tmp_path.exists() else None, "the recorder's start")
         second = solimon("record", str(tmp_path / "configuration.json"), "--data-dir", str(tmp_path))
     assert second.returncode == 5
     assert "another recorder owns" in second.stderr
@@ -414,18 +399,21 @@ def test_a_bad_configuration_is_a_usage_error_for_every_command(
     config = tmp_path / "test.toml"
     config.write_text(text, encoding="utf-8")
     for command in ("check-config", "simulate", "record", "serve", "run", "status"):
-        done = solimon(command, str(config))
+        done = solimon_here(command, str(config), env=QUICK)
         assert done.returncode == 2
         assert words in done.stderr
+    process = solimon("record", str(config))
+    assert (process.returncode, process.stdout) == (2, "")
+    assert process.stderr == solimon_here("record", str(config), env=QUICK).stderr
     assert list(tmp_path.iterdir()) == [config], "nothing is made on the way"
 
 
 def test_an_unknown_option_is_a_usage_error() -> None:
-    assert solimon("demo", "--sed", "1").returncode == 2
+    assert solimon_here("demo", "--sed", "1", env=QUICK).returncode == 2
 
 
 def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
-    facts = json.loads(solimon("check-config", "--json", "--data-dir", str(tmp_path), env={}).stdout)
+    facts = json.loads(solimon_here("check-config", "--json", "--data-dir", str(tmp_path), env={}).stdout)
     assert (facts["sets"], facts["strikes"], facts["pulse_echo_records"]) == (425, 12_750, 425)
     assert facts["end_utc"] == "2024-01-15T14:00:00.000Z"
     assert facts["free_bytes"] > 0
@@ -433,30 +421,31 @@ def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
 
 def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     folder, _ = two_hours
-    facts = json.loads(solimon("status", "--json", "--data-dir", str(folder)).stdout)
+    facts = json.loads(solimon_here("status", "--json", "--data-dir", str(folder), env=QUICK).stdout)
     assert facts["counts"]["sets"] == 4
     assert facts["recorder"].startswith("finished"), "its last heartbeat is young, but it has ended"
     assert facts["positions"]["B"]["last_set"]["set_index"] == 3
-    empty = solimon("status", "--data-dir", str(tmp_path))
+    empty = solimon_here("status", "--data-dir", str(tmp_path), env=QUICK)
     assert empty.returncode == 0
     assert "no data yet" in empty.stdout
 
 
 def test_simulate_gives_one_shot_or_a_table(tmp_path: Path) -> None:
-    shot = json.loads(solimon("simulate", "--json", "--depth", "0.4").stdout)
+    shot = json.loads(solimon_here("simulate", "--json", "--depth", "0.4", env=QUICK).stdout)
     assert {"isw_peak_n", "isw_time_us", "psw_peak_n", "psw_time_us", "tof_us", "amplitude_ratio"} <= set(
         shot
     )
     assert shot["tof_us"] == pytest.approx(shot["psw_time_us"] - shot["isw_time_us"], rel=1e-12)
-    table = solimon("simulate", "--depths", "0:0.8:3").stdout.splitlines()
+    table = solimon_here("simulate", "--depths", "0:0.8:3", env=QUICK).stdout.splitlines()
     assert [line.split()[0] for line in table[2:5]] == ["0.000", "0.400", "0.800"]
     assert shot["tof_us"] == pytest.approx(float(table[3].split()[5]), abs=0.005), "two decimals are printed"
 
 
 def test_simulate_gives_zeners_impact_or_a_table() -> None:
-    impact = json.loads(solimon("simulate", "--model", "zener", "--json", "--depth", "0.4").stdout)
+    zener = ("simulate", "--model", "zener")
+    impact = json.loads(solimon_here(*zener, "--json", "--depth", "0.4", env=QUICK).stdout)
     assert impact["amplitude_ratio"] == pytest.approx(impact["restitution"] ** 1.2, rel=1e-12)
-    table = solimon("simulate", "--model", "zener", "--depths", "0:0.8:3").stdout.splitlines()
+    table = solimon_here(*zener, "--depths", "0:0.8:3", env=QUICK).stdout.splitlines()
     assert table[0].split() == ["depth", "lambda", "e", "tau_c", "ToF", "AR"]
     pristine, thinned, deep = (line.split() for line in table[2:5])
     assert [pristine[0], thinned[0], deep[0]] == ["0.000", "0.400", "0.800"]
@@ -468,7 +457,7 @@ def test_simulate_gives_zeners_impact_or_a_table() -> None:
     assert float(thinned[1]) / float(pristine[1]) == pytest.approx(1 / 0.36, rel=5e-4)
     assert float(deep[1]) / float(pristine[1]) == pytest.approx(25.0, rel=5e-4)
     dropped = json.loads(
-        solimon("simulate", "--model", "zener", "--json", "--drop-height-m", "0.16").stdout
+        solimon_here(*zener, "--json", "--drop-height-m", "0.16", env=QUICK).stdout
     )  # 32 times as high as 5 mm: lambda goes with v^(1/5), v with the root of the height
     assert dropped["inelasticity"] / float(pristine[1]) == pytest.approx(2.0**0.5, rel=5e-4)
 
@@ -487,7 +476,7 @@ def test_simulate_gives_zeners_impact_or_a_table() -> None:
     ],
 )
 def test_simulate_refuses_what_cannot_be(arguments: list[str], words: str) -> None:
-    done = solimon("simulate", *arguments)
+    done = solimon_here("simulate", *arguments, env=QUICK)
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stdout == ""

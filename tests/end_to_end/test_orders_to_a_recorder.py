@@ -1,31 +1,19 @@
 """An order from the command line reaches a recorder that runs."""
 
 import threading
-import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.small_experiment import run, small_settings
 from support.stored_files import set_files
+from support.waiting import WAIT_S, until
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import SetRow
 from daq_service.errors import UsageError
 from daq_service.orders.give import give_order
-
-LIMIT_S = 60.0
-"""Far beyond what this takes on a loaded machine: a hang ends in an error."""
-
-
-def wait_for(condition: Callable[[], Any], what: str) -> None:
-    deadline, pause = time.monotonic() + LIMIT_S, threading.Event()
-    while not condition():
-        assert time.monotonic() < deadline, f"{what} did not happen within {LIMIT_S:g} s"
-        pause.wait(0.02)
 
 
 def states(folder: Path) -> Counter[str]:
@@ -59,23 +47,23 @@ def test_a_running_test_is_held_and_released_and_a_transducer_retired(
     recorder = threading.Thread(target=run, args=(paced, folder), kwargs={"stop": stop})
     recorder.start()
     try:
-        wait_for(lambda: states(folder)["done"] >= 2, "the second set")
+        until(lambda: states(folder)["done"] >= 2, "the second set")
         assert order(folder, "hold", "door open") == 0
         stored = sorted(set_files(folder))
-        wait_for(lambda: states(folder)["missed"] >= 3, "three missed sets")
+        until(lambda: states(folder)["missed"] >= 3, "three missed sets")
         # Whoever got the answer may open the door: at most the set being stored then came after it.
         assert len(sorted(set_files(folder))) <= len(stored) + 1
         with pytest.raises(UsageError, match="already on hold: held by ann: door open"):
             order(folder, "hold")
         assert order(folder, "retire", position="D") == 0
         assert order(folder, "release") == 0
-        wait_for(lambda: states(folder)["retired"] >= 2, "two sets without D")
+        until(lambda: states(folder)["retired"] >= 2, "two sets without D")
         assert order(folder, "reinstate", "new sensor", position="D") == 0
         done = states(folder)["done"]
-        wait_for(lambda: states(folder)["done"] > done, "another set of D")
+        until(lambda: states(folder)["done"] > done, "another set of D")
     finally:
         stop.set()
-        recorder.join(LIMIT_S)
+        recorder.join(WAIT_S)
     assert not recorder.is_alive()
     said = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in said] == [

@@ -10,7 +10,6 @@ import sqlite3
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
@@ -515,11 +514,8 @@ def test_a_signal_ends_everything_and_leaves_a_report(tmp_path: Path):
         if line.startswith("test: hour"):
             break
     process.send_signal(signal.SIGTERM)
-    begun = time.monotonic()
     output, _ = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 130
-    # The recorder leaves within 5 s, the worker when its job of a second is done.
-    assert time.monotonic() - begun < 15.0
     assert "not made: fig8" in output
     assert json.loads((out / "reproduction.json").read_text(encoding="utf-8"))["interrupted"] is True
     assert (out / "table2.csv").exists() or "table2" in output

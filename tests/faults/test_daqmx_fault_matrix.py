@@ -6,9 +6,9 @@ and the right one, each record is the twin's bit for bit, the coil is low and no
 asked, nothing is held, and the next shot is taken; after a configuration error the rig ends cleanly and
 a new one takes the next shot.
 
-The default run takes every call by library, and over gRPC the first call of every entry point; the rest is
-`slow`. In the library nothing ends a call that hangs: there the client is a process of its own that is
-killed, as the supervisor would, and the next process takes the shot.
+The default run takes every call by library, and over gRPC, some ten times slower, the first call of every
+phase; the rest is `slow`. In the library nothing ends a call that hangs: there the client is a process of
+its own that is killed, as the supervisor would, and the next process takes the shot.
 """
 
 from __future__ import annotations
@@ -375,6 +375,14 @@ def one_of_each(calls: list[Call]) -> list[Call]:
     return list(first.values())
 
 
+def one_of_each_phase(calls: list[Call]) -> list[Call]:
+    """The first call of every phase."""
+    first = {}
+    for call in calls:
+        first.setdefault(call.phase, call)
+    return list(first.values())
+
+
 ANY_OF_THEM = (ConnectionLostError, AcquisitionTimeoutError, ConfigurationError)
 
 
@@ -384,27 +392,42 @@ def test_the_list_is_the_drivers(calls):
     assert len(calls) > 60
 
 
-def by_default(laboratory: Laboratory, calls: list[Call]) -> list[Call]:
-    """Choose every call by library; over gRPC, some ten times slower, the first of every entry point."""
-    return calls if laboratory.forwarder is None else one_of_each(calls)
+by_library = pytest.mark.parametrize("laboratory", ["library"], indirect=True)
+over_grpc = pytest.mark.parametrize("laboratory", ["grpc"], indirect=True)
 
 
+@by_library
 def test_an_error_at_each_call(laboratory, calls):
-    each_in_turn(laboratory, by_default(laboratory, calls), "error", ConnectionLostError, LOST)
+    each_in_turn(laboratory, calls, "error", ConnectionLostError, LOST)
 
 
+@by_library
 def test_a_lie_at_each_call(laboratory, calls):
-    each_in_turn(laboratory, by_default(laboratory, calls), "lie", ANY_OF_THEM)
+    each_in_turn(laboratory, calls, "lie", ANY_OF_THEM)
+
+
+@over_grpc
+@pytest.mark.parametrize(
+    ("kind", "allowed", "code"),
+    [
+        ("error", ConnectionLostError, LOST),
+        ("lie", ANY_OF_THEM, None),
+        ("death", ConnectionLostError, None),
+        ("hang", ConnectionLostError, None),
+    ],
+)
+def test_a_fault_in_each_phase_over_grpc(laboratory, calls, kind, allowed, code):
+    each_in_turn(laboratory, one_of_each_phase(calls), kind, allowed, code)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("laboratory", ["grpc"], indirect=True)
+@over_grpc
 def test_an_error_and_a_lie_at_each_call_over_grpc(laboratory, calls):
     each_in_turn(laboratory, calls, "error", ConnectionLostError, LOST)
     each_in_turn(laboratory, calls, "lie", ANY_OF_THEM)
 
 
-@pytest.mark.parametrize("laboratory", ["library"], indirect=True)
+@by_library
 @pytest.mark.parametrize("code", [BUSY, CONFIGURATION, MISSED])
 def test_an_error_of_each_class_at_each_entry_point(laboratory, calls, code):
     each_in_turn(laboratory, one_of_each(calls), "error", CLASS_OF[code], code)
@@ -416,6 +439,7 @@ def test_an_error_of_each_class_at_each_call(laboratory, calls, code):
     each_in_turn(laboratory, calls, "error", CLASS_OF[code], code)
 
 
+@by_library
 def test_a_death_at_each_entry_point(laboratory, calls):
     each_in_turn(laboratory, one_of_each(calls), "death", ConnectionLostError)
 
@@ -425,6 +449,7 @@ def test_a_death_at_each_call(laboratory, calls):
     each_in_turn(laboratory, calls, "death", ConnectionLostError)
 
 
+@by_library
 def test_a_hang_at_each_entry_point(laboratory, calls):
     hang_each(laboratory, one_of_each(calls))
 

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from subprocess import Popen, TimeoutExpired
 from typing import Any, TypeVar
 
-WAIT_S = 60.0
-"""Deadline of what takes milliseconds: reached on a machine that hangs, not on one that is busy."""
+WAIT_S = 120.0
+"""Deadline of what takes seconds at most: reached on a machine that hangs, not on one that is busy."""
 POLL_S = 0.005
 
 T = TypeVar("T")

@@ -1,0 +1,30 @@
+"""The command line in the process of the test: what a new process would cost is an import of everything."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from unittest.mock import patch
+
+from daq_service.cli.main import main
+
+
+def solimon_here(*arguments: str, env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
+    """Return what ``solimon`` says and its exit code, as `subprocess.run` would."""
+    out, err, code = StringIO(), StringIO(), 0
+    command = ["solimon", *arguments]
+    with (
+        patch.object(sys, "argv", command),
+        patch.dict(os.environ, env),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            main()
+        except SystemExit as end:
+            code = int(end.code or 0)
+    return subprocess.CompletedProcess(command, code, out.getvalue(), err.getvalue())
