@@ -19,10 +19,10 @@ _NETWORK_FUSE = re.compile(
     r"fuse\.(.*(sshfs|rclone|s3fs|gcsfuse|glusterfs|ceph|davfs|smb|nfs|cifs|vmhgfs|gvfsd).*)"
 )
 _WINDOWS_DRIVE_REMOTE = 4
-_MOUNTINFO = Path("/proc/self/mountinfo")
+MOUNTS = Path("/proc/self/mountinfo")
 
 
-def network_filesystem(path: Path, mountinfo: str | None = None) -> str | None:
+def network_filesystem(path: Path, mountinfo: str | None = None, *, mounts: Path = MOUNTS) -> str | None:
     """Type of the network file system that holds ``path``, or None where it is local or cannot be told.
 
     Parameters
@@ -30,7 +30,9 @@ def network_filesystem(path: Path, mountinfo: str | None = None) -> str | None:
     path
         File or folder; it need not exist yet.
     mountinfo
-        Text of Linux's ``/proc/self/mountinfo`` (proc(5)); None reads this machine's.
+        Text of Linux's ``/proc/self/mountinfo`` (proc(5)); None reads ``mounts``.
+    mounts
+        Where this machine's is.
 
     Notes
     -----
@@ -40,7 +42,7 @@ def network_filesystem(path: Path, mountinfo: str | None = None) -> str | None:
         return _windows_network_drive(path)
     if mountinfo is None:
         try:
-            mountinfo = _MOUNTINFO.read_text(encoding="utf-8", errors="surrogateescape")
+            mountinfo = mounts.read_text(encoding="utf-8", errors="surrogateescape")
         except OSError:
             # No such file on macOS and others: it cannot be told.
             return None

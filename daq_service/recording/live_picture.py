@@ -12,7 +12,7 @@ import logging
 import math
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,13 @@ def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
 class LivePicture:
     """Writes the live files of one data folder."""
 
-    def __init__(self, folder: Path, rig_kind: str) -> None:
+    def __init__(
+        self, folder: Path, rig_kind: str, *, mono_ns: Callable[[], int] = time.monotonic_ns
+    ) -> None:
         self._folder = folder / "live"
         self._folder.mkdir(exist_ok=True)
         self._rig_kind = rig_kind
+        self._mono_ns = mono_ns
         self._written_ns: dict[str, int] = {}
         self._cost_ns = 0
 
@@ -52,14 +55,14 @@ class LivePicture:
         last = self._written_ns.get(position)
         pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
         pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
-        return last is None or time.monotonic_ns() - last >= pause_ns
+        return last is None or self._mono_ns() - last >= pause_ns
 
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
         """Replace the picture of a position. A failing disk costs the picture, not the shot."""
         waveform, key = measurement.waveform, measurement.key
-        begun_ns = time.monotonic_ns()
+        begun_ns = self._mono_ns()
         values = {} if features is None else features.values()
         header = {
             "position": key.position,
@@ -86,7 +89,7 @@ class LivePicture:
         except OSError as error:
             # Also Windows, while a reader has the old picture open. The next one comes soon.
             log.warning("no live picture of %s: %s", key.position, error)
-        self._written_ns[key.position] = now_ns = time.monotonic_ns()
+        self._written_ns[key.position] = now_ns = self._mono_ns()
         self._cost_ns = now_ns - begun_ns
 
 

@@ -6,7 +6,7 @@ import itertools
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -44,6 +44,7 @@ def record(
     restarted_because: str = "",
     linger: bool = False,
     listen_every_s: float = LISTEN_EVERY_S,
+    waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -55,6 +56,8 @@ def record(
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
     listen_every_s
         Shortest time between two looks for orders.
+    waits_for_rig_s
+        Wait before each further try to open the rig of a test that has begun; the last one repeats.
 
     Returns
     -------
@@ -77,6 +80,7 @@ def record(
             resuming=bool(catalogue.committed_sets()),
             heartbeat=heartbeat,
             stop=stop,
+            waits_s=waits_for_rig_s,
         )
         if rig is None:
             return False
@@ -110,7 +114,12 @@ def longest_call_s(rig: RigSettings) -> float:
 
 
 def _open_patiently(
-    open_once: Callable[[], Rig], *, resuming: bool, heartbeat: Heartbeat, stop: threading.Event
+    open_once: Callable[[], Rig],
+    *,
+    resuming: bool,
+    heartbeat: Heartbeat,
+    stop: threading.Event,
+    waits_s: Sequence[float],
 ) -> Rig | None:
     """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
 
@@ -127,7 +136,7 @@ def _open_patiently(
     RigError, BusyError
         What waiting cannot mend, or the rig of a test that has not begun.
     """
-    for wait_s in itertools.chain(WAITS_FOR_RIG_S, itertools.repeat(WAITS_FOR_RIG_S[-1])):
+    for wait_s in itertools.chain(waits_s, itertools.repeat(waits_s[-1])):
         heartbeat.beat("opening the rig")
         try:
             return open_once()
@@ -140,7 +149,7 @@ def _open_patiently(
             again_s = time.monotonic() + wait_s
             while time.monotonic() < again_s:
                 heartbeat.beat(f"waiting for the rig: {error}")
-                if stop.wait(BEAT_EVERY_S):
+                if stop.wait(min(BEAT_EVERY_S, wait_s)):
                     return None
     raise AssertionError("the waits never end")
 

@@ -3,13 +3,13 @@
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.small_experiment import rows_of, run, small_settings
 
-import daq_service.recording.session
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import read_heartbeat
 from daq_service.recording.session import longest_call_s
@@ -41,10 +41,7 @@ BUSY = errors.BusyError("board 01E16086 is held by 'test panel'; close it")
 WRONG = errors.ConfigurationError("range_v is 3 V; the board has 1, 2, 5 and 10 V")
 
 
-@pytest.fixture(autouse=True)
-def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daq_service.recording.session, "WAITS_FOR_RIG_S", (0.01,))
-    monkeypatch.setattr(daq_service.recording.session, "BEAT_EVERY_S", 0.001)
+record = partial(run, waits_for_rig_s=(0.01,))
 
 
 @pytest.mark.parametrize(
@@ -54,7 +51,7 @@ def test_a_test_that_has_not_begun_says_so_and_ends(
     tmp_path: Path, refusal: Exception, kind: type[RigError], code: int
 ) -> None:
     with pytest.raises(kind, match="cannot be opened") as failure:
-        run(small_settings(), tmp_path, rig=Unwilling(refusal))
+        record(small_settings(), tmp_path, rig=Unwilling(refusal))
     assert str(refusal) in str(failure.value)
     assert failure.value.exit_code == code
     assert rows_of(tmp_path)["sets"] == []
@@ -62,7 +59,7 @@ def test_a_test_that_has_not_begun_says_so_and_ends(
 
 @pytest.mark.parametrize("refusal", [GONE, BUSY])
 def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Exception) -> None:
-    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     doing = []
 
     def look() -> None:
@@ -71,24 +68,24 @@ def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Except
         doing.append(beat.doing)
 
     rig = Unwilling(refusal, refusal, refusal, on_refusal=look)
-    assert run(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig)
+    assert record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig)
     assert rig.refusals == []
     assert {row.state for row in rows_of(tmp_path)["sets"]} == {"done"}
     assert doing[-1] == "opening the rig", "the heartbeat goes on while it waits"
 
 
 def test_what_waiting_cannot_mend_ends_a_test_that_has_begun_too(tmp_path: Path) -> None:
-    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     with pytest.raises(RigError, match="range_v is 3 V"):
-        run(small_settings(schedule={"end_h": END_H}), tmp_path, rig=Unwilling(GONE, WRONG))
-    assert run(small_settings(schedule={"end_h": END_H}), tmp_path), "the schedule is kept"
+        record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=Unwilling(GONE, WRONG))
+    assert record(small_settings(schedule={"end_h": END_H}), tmp_path), "the schedule is kept"
 
 
 def test_waiting_ends_when_told_to_stop(tmp_path: Path) -> None:
-    assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     stop = threading.Event()
     rig = Unwilling(*[GONE] * 1000, on_refusal=stop.set)
-    assert not run(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig, stop=stop)
+    assert not record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig, stop=stop)
     assert len(rig.refusals) == 999
 
 

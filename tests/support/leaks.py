@@ -28,7 +28,7 @@ LONG_LIVED_FILES = {
     "/dev/null": "opened once by subprocess and matplotlib, shared afterwards",
 }
 PROC = Path("/proc")
-MARK = "SOLIMON_TESTS_OF"
+MARK = "STARTED_BY_TESTS_OF"
 """Environment variable that every descendant inherits, also one whose parent was killed."""
 
 

@@ -19,7 +19,6 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
-from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
@@ -57,9 +56,9 @@ def run(
     rig: RigOpener = open_rig,
     stop: threading.Event | None = None,
     restarted_because: str = "",
-    listen_every_s: float = LISTEN_EVERY_S,
+    **options: Any,
 ) -> bool:
-    """Record to the end, or until ``stop``; the return value is the recorder's."""
+    """Record to the end, or until ``stop``; ``options`` and the return value are the recorder's."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
         return record(
@@ -69,7 +68,7 @@ def run(
             stop=stop or threading.Event(),
             restarted_because=restarted_because,
             tell=lambda event, **values: None,
-            listen_every_s=listen_every_s,
+            **options,
         )
 
 

@@ -22,7 +22,6 @@ from daq_service.web.streams.hub import EventHub, encode_event
 
 router = APIRouter(tags=["stream"])
 TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
-LONGEST_REPLAY_EVENTS = 5000
 REPLAY_PAGE_EVENTS = 500
 LARGEST_CHUNK_EVENTS = 256
 RETRY_MS = 1000
@@ -143,9 +142,9 @@ async def _replay(
         if cursor > stored:
             yield last, gap_frame(cursor, last, "this event id is not known here")
         return
-    if last - cursor > LONGEST_REPLAY_EVENTS:
-        until = last - LONGEST_REPLAY_EVENTS
-        yield until, gap_frame(cursor, until, f"more than {LONGEST_REPLAY_EVENTS} events ago")
+    if last - cursor > hub.longest_replay_events:
+        until = last - hub.longest_replay_events
+        yield until, gap_frame(cursor, until, f"more than {hub.longest_replay_events} events ago")
         cursor = until
     while cursor < (hub.complete_after or 0) and not hub.closed:
         rows = await asyncio.to_thread(context.events.after, cursor, topics, REPLAY_PAGE_EVENTS)

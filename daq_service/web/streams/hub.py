@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 POLL_INTERVAL_S = 0.03
 RING_EVENTS = 4096
 HEARTBEAT_INTERVAL_S = 15.0
+LONGEST_REPLAY_EVENTS = 5000
 PAGE_EVENTS = 500
 UNREADABLE_INTERVAL_S = 0.5
 """Pause after the catalogue could not be read: absent before the first record, or in trouble."""
@@ -68,11 +69,13 @@ class EventHub:
         poll_interval_s: float = POLL_INTERVAL_S,
         ring_events: int = RING_EVENTS,
         heartbeat_interval_s: float = HEARTBEAT_INTERVAL_S,
+        longest_replay_events: int = LONGEST_REPLAY_EVENTS,
     ) -> None:
         self._source = source
         self._poll_interval_s = poll_interval_s
         self._ring_events = ring_events
         self.heartbeat_interval_s = heartbeat_interval_s
+        self.longest_replay_events = longest_replay_events
         self._events: list[EncodedEvent] = []
         self._complete_after: int | None = None
         self._closed = False

@@ -56,20 +56,18 @@ def test_this_machines_temporary_folder_is_local(tmp_path):
     assert network_filesystem(tmp_path / "not" / "there" / "yet") is None
 
 
-def test_a_system_without_the_list_cannot_tell(tmp_path, monkeypatch):
-    monkeypatch.setattr("daq_service.catalogue.network_folder._MOUNTINFO", tmp_path / "absent")
-    assert network_filesystem(tmp_path) is None
+def test_a_system_without_the_list_cannot_tell(tmp_path):
+    assert network_filesystem(tmp_path, mounts=tmp_path / "absent") is None
 
 
-def test_a_link_into_the_network_is_followed(tmp_path, monkeypatch):
+def test_a_link_into_the_network_is_followed(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "far")
     mounts = tmp_path / "mountinfo"
     far = str((tmp_path / "far").resolve()).replace(" ", r"\040")
     mounts.write_text(f"1 0 8:1 / / rw - ext4 /dev/sda1 rw\n2 1 0:9 / {far} rw - nfs server:/x rw\n")
-    monkeypatch.setattr("daq_service.catalogue.network_folder._MOUNTINFO", mounts)
-    assert network_filesystem(tmp_path / "link" / "data") == "nfs"
-    assert network_filesystem(tmp_path / "other") is None
+    assert network_filesystem(tmp_path / "link" / "data", mounts=mounts) == "nfs"
+    assert network_filesystem(tmp_path / "other", mounts=mounts) is None
 
 
 @pytest.mark.skipif(sys.platform != "win32", reason="asks Windows itself")

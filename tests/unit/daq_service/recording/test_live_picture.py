@@ -40,12 +40,9 @@ def test_a_picture_holds_header_marks_and_the_samples_bit_for_bit(tmp_path: Path
     assert header["dtype"] == np.dtype(dtype).name
 
 
-def test_a_picture_is_replaced_at_most_ten_times_a_second(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_is_replaced_at_most_ten_times_a_second(tmp_path: Path) -> None:
     now = [1_000_000_000]
-    monkeypatch.setattr("daq_service.recording.live_picture.time.monotonic_ns", lambda: now[0])
-    live = LivePicture(tmp_path, "simulated")
+    live = LivePicture(tmp_path, "simulated", mono_ns=lambda: now[0])
     assert live.due("B")
     live.show(shot(np.zeros(4, np.int16)), due_h=1.0, features=None)
     assert not live.due("B")
@@ -63,9 +60,8 @@ def test_on_a_slow_disk_pictures_are_rarer(tmp_path: Path, monkeypatch: pytest.M
         now[0] += 4_000_000
         return written(self, data)
 
-    monkeypatch.setattr("daq_service.recording.live_picture.time.monotonic_ns", lambda: now[0])
     monkeypatch.setattr(Path, "write_bytes", slowly)
-    live = LivePicture(tmp_path, "simulated")
+    live = LivePicture(tmp_path, "simulated", mono_ns=lambda: now[0])
     for position in ("C", "B"):
         live.show(shot(np.zeros(4, np.int16), position), due_h=1.0, features=None)
     now[0] += 799_000_000

@@ -6,11 +6,11 @@ from contextlib import contextmanager
 import httpx
 import pytest
 from support.filled_folder import FilledFolder
-from support.served_web import DEADLINE_S, served, stream_events, take
+from support.served_web import DEADLINE_S, served, served_app, stream_events, take
 
 from daq_service.settings.tree import Settings
+from daq_service.web.app import create_app
 from daq_service.web.context import Context
-from daq_service.web.routes import stream
 from daq_service.web.routes.stream import frames, gap_frame
 from daq_service.web.streams.hub import EventHub, encode_event
 
@@ -93,11 +93,12 @@ def test_only_the_chosen_topics_arrive(filled, service):
     assert {event.event for event in arrived} == {"verdicts", "thickness"}
 
 
-def test_too_long_an_absence_is_a_gap(filled, monkeypatch):
-    monkeypatch.setattr(stream, "LONGEST_REPLAY_EVENTS", 5)
+def test_too_long_an_absence_is_a_gap(filled):
     ids = stored_ids(filled)
     assert len(ids) > 6
-    with served(filled.settings, filled.folder) as service, connected(service, "?after=1") as events:
+    app = create_app(filled.settings, filled.folder)
+    app.state.context.hub.longest_replay_events = 5
+    with served_app(app) as service, connected(service, "?after=1") as events:
         gap, *rest = take(events, 6)
     assert gap.event == "gap"
     assert gap.data["after"] == 1
