@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import ctypes
+import socket
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from typing import Any
 
@@ -85,7 +86,15 @@ def met_brain(described: Description) -> Iterator[Brain]:
 def met_server(server: WireServer) -> Iterator[WireServer]:
     """Serve in a thread of this process; its unmodified `niscope` finds the server."""
     folders = preload()
+    accepted: list[socket.socket] = []
+
+    def accept(once: Any = server.get_request) -> tuple[socket.socket, Any]:
+        connection, address = once()
+        accepted.append(connection)
+        return connection, address
+
     with server, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(server, "get_request", accept)
         serving = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         serving.start()
         for name, text in client_environment(server.address, *folders).items():
@@ -95,6 +104,9 @@ def met_server(server: WireServer) -> Iterator[WireServer]:
         finally:
             server.shutdown()
             serving.join()
+            for connection in accepted:
+                with suppress(OSError):  # its client has left already
+                    connection.shutdown(socket.SHUT_RDWR)
 
 
 def key(set_index: int = 7) -> ShotKey:
