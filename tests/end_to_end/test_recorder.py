@@ -170,7 +170,10 @@ class _KilledError(BaseException):
     """Stands for SIGKILL: nothing may catch it to tidy up."""
 
 
-@pytest.mark.parametrize("killed_at", [0, 3, BASELINE_SETS - 1, BASELINE_SETS])
+@pytest.mark.parametrize(
+    "killed_at",
+    [BASELINE_SETS - 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 3, BASELINE_SETS))],
+)
 @pytest.mark.parametrize("boundary", ["before the file", "after the file", "after the rows"])
 def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boundary: str, killed_at: int

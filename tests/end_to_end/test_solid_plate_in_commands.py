@@ -1,12 +1,11 @@
 """The solid plate as a configuration asks for it."""
 
 import json
-import os
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from support.command_line import solimon_here
 
 COARSE = """
 [plate]
@@ -18,21 +17,12 @@ edge_element = 0.5
 contact_element = 1.0
 largest_element = 12.0
 """
-LIMIT_S = 120.0
-"""Far beyond any of these runs, on a loaded machine too."""
 
 
 def simulate(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     file = folder / "solid.toml"
     file.write_text(text, encoding="utf-8")
-    return subprocess.run(
-        [sys.executable, "-m", "daq_service.cli", "simulate", str(file), *arguments],
-        env=os.environ,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    return solimon_here("simulate", str(file), *arguments, env={})
 
 
 def test_a_configuration_gives_a_shot_on_the_solid(tmp_path: Path) -> None:

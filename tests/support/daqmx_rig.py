@@ -182,24 +182,29 @@ class Forwarder:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.address = f"127.0.0.1:{self._listener.getsockname()[1]}"
         self._ends: list[socket.socket] = []
+        self._ended = threading.Event()
         threading.Thread(target=self._accept, daemon=True).start()
 
     def __enter__(self) -> Forwarder:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._ended.set()
         for end in (self._listener, *self._ends):
+            with suppress(OSError):  # it has ended already
+                end.shutdown(socket.SHUT_RDWR)  # closing alone wakes nobody who waits for it
             end.close()
 
     def _accept(self) -> None:
-        while True:
+        while not self._ended.is_set():
             try:
                 client, _ = self._listener.accept()
-                host, _, port = self.target.rpartition(":")
+            except OSError:
+                return
+            host, _, port = self.target.rpartition(":")
+            try:
                 server = socket.create_connection((host, int(port)))
             except OSError:
-                if self._listener.fileno() < 0:
-                    return
                 client.close()
                 continue
             self._ends += [client, server]

@@ -26,7 +26,7 @@ def detection() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("position", ["B", "C"])
+@pytest.mark.parametrize("position", ["B", pytest.param("C", marks=pytest.mark.slow)])
 def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleType, position: str) -> None:
     outcome = detection.carry_out(detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=70.0))
     assert outcome.n_baseline == 48
