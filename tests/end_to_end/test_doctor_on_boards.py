@@ -44,7 +44,7 @@ NOISY = replace(QUICK_TWIN, noise=NoiseParameters())
 DESCRIPTION = replace(
     quick_description(board(), replace(SLOW, name="Dev9"), positions="BCD"), twin=NOISY, shots_per_set=2
 )
-LIMIT_S = 60.0
+LIMIT_S = 120.0
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/how-to/be-safe.md"
 
 

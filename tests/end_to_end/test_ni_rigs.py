@@ -165,13 +165,13 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         thread = threading.Thread(target=lambda: codes.append(supervisor.run(stop, stay=False)))
         thread.start()
         try:
-            assert first_set.wait(60.0), "no set was taken"
+            assert first_set.wait(120.0), "no set was taken"
             doubles.inject(function, "hang")
-            assert doubles.wait_until_hanging(20.0), "nothing hung"
-            thread.join(60.0)
+            assert doubles.wait_until_hanging(60.0), "nothing hung"
+            thread.join(120.0)
         finally:
             stop.set()
-            thread.join(20.0)
+            thread.join(60.0)
         told = doubles.record()
     assert codes == [0], "the schedule is followed to its end"
     with open_catalogue(tmp_path) as catalogue:
