@@ -37,9 +37,14 @@ def mark_descendants() -> None:
     os.environ[MARK] = str(os.getpid())
 
 
-def _servants() -> set[int | None]:
-    """multiprocessing's two servers, which live as long as the interpreter."""
-    return {resource_tracker._resource_tracker._pid, forkserver._forkserver._forkserver_pid}
+def _servants() -> set[str]:
+    """Processes of multiprocessing's two servers, which live as long as the interpreter."""
+    return {str(resource_tracker._resource_tracker._pid), str(forkserver._forkserver._forkserver_pid)}
+
+
+def _lines_to_servants() -> set[str]:
+    """Descriptors that keep these servers alive."""
+    return {str(resource_tracker._resource_tracker._fd), str(forkserver._forkserver._forkserver_alive_fd)}
 
 
 class _Looker:
@@ -68,8 +73,8 @@ class _Looker:
             except OSError:
                 continue  # ended meanwhile, or another user's
             (self._ours if ours else self._strangers).add(name)
-        servants = {str(process_id) for process_id in _servants()} | {str(os.getpid())}
-        return {f"process {name}" for name in self._ours - servants if _runs(name)}
+        others = self._ours - _servants() - {str(os.getpid())}
+        return {f"process {name}" for name in others if _runs(name)}
 
 
 def _runs(name: str) -> bool:
@@ -80,13 +85,13 @@ def _runs(name: str) -> bool:
 
 
 def _open_files() -> set[str]:
-    found = set()
+    found, lasting = set(), _lines_to_servants()
     for name in os.listdir(PROC / "self" / "fd"):  # noqa: PTH208 - twice as fast
         try:
             target = str((PROC / "self" / "fd" / name).readlink())
         except OSError:
             continue  # the listing's own
-        if not any(re.fullmatch(pattern, target) for pattern in LONG_LIVED_FILES):
+        if name not in lasting and not any(re.fullmatch(pattern, target) for pattern in LONG_LIVED_FILES):
             found.add(f"file {name} ({target})")
     return found
 
