@@ -18,7 +18,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
 from simulator.instruments import RECORDS_AHEAD, build_bench
 
-TIMEOUT_S = 30.0
+TIMEOUT_S = 120.0
 
 
 def settings_with(**clock):
