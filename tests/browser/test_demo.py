@@ -21,7 +21,12 @@ LIMIT_S = 120.0
 """Far beyond any wait, on a loaded machine too; compiling the kernels and reducing the plates included."""
 HOURS = 55
 """Past the baseline, so that limits are drawn, and past the first alarms of B and C."""
-QUICK = {"SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16", "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5"}
+QUICK = {
+    "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
+    "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5",
+    "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
+    "SOLIMON_ALARMS__HOLE_SHOTS": "4",
+}
 """A coarse mesh and half of the strikes: the page draws as many points."""
 SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 
@@ -55,11 +60,15 @@ class Demo:
     def _read(self):
         for line in self.process.stdout:
             self.lines.put(line)
+        self.lines.put("")
 
     def line_with(self, pattern):
-        while True:
-            if match := re.search(pattern, self.lines.get(timeout=LIMIT_S)):
+        seen = []
+        while line := self.lines.get(timeout=LIMIT_S):
+            if match := re.search(pattern, line):
                 return match[0]
+            seen.append(line)
+        pytest.fail(f"no {pattern!r} in the output: {seen}")
 
     def end(self):
         self.process.kill()
