@@ -40,6 +40,7 @@ class Disk:
         self.calls: list[str] = []
         self.killed = False
         self.refused: set[str] = set()
+        self.held: set[int] = set()
 
     def __getattr__(self, name: str):
         real = getattr(os, name)
@@ -62,14 +63,22 @@ class Disk:
                 real(descriptor, content[: len(content) // 2])
             if name == "close":
                 real(*arguments)  # a descriptor is gone even when its close fails
+                self.held.discard(arguments[0])
             if self.error is Killed:
                 self.killed = True
+                for descriptor in self.held:
+                    os.close(descriptor)  # as the system does
                 raise Killed
             raise OSError(self.error, os.strerror(self.error))
         if name == "write" and self.longest_write is not None:
             descriptor, content = arguments
             return real(descriptor, content[: self.longest_write])
-        return real(*arguments)
+        result = real(*arguments)
+        if name == "open":
+            self.held.add(result)
+        if name == "close":
+            self.held.discard(arguments[0])
+        return result
 
 
 @pytest.fixture
