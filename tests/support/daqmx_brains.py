@@ -98,6 +98,7 @@ def running_brain(description: Description) -> Iterator[RunningBrain]:
         here.close()
         process.kill()
         process.join()
+        process.close()
 
 
 def in_a_process(work: Callable[..., None], *arguments: object) -> BaseProcess:
