@@ -9,9 +9,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 
@@ -164,6 +167,7 @@ class Shot:
         (SI units in the names).
     """
 
+    method: ClassVar[Method] = SOLITARY_WAVE
     sequence: int
     key: ShotKey
     stamp: Stamp
@@ -190,6 +194,7 @@ class PulseEchoRecord:
         Number of records averaged.
     """
 
+    method: ClassVar[Method] = PULSE_ECHO
     sequence: int
     key: ShotKey
     stamp: Stamp

@@ -16,6 +16,7 @@ from daq_service.acquisition.schedule import DueSet
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
 LOST_IN_A_ROW = 3
@@ -129,12 +130,12 @@ def take_set(
     sequence = itertools.count(first_sequence)
     start_ns = max(rig.clock.utc_ns(), plan.due.due_utc_ns)
     lost = 0
-    for position in plan.of_method("pulse_echo"):
+    for position in plan.of_method(PULSE_ECHO):
         if not rig.clock.wait_until(start_ns, idle):
             return
         key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
         yield _echo(rig, plan, key, sequence, boot_id)
-    strikes = itertools.product(plan.of_method("solitary_wave"), range(plan.shots_per_set))
+    strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
     slot = itertools.count()
     for position, shot_index in strikes:
         for attempt in itertools.count():

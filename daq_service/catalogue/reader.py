@@ -28,6 +28,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.catalogue.tables import alarms, commands, events, sets, shots, table_of
+from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
 OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, VerdictRow)
@@ -213,7 +214,7 @@ class Catalogue:
             n_alarms = connection.execute(
                 select(func.count()).select_from(alarms).where(alarms.c.state != "normal")
             ).scalar_one()
-        echoes = sum(count for position, count in per_position if methods.get(position) == "pulse_echo")
+        echoes = sum(count for position, count in per_position if methods.get(position) == PULSE_ECHO)
         return {
             "sets": n_taken,
             "missed_sets": n_missed,

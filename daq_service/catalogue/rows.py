@@ -12,8 +12,9 @@ from dataclasses import dataclass, fields
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+from hardware_drivers.methods import Method
+
 Quality = Literal["good", "suspect", "bad"]
-Method = Literal["solitary_wave", "pulse_echo"]
 SetState = Literal["done", "partial", "missed", "retired"]
 Outcome = Literal["accepted", "superseded"]
 LimitName = Literal["f_predictive", "paper_mean_3sd"]

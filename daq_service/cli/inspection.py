@@ -20,6 +20,7 @@ from daq_service.processes.data_folder import data_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 PACKED_FRACTION = 0.5
 """Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
@@ -59,8 +60,8 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
     """Numbers of a planned test."""
     start_ns = parse_utc(settings.clock.epoch) if settings.clock.kind == "simulated" else time.time_ns()
     planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
-    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
-    echoes = len(planned) * len(settings.names_of("pulse_echo"))
+    strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
+    echoes = len(planned) * len(settings.names_of(PULSE_ECHO))
     strike, echo = _records(settings)
     raw_bytes = strikes * strike.n_bytes + echoes * echo.n_bytes
     existing = next(place for place in (folder, *folder.parents) if place.exists())

@@ -19,6 +19,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.store import Catalogue
 from daq_service.settings.tree import Settings
+from hardware_drivers.methods import PULSE_ECHO
 
 SPLIT_H = 100.0
 """The paper counts outliers after 100 h."""
@@ -30,7 +31,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
         counts = catalogue.counts()
         positions = {
             name: _ultrasonic(catalogue, name)
-            if place.method == "pulse_echo"
+            if place.method == PULSE_ECHO
             else _solitary(catalogue, settings, name)
             for name, place in settings.positions.items()
         }

@@ -1,8 +1,13 @@
-"""Assessors that know what the catalogue and the archive hold: a restart feeds every set again."""
+"""Assessors that know what the catalogue and the archive hold: a restart feeds every set again.
+
+The assessors, and the numerics below them, are imported when one is made: the web only asks what methods
+there are.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
@@ -10,46 +15,35 @@ from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, values
-from daq_service.judgement.assessment import Assessor
-from daq_service.judgement.pulse_echo import PulseEchoAssessor
-from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
-from daq_service.judgement.solitary_wave_step import SetOfShots
 from daq_service.settings.tree import Settings
 
-
-def restored_assessors(
-    settings: Settings, catalogue: Catalogue, archive: SetReader, *, rehearsal: bool
-) -> Mapping[str, Assessor]:
-    """One assessor a position, judging as if the recorder had never been away."""
-    # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
-    last_baseline_set = (
-        sum(hour <= settings.baseline.hours for hour in due_hours(settings.schedule.phases)) - 1
-    )
-    assessors: dict[str, Assessor] = {}
-    for number, (position, place) in enumerate(settings.positions.items(), 1):
-        if place.method == "pulse_echo":
-            assessors[position] = _pulse_echo(PulseEchoAssessor(position, settings), catalogue, archive)
-        else:
-            assessor = SolitaryWaveAssessor(
-                position,
-                settings,
-                last_baseline_set=last_baseline_set,
-                baseline_id=number,
-                rehearsal=rehearsal,
-            )
-            assessors[position] = _solitary_wave(assessor, catalogue, settings.alarms.hole_sets)
-    return assessors
+if TYPE_CHECKING:
+    from daq_service.judgement.pulse_echo import PulseEchoAssessor
+    from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
+    from daq_service.judgement.solitary_wave_step import SetOfShots
 
 
-def _solitary_wave(
-    assessor: SolitaryWaveAssessor, catalogue: Catalogue, hole_sets: int
+def restored_solitary_wave(
+    position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    before, since = _sets_by_reinstatement(assessor.position, catalogue)
-    for found in _fed(assessor.position, catalogue, before, hole_sets):
-        assessor.feed(found)
-    assessor.reinstate()
-    for found in _fed(assessor.position, catalogue, since, hole_sets):
-        assessor.feed(found)
+    """Give the assessor of a transducer, fed with every set and with a person's word to reinstate it."""
+    from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
+
+    del archive
+    # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
+    in_baseline = [hour for hour in due_hours(settings.schedule.phases) if hour <= settings.baseline.hours]
+    assessor = SolitaryWaveAssessor(
+        position,
+        settings,
+        last_baseline_set=len(in_baseline) - 1,
+        baseline_id=1 + list(settings.positions).index(position),
+        rehearsal=rehearsal,
+    )
+    before, since = _sets_by_reinstatement(position, catalogue)
+    for sets in (before, since):
+        assessor.reinstate()
+        for found in _fed(position, catalogue, sets, settings.alarms.hole_sets):
+            assessor.feed(found)
     return assessor
 
 
@@ -77,6 +71,8 @@ def _sets_by_reinstatement(position: str, catalogue: Catalogue) -> tuple[list[Se
 
 def _fed(position: str, catalogue: Catalogue, sets: Sequence[SetRow], hole_sets: int) -> Iterator[SetOfShots]:
     """Give sets as the step takes them; the last ones have flags, the hole rule looks no further back."""
+    from daq_service.judgement.solitary_wave_step import SetOfShots
+
     of_set = {row.set_index: row for row in catalogue.rows(FeatureRow, position=position, scope="set")}
     recent = [row.set_index for row in sets if row.n_taken][-hole_sets:]
     for row in sets:
@@ -96,13 +92,20 @@ def _fed(position: str, catalogue: Catalogue, sets: Sequence[SetRow], hole_sets:
         )
 
 
-def _pulse_echo(assessor: PulseEchoAssessor, catalogue: Catalogue, archive: SetReader) -> PulseEchoAssessor:
-    rows = catalogue.rows(ThicknessRow, position=assessor.position)
+def restored_pulse_echo(
+    position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
+) -> PulseEchoAssessor:
+    """Give the assessor of a probe, fed with every reading; a rehearsal's echoes are real ones."""
+    from daq_service.judgement.pulse_echo import PulseEchoAssessor
+
+    del rehearsal
+    assessor = PulseEchoAssessor(position, settings)
+    rows = catalogue.rows(ThicknessRow, position=position)
     read = [row.set_index for row in rows if row.travel_time_s is not None]
     if read:
-        (its_set,) = catalogue.rows(SetRow, position=assessor.position, set_index=read[0])
+        (its_set,) = catalogue.rows(SetRow, position=position, set_index=read[0])
         assert its_set.file is not None, "it was read"
-        assessor.refer_to(archive.read_waveform(SetReference(its_set.file), assessor.position, 0))
+        assessor.refer_to(archive.read_waveform(SetReference(its_set.file), position, 0))
     for row in rows:
         assessor.feed(row)
     return assessor

@@ -16,7 +16,7 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment
-from daq_service.judgement.restored import restored_assessors
+from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
@@ -42,7 +42,10 @@ class Ledger:
         self._settings = settings
         self._catalogue = catalogue
         self._cost = cost
-        self._assessors = restored_assessors(settings, catalogue, archive, rehearsal=rig.dry_run)
+        self._assessors = {
+            position: METHODS[place.method].restored(position, settings, catalogue, archive, rig.dry_run)
+            for position, place in settings.positions.items()
+        }
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self.drive = None
         if rig.supply is not None or rig.climate is not None:
@@ -58,8 +61,8 @@ class Ledger:
 
     def n_planned(self, position: str) -> int:
         """Count the records wanted of a position in a set."""
-        place = self._settings.positions[position]
-        return 1 if place.method == "pulse_echo" else self._settings.schedule.shots_per_set
+        method = METHODS[self._settings.positions[position].method]
+        return method.records_planned(self._settings.schedule)
 
     def judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
         """Assess every position; store rows, alarms and events in one transaction."""
@@ -99,9 +102,9 @@ class Ledger:
         self._commit_set(due, moment, transaction)
 
     def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
-        """Tell whether the instruments of either method had trouble; strikes and echoes have their own."""
+        """Tell whether the instruments of any method had trouble; each method has its own."""
         unanswered = ""
-        for method in ("solitary_wave", "pulse_echo"):
+        for method in METHODS:
             names = self._settings.names_of(method)
             if not any(item.key.position in names for item in record.records):
                 unanswered = unanswered or lost_cause(

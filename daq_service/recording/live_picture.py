@@ -66,7 +66,7 @@ class LivePicture:
         values = {} if features is None else features.values()
         header = {
             "position": key.position,
-            "method": "solitary_wave" if isinstance(measurement, Shot) else "pulse_echo",
+            "method": measurement.method,
             "sequence": measurement.sequence,
             "set_index": key.set_index,
             "shot_index": key.shot_index,

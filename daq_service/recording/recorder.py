@@ -38,6 +38,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Shot
+from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -100,7 +101,7 @@ class Recorder:
             alarms=self._ledger.alarms,
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
-            positions=settings.names_of("solitary_wave"),
+            positions=settings.names_of(SOLITARY_WAVE),
             supply=self._ledger.drive if rig.supply is not None else None,
         )
         self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)

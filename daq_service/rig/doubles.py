@@ -19,6 +19,7 @@ from daq_service.errors import RigError, UsageError
 from daq_service.rig.open_rig import CONTROL_VARIABLE
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 if TYPE_CHECKING:
     from simulator.doubles.chassis.description import Description
@@ -80,7 +81,7 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
         if transport == "grpc" and not doubles.grpc:
             raise UsageError("--rig daqmx-grpc needs the package grpcio: pip install 'solimon[grpc]'")
         tables = _rig_tables(settings, transport, doubles.grpc, has_probe=has_probe)
-        dropped = [] if has_probe else settings.names_of("pulse_echo")
+        dropped = [] if has_probe else settings.names_of(PULSE_ECHO)
         environment = client_environment(doubles.wire, *folders, environment=_searched(folders))
         yield DemoRig(
             settings=_on_rig(settings, tables, dropped),
@@ -105,7 +106,7 @@ def _description(settings: Settings) -> Description:
     )
 
     serial, places = SIMULTANEOUS_16_BIT.serial_number, settings.positions
-    names = settings.names_of("solitary_wave")
+    names = settings.names_of(SOLITARY_WAVE)
     coils = len(SIMULTANEOUS_16_BIT.kind.counter_terminals)
     if len(names) > coils:
         raise UsageError(f"the double's board drives {coils} coils, the configuration has {len(names)}")
@@ -127,7 +128,7 @@ def _description(settings: Settings) -> Description:
             name: ProbeWiring(
                 resource=PROBE_RESOURCE, channel=str(index), thickness_m=places[name].plate.thickness_m
             )
-            for index, name in enumerate(settings.names_of("pulse_echo"))
+            for index, name in enumerate(settings.names_of(PULSE_ECHO))
         },
         twin=settings.twin,
         shots_per_set=settings.schedule.shots_per_set,
@@ -158,7 +159,7 @@ def _rig_tables(settings: Settings, transport: str, grpc: str | None, *, has_pro
                     "counter": f"ctr{index}",
                     "output_terminal": SIMULTANEOUS_16_BIT.kind.counter_terminals[index],
                 }
-                for index, name in enumerate(settings.names_of("solitary_wave"))
+                for index, name in enumerate(settings.names_of(SOLITARY_WAVE))
             },
         },
     }
@@ -174,7 +175,7 @@ def _rig_tables(settings: Settings, transport: str, grpc: str | None, *, has_pro
                     "range_v": echo.range_v,
                     "gain_db": echo.gain_db,
                 }
-                for index, name in enumerate(settings.names_of("pulse_echo"))
+                for index, name in enumerate(settings.names_of(PULSE_ECHO))
             },
         }
     return tables

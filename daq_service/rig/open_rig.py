@@ -18,6 +18,7 @@ from daq_service.errors import UsageError
 from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.instruments import Acquired, Clock, Digitizer, Echo, PulseEchoUnit, Rig, SelfCalibrating
 from hardware_drivers.measurement import ShotKey, Stamp
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
 """Where the doubles of a demonstration are told which shot comes and what hour it is."""
@@ -82,11 +83,11 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
             epoch_utc_ns=epoch_utc_ns,
             transducers=transducers,
             probed_thickness_m={
-                name: places[name].plate.thickness_m for name in settings.names_of("pulse_echo")
+                name: places[name].plate.thickness_m for name in settings.names_of(PULSE_ECHO)
             },
             strikes_after=strikes_after(
                 sets,
-                settings.names_of("solitary_wave"),
+                settings.names_of(SOLITARY_WAVE),
                 shots_per_set=schedule.shots_per_set,
                 shot_interval_s=schedule.shot_interval_s,
             ),
@@ -106,7 +107,7 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
 def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
     """Whether nobody watches and the test is long: a process takes a second or two to start."""
     unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
-    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of("solitary_wave"))
+    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
     return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
 
 

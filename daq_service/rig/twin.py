@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 if TYPE_CHECKING:
     from simulator.specimen import Specimen, Transducer
@@ -44,7 +45,7 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
             chain=places[name].chain,
             model=ShotModel(places[name].chain, places[name].plate, places[name].corrosion),
         )
-        for name in settings.names_of("solitary_wave")
+        for name in settings.names_of(SOLITARY_WAVE)
     }
 
 
@@ -76,7 +77,7 @@ def _specimen(settings_json: str) -> Specimen:
         settings.twin,
         transducers=transducers_of(settings),
         probed_thickness_m={
-            name: settings.positions[name].plate.thickness_m for name in settings.names_of("pulse_echo")
+            name: settings.positions[name].plate.thickness_m for name in settings.names_of(PULSE_ECHO)
         },
     )
 

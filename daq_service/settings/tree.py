@@ -19,6 +19,7 @@ from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, Hol
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
 from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 from hardware_drivers.niscope.parameters import NiscopeParameters
 from hardware_drivers.playback.parameters import PlaybackParameters
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
@@ -123,7 +124,7 @@ class ScheduleSettings(Section):
 class PositionSettings(Section):
     """One monitored place: who looks at it and what is expected there."""
 
-    method: Literal["solitary_wave", "pulse_echo"]
+    method: Method
     """`solitary_wave`: a chain with striker and sensor; `pulse_echo`: an ultrasonic probe."""
     label: str = ""
     """What people call the place."""
@@ -141,15 +142,11 @@ def _paper_positions() -> dict[str, PositionSettings]:
     """Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
-        "A": PositionSettings(method="pulse_echo", label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
-        "B": PositionSettings(
-            method="solitary_wave", label="HNSW transducer, 25.4 mm patch", corrosion=small
-        ),
-        "C": PositionSettings(
-            method="solitary_wave", label="HNSW transducer, 50.8 mm patch", corrosion=large
-        ),
+        "A": PositionSettings(method=PULSE_ECHO, label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
+        "B": PositionSettings(method=SOLITARY_WAVE, label="HNSW transducer, 25.4 mm patch", corrosion=small),
+        "C": PositionSettings(method=SOLITARY_WAVE, label="HNSW transducer, 50.8 mm patch", corrosion=large),
         "D": PositionSettings(
-            method="solitary_wave", label="HNSW transducer, pristine control", corrosion=small
+            method=SOLITARY_WAVE, label="HNSW transducer, pristine control", corrosion=small
         ),
     }
 
@@ -371,7 +368,7 @@ class Settings(BaseSettings):
             raise ValueError(
                 "clock.kind is 'simulated'; a real rig needs the wall clock: clock.kind = 'wall'"
             )
-        if unknown := sorted(set(self.twin.faults) - set(self.names_of("solitary_wave"))):
+        if unknown := sorted(set(self.twin.faults) - set(self.names_of(SOLITARY_WAVE))):
             raise ValueError(
                 f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
                 "or correct the name"
@@ -385,8 +382,8 @@ class Settings(BaseSettings):
         assert self.rig.daqmx is not None, "RigSettings asks for it"
         probes = {} if self.rig.niscope is None else self.rig.niscope.probes
         for table, method, wired in (
-            ("rig.daqmx.transducers", "solitary_wave", set(self.rig.daqmx.transducers)),
-            ("rig.niscope.probes", "pulse_echo", set(probes)),
+            ("rig.daqmx.transducers", SOLITARY_WAVE, set(self.rig.daqmx.transducers)),
+            ("rig.niscope.probes", PULSE_ECHO, set(probes)),
         ):
             wanted = {name for name, place in self.positions.items() if place.method == method}
             if missing := sorted(wanted - wired):
@@ -410,7 +407,7 @@ class Settings(BaseSettings):
             json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
 
-    def names_of(self, method: Literal["solitary_wave", "pulse_echo"]) -> list[str]:
+    def names_of(self, method: Method) -> list[str]:
         """Positions monitored by a method, in the order of the file."""
         return [name for name, place in self.positions.items() if place.method == method]
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo, require_timeout
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.playback.source import ShotSource
 
 SWITCHINGS_KEPT = 1_000
@@ -41,7 +42,7 @@ class Recording:
 
     def arm(self, key: ShotKey) -> None:
         """Let the next strike at the key's position be played back."""
-        self.require(key, "solitary_wave")
+        self.require(key, SOLITARY_WAVE)
         if self._armed is not None:
             raise ConfigurationError(
                 f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
@@ -98,7 +99,7 @@ class RecordedStriker:
 
     def strike(self, key: ShotKey) -> None:
         """Let the armed digitizer play back this shot."""
-        self._recording.require(key, "solitary_wave")
+        self._recording.require(key, SOLITARY_WAVE)
         self._switchings.extend(((key.position, True), (key.position, False)))
         self._recording.strike(key)
 
@@ -135,7 +136,7 @@ class RecordedPulseEchoUnit:
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
         """Hand over the recorded echo."""
         require_timeout(timeout_s)
-        self._recording.require(key, "pulse_echo")
+        self._recording.require(key, PULSE_ECHO)
         echo = self._recording.find(key)
         if not isinstance(echo, Echo):
             raise ConfigurationError(

@@ -21,6 +21,7 @@ import numpy as np
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
 from hardware_drivers.playback.tdms_channel import (
@@ -121,7 +122,7 @@ class TdmsShots:
             pretrigger_samples=place.pretrigger_samples,
             calibration=place.conversion.calibration,
         )
-        if self._positions[key.position] == "pulse_echo":
+        if self._positions[key.position] == PULSE_ECHO:
             return Echo(
                 waveform=waveform,
                 settings=place.settings,
@@ -298,4 +299,4 @@ def _settings(
 
 
 def _method(position: str, mapping: TdmsMapping) -> str:
-    return "pulse_echo" if position in mapping.pulse_echo_positions else "solitary_wave"
+    return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Calibration, Counts
+from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.ni_scaling import ScalingError, raw_polynomial
 from hardware_drivers.playback.parameters import TdmsMapping
@@ -256,7 +257,7 @@ def pretrigger_samples(
         The file does not say where the trigger is, or it lies outside the record.
     """
     name = mapping.start_offset_property
-    if method == "pulse_echo":
+    if method == PULSE_ECHO:
         if channel.number(name):
             raise channel.refuse(
                 f"{name} is {channel.number(name)} s, yet a pulse-echo record starts at the firing pulse",

@@ -20,6 +20,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import Shot
+from hardware_drivers.methods import SOLITARY_WAVE
 
 REMEDIES: Mapping[str, str] = {
     "double": "let the striker come to rest on its stop: shorten pulse_s or damp the guide",
@@ -72,7 +73,7 @@ def require_position(settings: Settings, position: str) -> None:
     UsageError
         No such transducer, a rehearsal, or a recording.
     """
-    names = settings.names_of("solitary_wave")
+    names = settings.names_of(SOLITARY_WAVE)
     if position not in names:
         raise UsageError(
             f"--strike is {position!r}; solitary-wave transducers are: {', '.join(names) or 'none'}"
@@ -94,7 +95,7 @@ def strike_once(settings: Settings, position: str) -> Trial:
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
-        positions={position: "solitary_wave"},
+        positions={position: SOLITARY_WAVE},
         shots_per_set=1,
         shot_interval_s=settings.schedule.shot_interval_s,
         read_timeout_s=settings.rig.read_timeout_s,

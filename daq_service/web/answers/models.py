@@ -12,8 +12,9 @@ from typing import Any, Literal, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import LimitName, Method, Quality, Severity
+from daq_service.catalogue.rows import LimitName, Quality, Severity
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
+from hardware_drivers.methods import Method
 
 A = TypeVar("A", bound="Answer")
 

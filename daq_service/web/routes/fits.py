@@ -7,11 +7,12 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query
 
+from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Fit, problems
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
-from daq_service.web.routes.trends import MEASURED, checked_fields, read_columns, unit_of
+from daq_service.web.routes.trends import checked_fields, read_columns, unit_of
 
 router = APIRouter(tags=["trends"])
 
@@ -35,7 +36,7 @@ def get_fit(
     from analysis.statistics.trend import fit_trend
 
     method = context.settings.positions[context.known(position)].method
-    (name,) = checked_fields(method, field.replace(",", " "), known=MEASURED[method])
+    (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
     fresh = context.freshness()
     columns = read_columns(context, position, [name], from_h, last_hour(from_h, to_h))
     hours = np.asarray(columns["due_h"], dtype=np.float64)

@@ -23,6 +23,7 @@ from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import CommandRow, problems
 from daq_service.web.answers.problem import conflict, not_found
 from daq_service.web.context import Context, ContextOf
+from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["commands"])
 
@@ -80,7 +81,7 @@ def _written(context: Context, order: Order) -> Response:
         recorder=context.freshness().recorder.word,
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
-        positions=context.settings.names_of("solitary_wave"),
+        positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.supply is not None,
         alarms=catalogue.rows(AlarmRow),
     )

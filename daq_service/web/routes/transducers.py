@@ -10,6 +10,7 @@ from fastapi import APIRouter
 from daq_service.alarms.states import SEVERITIES, retired_positions
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import AlarmRow, Row, SetRow, VerdictRow
+from daq_service.judgement.methods import METHODS
 from daq_service.settings.tree import ScheduleSettings
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import PositionList, PositionState, problems
@@ -91,7 +92,7 @@ def state_word(last_set: SetRow | None, verdict: VerdictRow | None, alarms: Sequ
         return "alarm"
     if verdict is not None and verdict.outlier:
         return "outlier"
-    if last_set.method == "pulse_echo" or (verdict is not None and verdict.outlier is not None):
+    if not METHODS[last_set.method].has_baseline or (verdict is not None and verdict.outlier is not None):
         return "normal"
     return "learning"
 

@@ -7,7 +7,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
 
-from daq_service.catalogue.rows import FeatureRow, ThicknessRow, VerdictRow, measured
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hour
 from daq_service.web.answers.models import Trend, problems
 from daq_service.web.answers.problem import Problem
@@ -18,7 +20,6 @@ router = APIRouter(tags=["trends"])
 
 VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
 COMMON = ("set_index", "due_h", "quality")
-MEASURED = {"solitary_wave": measured(FeatureRow), "pulse_echo": measured(ThicknessRow)}
 
 
 def unit_of(field: str) -> str:
@@ -69,7 +70,7 @@ def get_trend(
 ) -> JsonAnswer:
     """Tell features or thickness of all sets, with verdicts beside them, by column."""
     method = context.settings.positions[context.known(position)].method
-    chosen = checked_fields(method, fields, known=(*MEASURED[method], *VERDICTS))
+    chosen = checked_fields(method, fields, known=(*METHODS[method].values, *VERDICTS))
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     columns = read_columns(context, position, chosen, from_h, last_h)
@@ -93,21 +94,16 @@ def measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
 ) -> dict[str, list[Any]]:
     """Read columns of what the position's method measured, one entry a set."""
-    if context.settings.positions[position].method == "pulse_echo":
-        return context.catalogue().columns(
-            ThicknessRow, names, position=position, first_h=first_h, last_h=last_h
-        )
-    return context.catalogue().columns(
-        FeatureRow, names, position=position, scope="set", first_h=first_h, last_h=last_h
-    )
+    method = METHODS[context.settings.positions[position].method]
+    filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
+    return context.catalogue().columns(method.row, names, **filters)
 
 
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
 ) -> dict[str, list[Any]]:
     """Read `COMMON` and the chosen columns; a set without verdict has null in the verdict's columns."""
-    method = context.settings.positions[position].method
-    own = [name for name in fields if name in MEASURED[method]]
+    own = [name for name in fields if name in METHODS[context.settings.positions[position].method].values]
     judged = [name for name in fields if name in VERDICTS]
     columns = measured_columns(context, position, [*COMMON, *own], from_h, last_h)
     if judged:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import io
 import itertools
-from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
@@ -16,6 +15,7 @@ from starlette.responses import Response
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
+from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
@@ -172,11 +172,8 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
 
 def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
     """Quality of the features, or of the thickness, that a record gave."""
-    rows: Sequence[ThicknessRow | FeatureRow]
-    if context.settings.positions[position].method == "pulse_echo":
-        rows = context.catalogue().rows(ThicknessRow, position=position, set_index=set_index)
-    else:
-        rows = context.catalogue().rows(FeatureRow, position=position, set_index=set_index)
+    kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
+    rows = context.catalogue().rows(kind, position=position, set_index=set_index)
     return next((row.quality for row in rows if row.sequence == sequence), None)
 
 

@@ -1,0 +1,7 @@
+"""Names of the measuring methods; every record knows its own."""
+
+from typing import Final, Literal
+
+Method = Literal["solitary_wave", "pulse_echo"]
+SOLITARY_WAVE: Final = "solitary_wave"
+PULSE_ECHO: Final = "pulse_echo"
