@@ -1,0 +1,98 @@
+"""Two data folders compared: every row and every dataset of the same test must be the same.
+
+    python benchmarks/same_data.py FOLDER OTHER [--json]
+
+Left out: wall times, versions, the machine, and what a run cost. Exit code 1 where anything differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sqlite3
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+TIMELESS = {"wall_utc_ns", "finished_wall_utc_ns", "created_utc_ns", "solimon_version", "configuration_hash"}
+OF_THE_RUN = {"cost", "versions", "created_utc_ns"}
+"""Parts of an event's payload that tell of the run, not of the test."""
+
+
+def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
+    """Rows of every table, without what differs between two runs of one test."""
+    with sqlite3.connect(f"file:{folder / 'catalogue.sqlite'}?mode=ro", uri=True) as connection:
+        connection.row_factory = sqlite3.Row
+        names = [
+            name
+            for (name,) in connection.execute("select name from sqlite_master where type = 'table'")
+            if not name.startswith(("sqlite_", "alembic_"))
+        ]
+        tables = {
+            name: [
+                {key: row[key] for key in row.keys() if key not in TIMELESS}  # noqa: SIM118 sqlite3.Row iterates values
+                for row in connection.execute(f"select * from {name} order by 1")
+            ]
+            for name in sorted(names)
+        }
+    for event in tables["events"]:
+        payload = json.loads(event["payload"])
+        event["payload"] = {key: value for key, value in payload.items() if key not in OF_THE_RUN}
+    return tables
+
+
+def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
+    """Name, bytes and attributes of every dataset of every file, but for the provenance."""
+    for path in sorted((folder / "sets").glob("*.h5")):
+        found: list[tuple[str, bytes, str]] = []
+
+        def visit(name: str, item: Any, of_file: str = path.name, into: list[Any] = found) -> None:
+            if isinstance(item, h5py.Dataset) and not name.startswith("entry/provenance"):
+                attributes = {key: np.asarray(value).tolist() for key, value in sorted(item.attrs.items())}
+                content = np.asarray(item[()])
+                # Strings of any length are held as pointers, which no two runs share.
+                data = repr(content.tolist()).encode() if content.dtype.hasobject else content.tobytes()
+                into.append((f"{of_file}/{name}", data, str(attributes)))
+
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+        yield from found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("folders", nargs=2, type=Path)
+    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    options = parser.parse_args()
+    ours, theirs = options.folders
+    differing = []
+    tables, other = rows(ours), rows(theirs)
+    for name in sorted(tables.keys() | other.keys()):
+        if tables.get(name) != other.get(name):
+            pairs = zip(tables.get(name, []), other.get(name, []), strict=False)
+            first = next(((a, b) for a, b in pairs if a != b), "the number of rows")
+            differing.append(f"table {name}: {first}")
+    held, other_held = list(datasets(ours)), list(datasets(theirs))
+    if [name for name, _, _ in held] != [name for name, _, _ in other_held]:
+        differing.append("the datasets have other names")
+    differing += [
+        f"dataset {name}"
+        for (name, data, told), (_, other_data, other_told) in zip(held, other_held, strict=False)
+        if (data, told) != (other_data, other_told)
+    ]
+    n_rows = sum(map(len, tables.values()))
+    facts = {"tables": len(tables), "rows": n_rows, "datasets": len(held), "differing": differing}
+    if options.json:
+        print(json.dumps(facts, default=str))
+    else:
+        print(f"{len(tables)} tables with {n_rows} rows, {len(held)} datasets: {len(differing)} differ")
+        print("\n".join(str(line)[:1000] for line in differing[:20]))
+    return 1 if differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
