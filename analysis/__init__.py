@@ -1,1 +1,1 @@
-"""From shot to verdict: pure functions without I/O, clock or output."""
+"""From shot to verdict. What enters: pure functions of arrays and numbers; no I/O, clock or output."""

@@ -1,1 +1,1 @@
-"""A numerical specimen behind the same instruments as a real rig."""
+"""A numerical specimen behind the same instruments as a real rig. Knows no storage, web or analysis."""

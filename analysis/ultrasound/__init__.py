@@ -1,1 +1,1 @@
-"""Thickness from ultrasonic echoes."""
+"""Thickness from ultrasonic echoes. What enters: methods that read a pulse-echo record."""

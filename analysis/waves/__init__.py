@@ -1,1 +1,1 @@
-"""A solitary-wave record becomes pulses, features and quality flags."""
+"""A solitary-wave record becomes pulses, features and quality flags. No statistics over sets."""

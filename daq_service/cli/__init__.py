@@ -1,4 +1,4 @@
-"""A file or folder for each word behind ``solimon``; everything heavy is imported inside a command."""
+"""A file or folder for each word behind ``solimon``; heavy imports stand inside a command."""
 
 
 def main() -> None:

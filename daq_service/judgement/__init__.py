@@ -1,1 +1,1 @@
-"""A set of a position becomes verdict and rows, one file a measuring method. Opens no file."""
+"""A set of a position becomes verdict and rows; an entry of `methods` a measuring method. Opens no file."""

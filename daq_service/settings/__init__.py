@@ -1,1 +1,1 @@
-"""The configuration: the tree of keys, and reading it from a file."""
+"""The configuration: its tree of keys, reading it from a file, comparing it with a stored one."""

@@ -1,1 +1,1 @@
-"""The ultrasonic echo: far wall, pulse, records."""
+"""The ultrasonic echo: far wall, pulse, records. Nothing of solitary waves."""

@@ -1,1 +1,1 @@
-"""From force to counts: sensor disk, digitizer, what interferes."""
+"""From force to counts: sensor disk, digitizer, what interferes. No mechanics."""

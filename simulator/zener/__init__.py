@@ -1,1 +1,1 @@
-"""Zener's impact on a large plate, and the paper's table 2 from it."""
+"""Zener's impact on a large plate, and the paper's table 2 from it. No finite plate."""

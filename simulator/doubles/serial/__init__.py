@@ -1,1 +1,1 @@
-"""Supplies and climate probes at the end of a line."""
+"""Supplies and climate probes at the end of a line. What enters: instruments that answer text."""

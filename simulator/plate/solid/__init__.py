@@ -1,1 +1,1 @@
-"""The three-dimensional plate of high order."""
+"""The three-dimensional plate of high order. Unaware of the thin one."""
