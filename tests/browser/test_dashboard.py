@@ -150,7 +150,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     alarms.get_by_role("button", name="Acknowledge").click()
     expect(alarms.get_by_role("button")).to_have_text("Sent")
     (command,) = filled.catalogue.pending_commands()
-    assert (command["kind"], command["arguments"]["alarm_id"]) == ("acknowledge_alarm", alarm_id)
+    assert (command.kind, command.arguments["alarm_id"]) == ("acknowledge_alarm", alarm_id)
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(alarms.get_by_role("button")).to_have_count(0)
@@ -160,7 +160,7 @@ def test_finish_now_becomes_an_order(filled, service, open_page):
     page = open_page(service.url)
     page.get_by_role("button", name="Finish now").click()
     expect(page.locator("#finish")).to_have_text("Finishing")
-    assert [row["kind"] for row in filled.catalogue.pending_commands()] == ["finish_now"]
+    assert [row.kind for row in filled.catalogue.pending_commands()] == ["finish_now"]
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     expect(page.locator("#connection")).to_have_text("Test finished")
     expect(page.locator("#finish")).to_be_hidden()
@@ -169,8 +169,8 @@ def test_finish_now_becomes_an_order(filled, service, open_page):
 def answer(filled, kind, arguments, state="done", result=""):
     """Answer the one waiting order as the recorder does."""
     (command,) = filled.catalogue.pending_commands()
-    assert (command["kind"], command["author"], command["arguments"]) == (kind, "dashboard", arguments)
-    filled.catalogue.finish_command(command["id"], state, result)
+    assert (command.kind, command.author, command.arguments) == (kind, "dashboard", arguments)
+    filled.catalogue.finish_command(command.id, state, result)
 
 
 def test_hold_asks_for_a_reason_and_stays_in_sight_until_the_release(filled, service, open_page):

@@ -182,7 +182,7 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
     missed = [row for row in sets if row.state == "missed"]
     assert missed, "the sets of that time are gaps in the ledger"
     assert all("hung while taking set" in row.cause for row in missed)
-    assert sets[-1]["state"] == "done", "the test goes on"
+    assert sets[-1].state == "done", "the test goes on"
     # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
     for line in {event["line"] for event in told["lines"]}:
         events = [event for event in told["lines"] if event["line"] == line]
@@ -257,13 +257,13 @@ def test_a_request_the_board_refuses_stops_the_test_which_goes_on_when_it_is_men
         assert supervised(running, tmp_path, on_message) == 3
         sets, alarm = sets_and_alarm(tmp_path)
         assert [row.state for row in sets] == ["done", "missed"]
-        assert str(INVALID_VALUE) in sets[1]["cause"]
+        assert str(INVALID_VALUE) in sets[1].cause
         assert alarm.state == "unacknowledged"
         assert "the recorder has stopped" in alarm.message
         assert supervised(running, tmp_path) == 0
         assert nothing_is_left(doubles)
     sets, alarm = sets_and_alarm(tmp_path)
-    assert sets[-1]["state"] == "done"
+    assert sets[-1].state == "done"
     assert alarm.state == "returned_unacknowledged"
 
 

@@ -235,5 +235,5 @@ def test_a_recording_made_without_the_quality_gate_is_struck_no_second_time(tmp_
     assert run(settings, old, rig=disturbed_rig(missing))
     assert run(played_back(old, SHORT_H), new)
     assert_same_sets(new, old)
-    row = next(row for row in rows_of(new)["sets"] if (row["position"], row["set_index"]) == ("B", 2))
-    assert (row["n_taken"], row["n_missed"], row["n_restrikes"]) == (2, 1, 0)
+    row = next(row for row in rows_of(new)["sets"] if (row.position, row.set_index) == ("B", 2))
+    assert (row.n_taken, row.n_missed, row.n_restrikes) == (2, 1, 0)

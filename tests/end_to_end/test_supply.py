@@ -139,10 +139,10 @@ def test_a_restart_goes_on_counting_and_switches_nothing(
     assert run(settings, folder)
     assert switchings(instruments) == [(True, "command")]
     after = environment(folder)[-1]
-    assert after["supply_state"] == "on"
-    assert after["charge_coulomb"] > before["charge_coulomb"] > 0.0
+    assert after.supply_state == "on"
+    assert after.charge_coulomb > before.charge_coulomb > 0.0
     # Between the two runs nobody measured.
-    assert after["unknown_s"] > before["unknown_s"]
+    assert after.unknown_s > before.unknown_s
 
 
 def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
@@ -216,6 +216,6 @@ def test_orders_beyond_the_caps_are_refused(instruments: SerialInstruments, tmp_
     with open_catalogue(folder) as catalogue:
         answer = catalogue.command(1)
     assert answer is not None
-    assert answer["state"] == "refused"
-    assert "50" in answer["result"]
-    assert "voltage_cap_v" in answer["result"]
+    assert answer.state == "refused"
+    assert "50" in answer.result
+    assert "voltage_cap_v" in answer.result
