@@ -6,6 +6,7 @@ the paper stand in `said`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 
@@ -53,17 +54,6 @@ def _value(
     )
 
 
-TABLE_1 = (
-    _value("table1", "patch_A", "corroded square at A", 25.4, "mm", "Table 1"),
-    _value("table1", "patch_B", "corroded square at B", 25.4, "mm", "Table 1"),
-    _value("table1", "patch_C", "corroded square at C", 50.8, "mm", "Table 1"),
-    _value("table1", "loss_D", "lost wall at D at the end", 0.0, "%", "Table 1", "pristine"),
-    _value("table1", "end", "end of the test", 350.0, "h", "section 2", "about"),
-    _value(
-        "table1", "sets", "sets of measurements", None, "1", "sections 2 and 4", "every 30 min, then hourly"
-    ),
-)
-
 _TABLE_2_COLUMNS = (
     ("impact_speed", "striker's speed", "m/s"),
     ("particle_speed", "largest particle speed", "m/s"),
@@ -97,174 +87,123 @@ TABLE_2 = tuple(
     for (name, text, unit), cell in zip(_TABLE_2_COLUMNS, printed[1:], strict=True)
 )
 
-FIGURE_5 = (
-    _value("fig5", "elements", "elements of the plate", 9216.0, "1", "section 3"),
-    _value("fig5", "contact_element", "element at the contact", 0.1, "mm", "section 3"),
-    _value("fig5", "spheres_below", "spheres between sensor and plate", 4.0, "1", "eq. 13"),
-)
-FIGURE_6 = (
-    _value("fig6", "contact_element", "element at the contact", 0.5, "mm", "section 3"),
-    _value("fig6", "impact_speed", "striker's speed", 0.31, "m/s", "section 3"),
-)
-FIGURE_7 = (
-    _value("fig7", "isw_time", "ISW at", 150.0, "us", "section 4", "around"),
-    _value(
-        "fig7", "change_hour_B", "change seen at B from", 75.0, "h", "section 4", "about; measurement 150"
-    ),
-    _value(
-        "fig7", "change_hour_C", "change seen at C from", 75.0, "h", "section 4", "about; measurement 150"
-    ),
-)
-FIGURE_8 = (
-    _value("fig8", "tof_start_B", "B: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
-    _value("fig8", "tof_start_C", "C: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
-    _value("fig8", "tof_start_D", "D: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
-    _value("fig8", "tof_rise_B", "B: rise of ToF to the last set", 10.0, "%", "section 4", "about"),
-    _value("fig8", "tof_rise_C", "C: rise of ToF to the last set", 10.0, "%", "section 4", "about"),
-    _value(
-        "fig8", "tof_rise_D", "D: rise of ToF to the last set", 0.0, "%", "section 4", "relatively constant"
-    ),
-)
-FIGURE_9 = (
-    _value("fig9", "ar_start_B", "B: AR of the fit at hour 0", 0.49, "1", "section 4", "around; about half"),
-    _value("fig9", "ar_start_C", "C: AR of the fit at hour 0", 0.49, "1", "section 4", "around; about half"),
-    _value("fig9", "ar_start_D", "D: AR of the fit at hour 0", 0.5, "1", "section 4", "about half"),
-    _value("fig9", "ar_end_B", "B: AR at the last set", 0.35, "1", "section 4", "around"),
-    _value("fig9", "ar_end_C", "C: AR at the last set", 0.35, "1", "section 4", "around"),
-    _value("fig9", "ar_fall_B", "B: change of AR to the last set", -30.0, "%", "section 4"),
-    _value("fig9", "ar_fall_C", "C: change of AR to the last set", -30.0, "%", "section 4"),
-    _value("fig9", "ar_fall_D", "D: change of AR to the last set", 0.0, "%", "section 4", "mostly constant"),
-)
-FIGURE_10 = (
-    _value("fig10", "e_case_3", "e at lambda = 0.258", 0.65, "1", "Table 2, case 3", "by eq. 10"),
-    _value("fig10", "tau_c_case_3", "tau_c at lambda = 0.258", 3.40, "1", "Table 2, case 3", "by eq. 12"),
-)
-FIGURE_11 = tuple(
-    _value(
-        "fig11",
-        f"isw_trend_{p}",
-        f"{p}: change of the ISW's fit over the test",
-        0.0,
-        "%",
-        "section 4",
-        "no trend",
-    )
-    for p in "BCD"
-)
-FIGURE_12 = (
-    _value(
-        "fig12",
-        "tof_plus",
-        "coupled model: ToF for an ISW 20 % stronger",
-        2.5,
-        "%",
-        "section 4",
-        "+-; size only",
-    ),
-    _value(
-        "fig12",
-        "tof_minus",
-        "coupled model: ToF for an ISW 20 % weaker",
-        2.5,
-        "%",
-        "section 4",
-        "+-; size only",
-    ),
-    _value(
-        "fig12",
-        "ar_plus",
-        "coupled model: AR for an ISW 20 % stronger",
-        1.5,
-        "%",
-        "section 4",
-        "+-; size only",
-    ),
-    _value(
-        "fig12",
-        "ar_minus",
-        "coupled model: AR for an ISW 20 % weaker",
-        1.5,
-        "%",
-        "section 4",
-        "+-; size only",
-    ),
-    _value("fig12", "tof", "coupled model: ToF", 319.0, "us", "section 4"),
-    _value("fig12", "ar", "coupled model: AR", 0.837, "1", "section 4"),
-    _value("fig12", "tof_zener", "Zener's model: ToF", 395.0, "us", "Table 2, case 3"),
-    _value("fig12", "ar_zener", "Zener's model: AR", 0.598, "1", "Table 2, case 3"),
-    _value("fig12", "ar_measured", "measured on the pristine plate: AR", 0.5, "1", "section 4"),
-    _value(
-        "fig12", "gamma_tof", "gamma 1,000 N s/m at the plate: shift of ToF", None, "us", "section 4", "minor"
-    ),
-    _value(
-        "fig12",
-        "gamma_ar",
-        "gamma 1,000 N s/m at the plate: shift of AR",
-        None,
-        "1",
-        "section 4",
-        "significant",
-    ),
-)
-
 SENSORS = (("sphere", "sensor a sphere (eqs 1-2)"), ("disk", "sensor two disks (the rig)"))
 _DEPTH_PRINT = (
     ("mindlin", "MATLAB (plate theory)", 319.0, 355.0, 0.84, 0.76),
     ("solid", "ABAQUS (solid)", 326.0, 379.0, 0.74, 0.57),
 )
-FIGURE_13 = tuple(
-    _value("fig13", f"{model}_{sensor}_{quantity}", f"{program}, {told}: {text}", value, unit, "section 4")
-    for model, program, tof_0, tof_80, ar_0, ar_80 in _DEPTH_PRINT
-    for sensor, told in SENSORS
-    for quantity, text, value, unit in (
-        ("tof_0", "ToF, pristine", tof_0, "us"),
-        ("tof_80", "ToF at 80 % depth", tof_80, "us"),
-        ("ar_0", "AR, pristine", ar_0, "1"),
-        ("ar_80", "AR at 80 % depth", ar_80, "1"),
-    )
-)
-
 _LIMITS = (("B", 21.9, 19.7), ("C", 15.4, 17.1), ("D", 13.7, 14.4))
-FIGURE_14 = (
-    *(
-        _value(
-            "fig14",
-            f"limit_{source}_{p}",
-            f"{p}: mean + 3 SD of the baseline's distances ({source})",
-            value,
-            "1",
-            where,
-        )
-        for p, text, caption in _LIMITS
-        for source, value, where in (
-            ("text", text, "section 4, text"),
-            ("caption", caption, "figure 14, caption"),
+_Printed = tuple[str, str, float | None, str, str] | tuple[str, str, float | None, str, str, str]
+_PRINTED: Mapping[str, Sequence[_Printed]] = {
+    "table1": (
+        ("patch_A", "corroded square at A", 25.4, "mm", "Table 1"),
+        ("patch_B", "corroded square at B", 25.4, "mm", "Table 1"),
+        ("patch_C", "corroded square at C", 50.8, "mm", "Table 1"),
+        ("loss_D", "lost wall at D at the end", 0.0, "%", "Table 1", "pristine"),
+        ("end", "end of the test", 350.0, "h", "section 2", "about"),
+        ("sets", "sets of measurements", None, "1", "sections 2 and 4", "every 30 min, then hourly"),
+    ),
+    "fig5": (
+        ("elements", "elements of the plate", 9216.0, "1", "section 3"),
+        ("contact_element", "element at the contact", 0.1, "mm", "section 3"),
+        ("spheres_below", "spheres between sensor and plate", 4.0, "1", "eq. 13"),
+    ),
+    "fig6": (
+        ("contact_element", "element at the contact", 0.5, "mm", "section 3"),
+        ("impact_speed", "striker's speed", 0.31, "m/s", "section 3"),
+    ),
+    "fig7": (
+        ("isw_time", "ISW at", 150.0, "us", "section 4", "around"),
+        ("change_hour_B", "change seen at B from", 75.0, "h", "section 4", "about; measurement 150"),
+        ("change_hour_C", "change seen at C from", 75.0, "h", "section 4", "about; measurement 150"),
+    ),
+    "fig8": (
+        ("tof_start_B", "B: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
+        ("tof_start_C", "C: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
+        ("tof_start_D", "D: ToF of the fit at hour 0", 325.0, "us", "section 4", "about"),
+        ("tof_rise_B", "B: rise of ToF to the last set", 10.0, "%", "section 4", "about"),
+        ("tof_rise_C", "C: rise of ToF to the last set", 10.0, "%", "section 4", "about"),
+        ("tof_rise_D", "D: rise of ToF to the last set", 0.0, "%", "section 4", "relatively constant"),
+    ),
+    "fig9": (
+        ("ar_start_B", "B: AR of the fit at hour 0", 0.49, "1", "section 4", "around; about half"),
+        ("ar_start_C", "C: AR of the fit at hour 0", 0.49, "1", "section 4", "around; about half"),
+        ("ar_start_D", "D: AR of the fit at hour 0", 0.5, "1", "section 4", "about half"),
+        ("ar_end_B", "B: AR at the last set", 0.35, "1", "section 4", "around"),
+        ("ar_end_C", "C: AR at the last set", 0.35, "1", "section 4", "around"),
+        ("ar_fall_B", "B: change of AR to the last set", -30.0, "%", "section 4"),
+        ("ar_fall_C", "C: change of AR to the last set", -30.0, "%", "section 4"),
+        ("ar_fall_D", "D: change of AR to the last set", 0.0, "%", "section 4", "mostly constant"),
+    ),
+    "fig10": (
+        ("e_case_3", "e at lambda = 0.258", 0.65, "1", "Table 2, case 3", "by eq. 10"),
+        ("tau_c_case_3", "tau_c at lambda = 0.258", 3.40, "1", "Table 2, case 3", "by eq. 12"),
+    ),
+    "fig11": (
+        ("isw_trend_B", "B: change of the ISW's fit over the test", 0.0, "%", "section 4", "no trend"),
+        ("isw_trend_C", "C: change of the ISW's fit over the test", 0.0, "%", "section 4", "no trend"),
+        ("isw_trend_D", "D: change of the ISW's fit over the test", 0.0, "%", "section 4", "no trend"),
+    ),
+    "fig12": (
+        ("tof_plus", "coupled model: ToF for an ISW 20 % stronger", 2.5, "%", "section 4", "+-; size only"),
+        ("tof_minus", "coupled model: ToF for an ISW 20 % weaker", 2.5, "%", "section 4", "+-; size only"),
+        ("ar_plus", "coupled model: AR for an ISW 20 % stronger", 1.5, "%", "section 4", "+-; size only"),
+        ("ar_minus", "coupled model: AR for an ISW 20 % weaker", 1.5, "%", "section 4", "+-; size only"),
+        ("tof", "coupled model: ToF", 319.0, "us", "section 4"),
+        ("ar", "coupled model: AR", 0.837, "1", "section 4"),
+        ("tof_zener", "Zener's model: ToF", 395.0, "us", "Table 2, case 3"),
+        ("ar_zener", "Zener's model: AR", 0.598, "1", "Table 2, case 3"),
+        ("ar_measured", "measured on the pristine plate: AR", 0.5, "1", "section 4"),
+        ("gamma_tof", "gamma 1,000 N s/m at the plate: shift of ToF", None, "us", "section 4", "minor"),
+        ("gamma_ar", "gamma 1,000 N s/m at the plate: shift of AR", None, "1", "section 4", "significant"),
+    ),
+    "fig13": tuple(
+        (f"{model}_{sensor}_{quantity}", f"{program}, {told}: {text}", value, unit, "section 4")
+        for model, program, tof_0, tof_80, ar_0, ar_80 in _DEPTH_PRINT
+        for sensor, told in SENSORS
+        for quantity, text, value, unit in (
+            ("tof_0", "ToF, pristine", tof_0, "us"),
+            ("tof_80", "ToF at 80 % depth", tof_80, "us"),
+            ("ar_0", "AR, pristine", ar_0, "1"),
+            ("ar_80", "AR at 80 % depth", ar_80, "1"),
         )
     ),
-    *(
-        _value(
-            "fig14", f"outliers_{limit}_{p}", f"{p}: outliers after 100 h, {told}", value, "%", "section 4"
-        )
-        for p, value in (("B", 80.0), ("C", 92.0), ("D", 8.0))
-        for limit, told in (("paper", "mean + 3 SD"), ("f", "exact limit (F)"))
+    "fig14": (
+        *(
+            (
+                f"limit_{source}_{p}",
+                f"{p}: mean + 3 SD of the baseline's distances ({source})",
+                value,
+                "1",
+                place,
+            )
+            for p, text, caption in _LIMITS
+            for source, value, place in (
+                ("text", text, "section 4, text"),
+                ("caption", caption, "figure 14, caption"),
+            )
+        ),
+        *(
+            (f"outliers_{limit}_{p}", f"{p}: outliers after 100 h, {told}", value, "%", "section 4")
+            for p, value in (("B", 80.0), ("C", 92.0), ("D", 8.0))
+            for limit, told in (("paper", "mean + 3 SD"), ("f", "exact limit (F)"))
+        ),
+        ("outliers_late_C", "C: outliers after 230 h, mean + 3 SD", 100.0, "%", "section 4"),
+        ("smallest_loss", "smallest corrosion detected", 0.75, "mm", "section 5", "as small as"),
     ),
-    _value("fig14", "outliers_late_C", "C: outliers after 230 h, mean + 3 SD", 100.0, "%", "section 4"),
-    _value("fig14", "smallest_loss", "smallest corrosion detected", 0.75, "mm", "section 5", "as small as"),
-)
-FIGURE_15 = (
-    _value("fig15", "initial", "A: initial wall", 6.35, "mm", "section 2"),
-    _value("fig15", "thickness_300", "A: wall read at 300 h", 4.2, "mm", "section 4", "about"),
-    _value("fig15", "loss_300", "A: loss read at 300 h", 36.0, "%", "section 4", "about"),
-    _value("fig15", "core", "A: wall at the end under the probe", 3.8, "mm", "section 4", "cored"),
-    _value(
-        "fig15", "linearity", "A: R^2 of a line through the loss", None, "1", "section 4", "overall linear"
+    "fig15": (
+        ("initial", "A: initial wall", 6.35, "mm", "section 2"),
+        ("thickness_300", "A: wall read at 300 h", 4.2, "mm", "section 4", "about"),
+        ("loss_300", "A: loss read at 300 h", 36.0, "%", "section 4", "about"),
+        ("core", "A: wall at the end under the probe", 3.8, "mm", "section 4", "cored"),
+        ("linearity", "A: R^2 of a line through the loss", None, "1", "section 4", "overall linear"),
     ),
-)
-
+}
+"""By item: quantity, what it is, value, unit, place in the paper and, where it qualifies, its words."""
 PAPER_VALUES = (
-    *TABLE_1, *TABLE_2, *FIGURE_5, *FIGURE_6, *FIGURE_7, *FIGURE_8, *FIGURE_9, *FIGURE_10, *FIGURE_11,
-    *FIGURE_12, *FIGURE_13, *FIGURE_14, *FIGURE_15,
-)  # fmt: skip
+    *TABLE_2,
+    *(_value(item, *printed) for item, rows in _PRINTED.items() for printed in rows),
+)
 
 _BY_NAME = {(value.item, value.quantity): value for value in PAPER_VALUES}
 

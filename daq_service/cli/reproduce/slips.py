@@ -93,16 +93,14 @@ def _dashpot(material: Material) -> str:
     )
 
 
-def _bracket(material: Material) -> str:
-    del material
+def _bracket(_: Material) -> str:
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     right = sphere_on_flat_stiffness(radius, E, nu, E, nu)
     return f"as printed {as_printed:.3g} m^2.5/N, no stiffness; with the power -1 {right:.4g} N/m^1.5"
 
 
-def _shear(material: Material) -> str:
-    del material
+def _shear(_: Material) -> str:
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     right_gpa = shear_modulus_pa(E, nu) / 1e9
     return f"printed {E / (1.0 + nu) / 1e9:.1f} GPa; the shear modulus is {right_gpa:.1f} GPa"
@@ -176,8 +174,7 @@ def _thresholds(material: Material) -> str:
     return f"computed from our baselines, mean + 3 SD: {'; '.join(told)}. It does not deliver 99.73 %"
 
 
-def _row_5(material: Material) -> str:
-    del material
+def _row_5(_: Material) -> str:
     rounded_e = float(TABLE_2_PRINT[5][5])
     row = models.zeners_table()[4]
     return (
@@ -188,8 +185,7 @@ def _row_5(material: Material) -> str:
     )
 
 
-def _thinner(material: Material) -> str:
-    del material
+def _thinner(_: Material) -> str:
     initial, read, core = (printed("fig15", name) for name in ("initial", "thickness_300", "core"))
     line = initial - (initial - read) / 300.0 * printed("table1", "end")
     return (
@@ -209,8 +205,7 @@ def _poisson(material: Material) -> str:
     )
 
 
-def _energy(material: Material) -> str:
-    del material
+def _energy(_: Material) -> str:
     ar = printed("fig12", "ar_measured")
     return f"energy goes with F^(5/3): an AR of {ar:g} is {ar ** (5.0 / 3.0):.2f} of the energy"
 
@@ -244,8 +239,7 @@ def _salt_water(material: Material) -> str:
     )
 
 
-def _nothing(material: Material) -> str:
-    del material
+def _nothing(_: Material) -> str:
     return "nothing to compute"
 
 
@@ -259,94 +253,72 @@ class Slip:
     finding: Callable[[Material], str]
 
 
-SLIPS = (
-    Slip(
-        where="eq. 1",
-        prints="dashpot gamma d_dot [d]_+",
-        right="its unit is N m; meant is gamma d_dot while in contact",
-        finding=_dashpot,
-    ),
-    Slip(
-        where="eq. 2, i = N",
-        prints="the bracket as it stands",
-        right="the bracket to the power -1",
-        finding=_bracket,
-    ),
-    Slip(where="eq. 5", prints="E / (1 + nu)", right="the shear modulus E / (2 (1 + nu))", finding=_shear),
-    Slip(
-        where="section 3; figures 12, 13",
-        prints="5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
-        right="such elements lock where they are larger than the thickness",
-        finding=_locking,
-    ),
-    Slip(
-        where="section 3",
-        prints="a finer mesh changes nothing",
-        right="the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
-        finding=_point_load,
-    ),
-    Slip(
-        where="figure 13(b)",
-        prints="AR decreases as the depth increases",
-        right="AR is not monotonic",
-        finding=_not_monotonic,
-    ),
-    Slip(
-        where="section 4, eq. 13",
-        prints="the offset of eq. 13 comes from precompression and damping",
-        right="eq. 13 lies above the very chain it approximates",
-        finding=_equation_13,
-    ),
-    Slip(
-        where="figure 14",
-        prints="limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
-        right="two different sets; computed here, never taken over",
-        finding=_thresholds,
-    ),
-    Slip(where="Table 2, row 5", prints="lambda 0.273, AR 0.585", right="0.272 and 0.582", finding=_row_5),
-    Slip(
-        where="section 4, figure 15",
-        prints="4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
-        right="34 %; the core is 40 % thinner",
-        finding=_thinner,
-    ),
-    Slip(where="sections 2 and 3", prints="nu 0.28 and nu 0.3", right="one of them", finding=_poisson),
-    Slip(
-        where="section 4, figure 9",
-        prints="half of the acoustic energy comes back",
-        right="AR is a ratio of forces",
-        finding=_energy,
-    ),
-    Slip(
-        where="figure 12",
-        prints="gamma has minor effects on the ToF",
-        right="not at 1,000 N s/m",
-        finding=_gamma,
-    ),
-    Slip(
-        where="figure 15",
-        prints="text: thickness on the left axis",
-        right="caption: travel time on the left, thickness on the right",
-        finding=_nothing,
-    ),
-    Slip(
-        where="section 2",
-        prints="non-ferromagnetic stainless steel 440C",
-        right="440C is martensitic and ferromagnetic",
-        finding=_nothing,
-    ),
-    Slip(
-        where="sections 2 and 3",
-        prints="no liquid in any model",
-        right="the wet face carries salt solution",
-        finding=_salt_water,
-    ),
-    Slip(
-        where="section 4",
-        prints="AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
-        right="figure 8 shows ToF, figure 15 ultrasound",
-        finding=_nothing,
-    ),
+SLIPS = tuple(
+    Slip(where=where, prints=prints, right=right, finding=finding)
+    for where, prints, right, finding in (
+        (
+            "eq. 1",
+            "dashpot gamma d_dot [d]_+",
+            "its unit is N m; meant is gamma d_dot while in contact",
+            _dashpot,
+        ),
+        ("eq. 2, i = N", "the bracket as it stands", "the bracket to the power -1", _bracket),
+        ("eq. 5", "E / (1 + nu)", "the shear modulus E / (2 (1 + nu))", _shear),
+        (
+            "section 3; figures 12, 13",
+            "5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
+            "such elements lock where they are larger than the thickness",
+            _locking,
+        ),
+        (
+            "section 3",
+            "a finer mesh changes nothing",
+            "the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
+            _point_load,
+        ),
+        ("figure 13(b)", "AR decreases as the depth increases", "AR is not monotonic", _not_monotonic),
+        (
+            "section 4, eq. 13",
+            "the offset of eq. 13 comes from precompression and damping",
+            "eq. 13 lies above the very chain it approximates",
+            _equation_13,
+        ),
+        (
+            "figure 14",
+            "limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
+            "two different sets; computed here, never taken over",
+            _thresholds,
+        ),
+        ("Table 2, row 5", "lambda 0.273, AR 0.585", "0.272 and 0.582", _row_5),
+        (
+            "section 4, figure 15",
+            "4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
+            "34 %; the core is 40 % thinner",
+            _thinner,
+        ),
+        ("sections 2 and 3", "nu 0.28 and nu 0.3", "one of them", _poisson),
+        ("section 4, figure 9", "half of the acoustic energy comes back", "AR is a ratio of forces", _energy),
+        ("figure 12", "gamma has minor effects on the ToF", "not at 1,000 N s/m", _gamma),
+        (
+            "figure 15",
+            "text: thickness on the left axis",
+            "caption: travel time on the left, thickness on the right",
+            _nothing,
+        ),
+        (
+            "section 2",
+            "non-ferromagnetic stainless steel 440C",
+            "440C is martensitic and ferromagnetic",
+            _nothing,
+        ),
+        ("sections 2 and 3", "no liquid in any model", "the wet face carries salt solution", _salt_water),
+        (
+            "section 4",
+            "AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
+            "figure 8 shows ToF, figure 15 ultrasound",
+            _nothing,
+        ),
+    )
 )
 
 
