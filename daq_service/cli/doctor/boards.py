@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import re
 import socket
-from collections.abc import Callable, Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
-from daq_service.cli.doctor.check import HELD, Check, State, Value
+from daq_service.cli.doctor.check import HELD, Check, Value
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
+
+if TYPE_CHECKING:
+    from hardware_drivers.daqmx.survey import BoardFacts, Finding, Survey
 
 OLDEST_DRIVER = (20, 1)
 """NI-DAQmx below this is not supported: the first release with all of Windows and today's Linux systems."""
@@ -25,99 +28,12 @@ LARGEST_DUTY = 0.25
 OWNED = "owner: "
 """How the driver's errors name who holds a board (`hardware_drivers.daqmx.translation`)."""
 
+TOLD_OF_A_BOARD = (
+    "serial", "name", "product", "max_rate_hz", "temperature_c", "calibration_date",
+    "calibration_temperature_c",
+)  # fmt: skip
+
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
-
-
-class Finding(Protocol):
-    """One thing the driver looked at (`hardware_drivers.daqmx.survey.Finding`)."""
-
-    @property
-    def subject(self) -> str:
-        """``driver``, ``board 01E18096``, ``transducer B``."""
-        ...
-
-    @property
-    def check(self) -> str:
-        """What was looked at."""
-        ...
-
-    @property
-    def state(self) -> State:
-        """How it stands."""
-        ...
-
-    @property
-    def detail(self) -> str:
-        """What was found."""
-        ...
-
-    @property
-    def remedy(self) -> str:
-        """What to do."""
-        ...
-
-
-class BoardFacts(Protocol):
-    """What a board says of itself (`hardware_drivers.daqmx.survey.BoardFacts`)."""
-
-    @property
-    def serial(self) -> str:
-        """Eight hexadecimal digits."""
-        ...
-
-    @property
-    def name(self) -> str:
-        """Name given by NI MAX."""
-        ...
-
-    @property
-    def product(self) -> str:
-        """Its type."""
-        ...
-
-    @property
-    def max_rate_hz(self) -> float:
-        """Of one channel."""
-        ...
-
-    @property
-    def calibration_date(self) -> str:
-        """Of the last self-calibration; empty: the board has none."""
-        ...
-
-    @property
-    def calibration_temperature_c(self) -> float:
-        """Temperature then."""
-        ...
-
-    @property
-    def temperature_c(self) -> float:
-        """Temperature now."""
-        ...
-
-
-class Survey(Protocol):
-    """Everything found (`hardware_drivers.daqmx.survey.Survey`)."""
-
-    @property
-    def driver_version(self) -> str:
-        """Empty: the driver was not reached."""
-        ...
-
-    @property
-    def boards(self) -> Sequence[BoardFacts]:
-        """All boards of the system."""
-        ...
-
-    @property
-    def noise_rms_v(self) -> Mapping[str, float]:
-        """By position."""
-        ...
-
-    @property
-    def findings(self) -> Sequence[Finding]:
-        """In the order in which they were looked at."""
-        ...
 
 
 def board_checks(
@@ -146,9 +62,7 @@ def _duty(pulse_s: float, shot_interval_s: float) -> Check:
         name="coils: duty cycle",
         state="ok" if part <= LARGEST_DUTY else "warn",
         found=f"{part:.1%}: on for {pulse_s:g} s of {shot_interval_s:g} s (at most {LARGEST_DUTY:.0%})",
-        remedy=""
-        if part <= LARGEST_DUTY
-        else "shorten pulse_s or lengthen shot_interval_s, or measure that your coils stay cool",
+        remedy="shorten pulse_s or lengthen shot_interval_s, or measure that your coils stay cool",
         values={"duty": part, "pulse_s": pulse_s},
     )
 
@@ -168,7 +82,7 @@ def _server(address: str) -> Check:
             remedy="start NI's gRPC device server on the chassis computer, open its port in the firewall, or "
             "correct grpc_address in [rig.daqmx]",
         )
-    return Check(area="rig", name="gRPC server", state="ok", found=f"{address} takes a connection")
+    return Check(area="rig", name="gRPC server", found=f"{address} takes a connection")
 
 
 def _driver(text: str) -> Check:
@@ -179,7 +93,7 @@ def _driver(text: str) -> Check:
         name="driver: version",
         state="ok" if fits else "fail",
         found=f"NI-DAQmx {text} (at least {oldest})",
-        remedy="" if fits else "install a newer NI-DAQmx: docs/how-to/install-the-ni-driver.md",
+        remedy="install a newer NI-DAQmx: docs/how-to/install-the-ni-driver.md",
         values={"driver_version": text, "oldest": oldest},
     )
 
@@ -208,7 +122,7 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Check
         name=f"{finding.subject}: {finding.check}",
         state=state,
         found=detail,
-        remedy="" if state == "ok" else remedy or LOOK_UP,
+        remedy=remedy or LOOK_UP,
         values=values,
     )
 
@@ -222,15 +136,7 @@ def _wanted(parameters: DaqmxParameters) -> set[int]:
 def _facts(board: BoardFacts | None) -> dict[str, Value]:
     if board is None:
         return {}
-    return {
-        "serial": board.serial,
-        "name": board.name,
-        "product": board.product,
-        "max_rate_hz": board.max_rate_hz,
-        "temperature_c": board.temperature_c,
-        "calibration_date": board.calibration_date,
-        "calibration_temperature_c": board.calibration_temperature_c,
-    }
+    return {name: getattr(board, name) for name in TOLD_OF_A_BOARD}
 
 
 def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
@@ -260,9 +166,7 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Check:
         name="watchdog",
         state="fail" if uncovered else "ok",
         found=f"{covered}; not covered: {', '.join(uncovered)}" if uncovered else covered,
-        remedy="add their lines to [rig.daqmx.watchdog] (X Series: PFI12 is port2/line4)"
-        if uncovered
-        else "",
+        remedy="add their lines to [rig.daqmx.watchdog] (X Series: PFI12 is port2/line4)",
         values={"timeout_s": watchdog.timeout_s},
     )
 

@@ -37,20 +37,22 @@ class Check:
     found
         In words, with units.
     remedy
-        What to do; every check that is not ``ok`` has one.
+        What to do; every check that is not ``ok`` has one, and what is ``ok`` keeps none.
     values
         The same for programs, SI units in the names.
     """
 
     area: Area
     name: str
-    state: State
+    state: State = "ok"
     found: str
     remedy: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.state != "ok" and not self.remedy:
+        if self.state == "ok":
+            object.__setattr__(self, "remedy", "")
+        elif not self.remedy:
             raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
 
 

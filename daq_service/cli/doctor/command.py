@@ -7,6 +7,7 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,9 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
     checks = list(checkup(settings, folder, owner, _progress))
     trial: Trial | None = None
     if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
-        checks.append(_no_strike(strike))
+        found = "not struck: a package is missing"
+        remedy = "install what failed above, then strike"
+        checks.append(_skipped(f"strike {strike}: record", found, remedy))
     elif strike is not None:
         _progress(f"one test strike at {strike}")
         with held_folder(folder) as owner:
@@ -96,7 +99,7 @@ def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Ite
     """
     rig = settings.rig
     if rig.kind != "daqmx":
-        yield Check(area="rig", name="rig", state="ok", found=f"{rig.kind}: no boards to look at")
+        yield Check(area="rig", name="rig", found=f"{rig.kind}: no boards to look at")
     elif rig.daqmx is not None and _usable({"nidaqmx"} | _grpc(rig.daqmx), missing):
         from hardware_drivers.daqmx.survey import survey
 
@@ -130,19 +133,18 @@ def _usable(needed: set[str], missing: set[str]) -> bool:
 
 
 def _needs_package(what: str) -> Check:
-    return Check(
-        area="rig",
-        name=what,
-        state="skipped",
-        found="not looked at: a package they need is missing",
-        remedy="install what failed above, then look again",
-    )
+    found = "not looked at: a package they need is missing"
+    return _skipped(what, found, "install what failed above, then look again")
+
+
+def _skipped(name: str, found: str, remedy: str) -> Check:
+    return Check(area="rig", name=name, state="skipped", found=found, remedy=remedy)
 
 
 def _recorder(owner: str) -> Check:
     name = "recorder"
     if not owner:
-        return Check(area="recorder", name=name, state="ok", found="no recorder owns the data folder")
+        return Check(area="recorder", name=name, found="no recorder owns the data folder")
     problem, _, remedy = owner.partition("; ")
     return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
 
@@ -157,23 +159,8 @@ def _left_alone(rig: RigSettings) -> Iterator[Check]:
     }
     for name, configured in there.items():
         if configured:
-            yield Check(
-                area="rig",
-                name=name,
-                state="skipped",
-                found="not looked at: a recorder uses it",
-                remedy="stop the recorder first, or read `solimon status`",
-            )
-
-
-def _no_strike(position: str) -> Check:
-    return Check(
-        area="rig",
-        name=f"strike {position}: record",
-        state="skipped",
-        found="not struck: a package is missing",
-        remedy="install what failed above, then strike",
-    )
+            remedy = "stop the recorder first, or read `solimon status`"
+            yield _skipped(name, "not looked at: a recorder uses it", remedy)
 
 
 # What a person or a program reads --------------------------------------------------------------------
@@ -201,23 +188,12 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
 ) -> dict[str, Any]:
-    rows = [
-        {
-            "area": check.area,
-            "name": check.name,
-            "state": check.state,
-            "found": check.found,
-            "remedy": check.remedy,
-            "values": dict(check.values),
-        }
-        for check in checks
-    ]
     return {
         "configuration_hash": settings.configuration_hash(),
         "rig": settings.rig.kind,
         "data_folder": str(folder),
         "exit_code": code,
-        "checks": rows,
+        "checks": [asdict(check) for check in checks],
         "strike": None if trial is None else trial.as_row(),
     }
 

@@ -80,9 +80,7 @@ def _monotonic(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
         state="fail" if not steady else "ok" if kept else "warn",
         found=f"{info.implementation}, resolution {info.resolution:.0e} s; the wall clock moved away by "
         f"{parted_s * 1e3:.0f} ms in the {mono_elapsed_s:.1f} s of this checkup",
-        remedy=""
-        if steady and kept
-        else "let the clock be synchronised and settle, then look again"
+        remedy="let the clock be synchronised and settle, then look again"
         if steady
         else "use another computer: its monotonic clock goes backwards",
         values={
@@ -100,7 +98,6 @@ def _time_zone() -> Check:
     return Check(
         area="machine",
         name="time zone",
-        state="ok",
         found=f"{now.tzname()}, UTC{offset_s / 3600:+g} h; everything is stored in UTC",
         values={"utc_offset_s": offset_s},
     )
@@ -121,7 +118,7 @@ def _synchronised(ask: Ask, system: str) -> Check:
         name="clock synchronised",
         state="ok" if answer else "warn",
         found=f"{known[answer]} ({how})",
-        remedy="" if answer else command,
+        remedy=command,
         values={"synchronised": answer, "asked": how},
     )
 
@@ -162,7 +159,7 @@ def _sleep(ask: Ask, system: str) -> Check:
         name="sleep",
         state="ok" if never else "warn",
         found=f"suspend is {told[never]} ({how}); a sleeping computer strikes nothing, its sets are missed",
-        remedy="" if never else command,
+        remedy=command,
         values={"never_sleeps": never},
     )
 

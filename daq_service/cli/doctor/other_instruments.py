@@ -39,7 +39,6 @@ def probe_checks(parameters: NiscopeParameters) -> Iterator[Check]:
                 yield Check(
                     area="rig",
                     name=name,
-                    state="ok",
                     found=f"{identity[f'probe_{position}']}; NI-SCOPE {identity['ni_scope']}, package "
                     f"{identity['niscope']}",
                     values=dict(identity),
@@ -62,15 +61,12 @@ def _record(position: str, echo: Echo) -> Iterator[Check]:
         state="warn" if clipped or part > SAFE_PART else "ok",
         found=f"{waveform.counts.size} samples at {waveform.sample_rate_hz / 1e6:g} MS/s, mean of "
         f"{echo.averages}, up to {peak_v:.3g} V ({part:.0%} of the range){', clipped' if clipped else ''}",
-        remedy="lower the gain of the pulser-receiver, or take a larger range_v"
-        if clipped or part > SAFE_PART
-        else "",
+        remedy="lower the gain of the pulser-receiver, or take a larger range_v",
         values={"peak_v": peak_v, "sample_rate_hz": waveform.sample_rate_hz, "clipped": clipped},
     )
     yield Check(
         area="rig",
         name=f"probe {position}: self-calibration",
-        state="ok",
         found=f"on {settings['calibration_date']} at {settings['calibration_temperature_c']} C",
         values={key: settings[key] for key in ("calibration_date", "calibration_temperature_c")},
     )
@@ -84,9 +80,7 @@ def supply_checks(parameters: SupplyParameters) -> Iterator[Check]:
     with closing(ScpiPowerSupply(parameters, stamp=_stamp)) as supply:
         try:
             identity = supply.identity()
-            yield Check(
-                area="rig", name=name, state="ok", found=", ".join(identity.values()), values=dict(identity)
-            )
+            yield Check(area="rig", name=name, found=", ".join(identity.values()), values=dict(identity))
             name = "supply: read-back"
             told = supply.read_back(parameters.read_timeout_s)
             tripped = str(told["tripped"])
@@ -96,7 +90,7 @@ def supply_checks(parameters: SupplyParameters) -> Iterator[Check]:
                 state="fail" if tripped else "ok",
                 found=f"set to {told['set_voltage_v']:g} V, limit {told['set_current_limit_a']:g} A, output "
                 f"{told['output']}" + (f"; protection tripped: {tripped}" if tripped else ""),
-                remedy="find the cause, then clear the protection at the instrument" if tripped else "",
+                remedy="find the cause, then clear the protection at the instrument",
                 values=dict(told),
             )
             name = "supply: output"
@@ -108,9 +102,7 @@ def supply_checks(parameters: SupplyParameters) -> Iterator[Check]:
                 found=f"{'ON' if reading.output_on else 'off'}: {reading.voltage_v:.4g} V, "
                 f"{reading.current_a:.4g} A",
                 remedy="the drive is on although no recorder watches it: switch it off at the instrument, or "
-                "start the recorder"
-                if reading.output_on
-                else "",
+                "start the recorder",
                 values={
                     "output_on": reading.output_on,
                     "voltage_v": reading.voltage_v,
@@ -129,15 +121,12 @@ def climate_checks(parameters: ClimateParameters) -> Iterator[Check]:
     with closing(ScpiClimateProbe(parameters, stamp=_stamp)) as probe:
         try:
             identity = probe.identity()
-            yield Check(
-                area="rig", name=name, state="ok", found=", ".join(identity.values()), values=dict(identity)
-            )
+            yield Check(area="rig", name=name, found=", ".join(identity.values()), values=dict(identity))
             name = "climate probe: reading"
             reading = probe.read(parameters.read_timeout_s)
             yield Check(
                 area="rig",
                 name=name,
-                state="ok",
                 found=f"{reading.temperature_c:.2f} C, relative humidity {reading.relative_humidity:.0%}",
                 values={
                     "temperature_c": reading.temperature_c,

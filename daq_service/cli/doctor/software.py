@@ -69,7 +69,7 @@ def _python() -> Check:
         name="python",
         state="ok" if fits else "fail",
         found=f"{platform.python_version()}, {bits} bit, {platform.platform()}",
-        remedy="" if fits else f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit",
+        remedy=f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit",
         values={"version": platform.python_version(), "bits": bits, "platform": platform.platform()},
     )
 
@@ -88,7 +88,7 @@ def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
         name=name,
         state="ok" if fits else "fail",
         found=found + (f" (at least {oldest})" if oldest else ""),
-        remedy="" if fits else remedy,
+        remedy=remedy,
         values={"version": found, "oldest": oldest or None},
     )
 
@@ -106,7 +106,7 @@ def _binaries(load: Callable[[str], object]) -> Check:
         state="fail" if broken else "ok",
         found="; ".join(f"{name} does not load ({why})" for name, why in broken.items())
         or f"{', '.join(COMPILED)} load",
-        remedy=f"install again: python -m pip install --force-reinstall {' '.join(broken)}" if broken else "",
+        remedy=f"install again: python -m pip install --force-reinstall {' '.join(broken)}",
     )
 
 

@@ -115,7 +115,7 @@ def _writable(folder: Path) -> Check:
         state="ok" if took_s <= SLOW_WRITE_S else "warn",
         found=f"{folder}{'' if place == folder else ' (to be made)'}; a small file is durable after "
         f"{took_s * 1e3:.0f} ms",
-        remedy="" if took_s <= SLOW_WRITE_S else "use a faster disk, or find what keeps it busy",
+        remedy="use a faster disk, or find what keeps it busy",
         values={"exists": place == folder, "durable_write_s": took_s},
     )
 
@@ -133,7 +133,6 @@ def _owner(settings: Settings, folder: Path) -> Check:
     return Check(
         area="folder",
         name=name,
-        state="ok",
         found=f"free for this configuration ({own_hash[:12]})",
         values={"configuration_hash": own_hash},
     )
@@ -150,6 +149,6 @@ def _space(settings: Settings, folder: Path) -> Check:
         state="fail" if not enough else "ok" if free >= COMFORTABLE * needed else "warn",
         found=f"{free / 1e9:.2f} GB free, about {needed / 1e9:.2f} GB still to come "
         f"({facts['sets']} sets planned, {stored / 1e9:.2f} GB stored)",
-        remedy="" if free >= COMFORTABLE * needed else "free space, or choose a larger disk with --data-dir",
+        remedy="free space, or choose a larger disk with --data-dir",
         values={"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored},
     )

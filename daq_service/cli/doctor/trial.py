@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
@@ -58,9 +58,7 @@ class Trial:
         told = self.features
         return {
             "position": self.position,
-            "features": None
-            if told is None
-            else {item.name: getattr(told, item.name) for item in fields(told)},
+            "features": None if told is None else asdict(told),
             "settings": dict(self.settings),
         }
 
@@ -179,7 +177,7 @@ def _level(settings: Settings, shot: Shot, features: ShotFeatures) -> list[Check
             name=f"strike {shot.key.position}: trigger level",
             state="ok" if fits else "warn",
             found=f"{level_v:g} V is {part:.0%} of the incident wave",
-            remedy="" if fits else "set trigger_level_v to a tenth of the incident wave",
+            remedy="set trigger_level_v to a tenth of the incident wave",
             values=values,
         )
     ]
