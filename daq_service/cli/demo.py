@@ -8,7 +8,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from daq_service.cli.run import STOPPED, child_plans
 from daq_service.cli.summary import print_summary, summarise_run
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
-from daq_service.processes.data_folder import prepare_data_folder, write_configuration
+from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 from daq_service.settings.tree import Settings
@@ -50,7 +49,7 @@ def run_demo(
     with running_rig(rig, _overrides(hours, seed, pace)) as running:
         return _run_on(
             running,
-            (data_dir or _new_folder()).absolute(),
+            (data_dir or new_folder("demo")).absolute(),
             port=port,
             web=not no_web,
             stay=not exit_when_done and not no_web,
@@ -119,16 +118,6 @@ def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dic
     if pace is not None:
         overrides["clock"] = {"pace_h_per_s": pace}
     return overrides
-
-
-def _new_folder() -> Path:
-    """Return a folder that does not exist yet, named by the time."""
-    base = Path.cwd() / f"solimon-demo-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-    folder, number = base, 1
-    while folder.exists():
-        number += 1
-        folder = base.with_name(f"{base.name}-{number}")
-    return folder
 
 
 def _process_start_s() -> float:

@@ -15,12 +15,15 @@ import click
 
 from daq_service.errors import EXIT_INTERRUPTED, SolimonError
 
-CONFIG = click.argument("config", required=False, type=click.Path(dir_okay=False, path_type=Path))
-DATA_DIR = click.option(
-    "--data-dir",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Data folder; default: the configuration's.",
-)
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+PORT_NUMBER = click.IntRange(0, 65535)
+POSITIVE = click.FloatRange(min=0.0, min_open=True)
+
+CONFIG = click.argument("config", required=False, type=FILE)
+DATA_DIR = click.option("--data-dir", type=FOLDER, help="Data folder; default: the configuration's.")
+SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+RESTARTED = click.option("--restarted-because", default="", hidden=True)
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 POSITION = click.option("--position", required=True, help="The transducer's position, for example B.")
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
@@ -43,20 +46,14 @@ def cli() -> None:
 
 
 @cli.command()
+@click.option("--hours", type=POSITIVE, help="Stop the test at this hour; default: its end, 350 h.")
+@SEED
 @click.option(
-    "--hours",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Stop the test at this hour; default: its end, 350 h.",
-)
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
-@click.option(
-    "--pace",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Hours of test a second; default 5, with --exit as fast as it goes.",
+    "--pace", type=POSITIVE, help="Hours of test a second; default 5, with --exit as fast as it goes."
 )
 @click.option(
     "--port",
-    type=click.IntRange(0, 65535),
+    type=PORT_NUMBER,
     default=0,
     show_default=True,
     help="Port of the dashboard; 0 takes a free one.",
@@ -82,9 +79,7 @@ def demo(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
-@click.option(
-    "--port", type=click.IntRange(0, 65535), help="Port of the dashboard; default: the configuration's."
-)
+@click.option("--port", type=PORT_NUMBER, help="Port of the dashboard; default: the configuration's.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
 def run(**options: Any) -> None:
     """Record and serve under a supervisor that restarts what fails."""
@@ -97,7 +92,7 @@ def run(**options: Any) -> None:
 @CONFIG
 @DATA_DIR
 @click.option("--linger", is_flag=True, help="Stay after the last set and carry out orders.")
-@click.option("--restarted-because", default="", hidden=True)
+@RESTARTED
 @SUPERVISED
 def record(**options: Any) -> None:
     """Record only: own the rig and the data folder, follow the schedule."""
@@ -109,8 +104,8 @@ def record(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
-@click.option("--port", type=click.IntRange(0, 65535), help="Port; 0 takes a free one.")
-@click.option("--restarted-because", default="", hidden=True)
+@click.option("--port", type=PORT_NUMBER, help="Port; 0 takes a free one.")
+@RESTARTED
 @SUPERVISED
 def serve(**options: Any) -> None:
     """Serve a data folder only: REST, stream and dashboard."""
@@ -211,11 +206,7 @@ def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | No
     multiple=True,
     help="Values of a key: a,b,c or first:last:count or log:first:last:count; several make a grid.",
 )
-@click.option(
-    "--sweep-file",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="CSV file: a header of keys, then one row a shot.",
-)
+@click.option("--sweep-file", type=FILE, help="CSV file: a header of keys, then one row a shot.")
 @click.option("--zip", "element_wise", is_flag=True, help="First values together, then second ones: no grid.")
 @click.option("--skip-invalid", is_flag=True, help="Keep refused combinations as rows with their reason.")
 @click.option(
@@ -242,19 +233,15 @@ def simulate(**options: Any) -> None:
 
 
 @cli.command()
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for figures, tables and report; default: a new one here.",
-)
+@click.option("--out", type=FOLDER, help="Folder for figures, tables and report; default: a new one here.")
 @click.option(
     "--from",
     "data_dir",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Data folder of a test; default: the paper's test is run on the twin.",
 )
 @click.option("--only", metavar="NAMES", help="Some of them only, for example fig12,table2.")
-@click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin's random numbers.")
+@SEED
 @JSON
 def reproduce(**options: Any) -> None:
     """Draw the paper's figures and tables from a test and the models, and say where they deviate."""

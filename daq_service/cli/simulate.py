@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -103,11 +102,11 @@ def _option(name: str) -> str:
 
 
 def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table: bool, as_json: bool) -> None:
-    shot = _impact_of(*specimen) if model == "zener" else _shot_of(*specimen)
+    chain, plate, patch = specimen
     rows = []
     try:
         for number, depth in enumerate(grid, 1):
-            rows.append(shot(depth))
+            rows.append(_shot(model, chain, plate, replace(patch, depth_fraction=depth)))
             if is_table and sys.stderr.isatty():
                 click.echo(f"\r{number} of {len(grid)} depths", nl=number == len(grid), err=True)
     except SimulatorError as error:
@@ -151,35 +150,14 @@ def _grid(text: str) -> list[float]:
     return spaced(first, last, count)
 
 
-def _shot_of(
-    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> Callable[[float], dict[str, Any]]:
-    """Chain and plate integrated together, as a row for each depth."""
-
-    def shot(depth: float) -> dict[str, Any]:
-        return {
-            **coupled_numbers(coupled_shot(chain, plate, replace(patch, depth_fraction=depth))),
-            "depth_fraction": depth,
-            "drop_height_m": chain.drop_height_m,
-            "tilt_rad": chain.tilt_rad,
-        }
-
-    return shot
-
-
-def _impact_of(
-    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> Callable[[float], dict[str, Any]]:
-    """Zener's impact of the last sphere, as a row for each depth."""
-
-    def impact(depth: float) -> dict[str, Any]:
-        return {
-            **zener_numbers(chain, plate, replace(patch, depth_fraction=depth)),
-            "depth_fraction": depth,
-            "drop_height_m": chain.drop_height_m,
-        }
-
-    return impact
+def _shot(
+    model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
+) -> dict[str, Any]:
+    """One row: chain and plate integrated together, or Zener's impact of the last sphere."""
+    given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
+    if model == "zener":
+        return {**zener_numbers(chain, plate, patch), **given}
+    return {**coupled_numbers(coupled_shot(chain, plate, patch)), **given, "tilt_rad": chain.tilt_rad}
 
 
 def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:

@@ -11,6 +11,7 @@ import os
 import sys
 import uuid
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import IO
 
@@ -43,6 +44,16 @@ CONFIGURATION_FILE = "configuration.json"
 OWN_NAMES = frozenset(
     {"catalogue.sqlite", CONFIGURATION_FILE, "heartbeat.json", "recorder.lock", "sets", "live", "logs"}
 )
+
+
+def new_folder(purpose: str) -> Path:
+    """Return a folder here that does not exist yet, named by its purpose and the time."""
+    base = Path.cwd() / f"solimon-{purpose}-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
+    folder, number = base, 1
+    while folder.exists():
+        number += 1
+        folder = base.with_name(f"{base.name}-{number}")
+    return folder
 
 
 def prepare_data_folder(folder: Path) -> None:

@@ -62,24 +62,14 @@ class RequestGuard:
                 answer["X-Request-ID"] = name
             await send(message)
 
-        if scope["type"] == "websocket":
-            if problem is not None:
-                await problem_response(scope, problem)(scope, receive, send_with_headers)
-                return
-            await self._app(scope, receive, send_with_headers)
-            return
-        if problem is not None:
-            await problem_response(scope, problem)(scope, receive, send_with_headers)
-            return
-        if scope["method"] in SAFE_METHODS:
-            await self._app(scope, receive, send_with_headers)
-            return
-        body = await _read_body(receive)
-        if body is None:
-            refusal = problem_response(scope, _too_large(f"more than {LARGEST_BODY_BYTES}"))
-            await refusal(scope, receive, send_with_headers)
-            return
-        await self._app(scope, _replayed(body, receive), send_with_headers)
+        if problem is None and scope["type"] == "http" and scope["method"] not in SAFE_METHODS:
+            body = await _read_body(receive)
+            if body is None:
+                problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
+            else:
+                receive = _replayed(body, receive)
+        answering = self._app if problem is None else problem_response(scope, problem)
+        await answering(scope, receive, send_with_headers)
 
 
 async def _read_body(receive: Receive) -> bytes | None:

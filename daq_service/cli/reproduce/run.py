@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack
-from datetime import datetime
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,7 @@ from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
+from daq_service.processes.data_folder import new_folder
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
 from simulator.errors import SimulatorError
@@ -55,7 +55,7 @@ def reproduce(
             "--seed is for a new test on the twin; the test of --from has been run: leave one out"
         )
     items = chosen_items(only)
-    folder = (out or _new_folder()).absolute()
+    folder = (out or new_folder("reproduction")).absolute()
 
     def say(text: str) -> None:
         click.echo(text, err=True)
@@ -262,13 +262,3 @@ def _origin(test: Evidence | None) -> str:
 def _stem(name: str) -> str:
     """File name of an item: figures sort by number."""
     return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name
-
-
-def _new_folder() -> Path:
-    """Return a folder that does not exist yet, named by the time."""
-    base = Path.cwd() / f"solimon-reproduction-{datetime.now().astimezone():%Y%m%d-%H%M%S}"
-    folder, number = base, 1
-    while folder.exists():
-        number += 1
-        folder = base.with_name(f"{base.name}-{number}")
-    return folder

@@ -9,14 +9,14 @@ from __future__ import annotations
 import asyncio
 import bisect
 import logging
-import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import orjson
 
 from daq_service.errors import SolimonError
+from daq_service.web.streams.followed import Followed
 
 log = logging.getLogger(__name__)
 POLL_INTERVAL_S = 0.03
@@ -56,11 +56,8 @@ def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
     return EncodedEvent(row["id"], row["topic"], frame)
 
 
-class EventHub:
-    """The newest events in memory, and a wake-up for all who wait for the next one.
-
-    Everything but `_tail` runs on the event loop, so nothing needs a lock.
-    """
+class EventHub(Followed):
+    """The newest events in memory, and a wake-up for all who wait for the next one or the heartbeat."""
 
     def __init__(
         self,
@@ -71,6 +68,7 @@ class EventHub:
         heartbeat_interval_s: float = HEARTBEAT_INTERVAL_S,
         longest_replay_events: int = LONGEST_REPLAY_EVENTS,
     ) -> None:
+        super().__init__("event-tail")
         self._source = source
         self._poll_interval_s = poll_interval_s
         self._ring_events = ring_events
@@ -78,38 +76,18 @@ class EventHub:
         self.longest_replay_events = longest_replay_events
         self._events: list[EncodedEvent] = []
         self._complete_after: int | None = None
-        self._closed = False
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._tick: asyncio.Future[None] | None = None
         self._heartbeat: asyncio.TimerHandle | None = None
-        self.clients = 0
 
     async def start(self) -> None:
         """Tail from now on."""
-        self._loop = asyncio.get_running_loop()
-        self._tick = self._loop.create_future()
-        self._thread = threading.Thread(target=self._tail, name="event-tail", daemon=True)
-        self._thread.start()
+        await super().start()
         self._beat()
 
     def close(self) -> None:
         """Let every stream say `bye` and end; may be called again."""
-        self._closed = True
-        self._stop.set()
+        super().close()
         if self._heartbeat is not None:
             self._heartbeat.cancel()
-        self._wake()
-
-    async def join(self) -> None:
-        """Wait for the tailing thread after `close`."""
-        if self._thread is not None:
-            await asyncio.to_thread(self._thread.join)
-
-    @property
-    def closed(self) -> bool:
-        """True once streams must end."""
-        return self._closed
 
     @property
     def complete_after(self) -> int | None:
@@ -124,18 +102,6 @@ class EventHub:
     def after(self, event_id: int) -> list[EncodedEvent]:
         """Events of the ring behind an id."""
         return self._events[bisect.bisect_right(self._events, event_id, key=lambda event: event.id) :]
-
-    async def changed(self) -> None:
-        """Wait for new events, the heartbeat or the end."""
-        if not self._closed:
-            assert self._tick is not None
-            await asyncio.shield(self._tick)
-
-    def _wake(self) -> None:
-        if self._tick is not None and not self._tick.done():
-            self._tick.set_result(None)
-            if not self._closed:
-                self._tick = self._loop.create_future()
 
     def _beat(self) -> None:
         self._wake()
@@ -153,7 +119,7 @@ class EventHub:
             del self._events[: -self._ring_events]
         self._wake()
 
-    def _tail(self) -> None:
+    def _follow(self) -> None:
         """Body of the thread: poll, encode, pass to the loop."""
         last: int | None = None
         began = False
@@ -183,10 +149,3 @@ class EventHub:
                     log.warning("cannot read events: %s", error)
                 trouble, pause_s = str(error), UNREADABLE_INTERVAL_S
             self._stop.wait(pause_s)
-
-    def _pass_on(self, function: Callable[[Any], None], argument: Any) -> None:
-        try:
-            self._loop.call_soon_threadsafe(function, argument)
-        except RuntimeError:
-            # The loop is gone: the service ends.
-            self._stop.set()

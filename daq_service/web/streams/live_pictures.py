@@ -5,17 +5,16 @@ Only the newest: whoever is slow or hidden misses pictures, never events.
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 import struct
-import threading
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from daq_service.web.answers.problem import Problem
+from daq_service.web.streams.followed import Followed
 
 log = logging.getLogger(__name__)
 POLL_INTERVAL_S = 0.05
@@ -29,43 +28,16 @@ class Picture:
     content: bytes
 
 
-class LivePictures:
+class LivePictures(Followed):
     """The newest picture of each position, and a wake-up for those who wait for the next."""
 
     def __init__(
         self, folder: Path, positions: Collection[str], *, poll_interval_s: float = POLL_INTERVAL_S
     ) -> None:
+        super().__init__("live-pictures")
         self._paths = {position: folder / f"{position}.bin" for position in positions}
         self._poll_interval_s = poll_interval_s
         self._pictures: dict[str, Picture] = {}
-        self._closed = False
-        self._stop = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._tick: asyncio.Future[None] | None = None
-        self.clients = 0
-
-    async def start(self) -> None:
-        """Follow from now on."""
-        self._loop = asyncio.get_running_loop()
-        self._tick = self._loop.create_future()
-        self._thread = threading.Thread(target=self._follow, name="live-pictures", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """Let every client end; may be called again."""
-        self._closed = True
-        self._stop.set()
-        self._wake()
-
-    async def join(self) -> None:
-        """Wait for the following thread after `close`."""
-        if self._thread is not None:
-            await asyncio.to_thread(self._thread.join)
-
-    @property
-    def closed(self) -> bool:
-        """True once clients must end."""
-        return self._closed
 
     def newer(self, seen: Mapping[str, int]) -> dict[str, Picture]:
         """Pictures of the positions in ``seen`` that are newer than the version seen there."""
@@ -74,18 +46,6 @@ class LivePictures:
             for position, version in seen.items()
             if (picture := self._pictures.get(position)) is not None and picture.version > version
         }
-
-    async def changed(self) -> None:
-        """Wait for a new picture or the end."""
-        if not self._closed:
-            assert self._tick is not None
-            await asyncio.shield(self._tick)
-
-    def _wake(self) -> None:
-        if self._tick is not None and not self._tick.done():
-            self._tick.set_result(None)
-            if not self._closed:
-                self._tick = self._loop.create_future()
 
     def _take(self, position: str, picture: Picture) -> None:
         self._pictures[position] = picture
@@ -111,11 +71,7 @@ class LivePictures:
                     continue
                 seen[position] = mark
                 version += 1
-                try:
-                    self._loop.call_soon_threadsafe(self._take, position, Picture(version, content))
-                except RuntimeError:
-                    # The loop is gone: the service ends.
-                    return
+                self._pass_on(self._take, position, Picture(version, content))
             self._stop.wait(self._poll_interval_s)
 
 

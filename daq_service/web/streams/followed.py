@@ -1,0 +1,70 @@
+"""What a thread follows and streams wait for: its start and end, and the wake-up of all who wait."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any
+
+
+class Followed:
+    """A thread that follows something, and a wake-up for those who wait for the next change.
+
+    Everything but `_follow` runs on the event loop, so nothing needs a lock.
+    """
+
+    def __init__(self, thread_name: str) -> None:
+        self._thread_name = thread_name
+        self._closed = False
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._tick: asyncio.Future[None] | None = None
+        self.clients = 0
+
+    async def start(self) -> None:
+        """Follow from now on."""
+        self._loop = asyncio.get_running_loop()
+        self._tick = self._loop.create_future()
+        self._thread = threading.Thread(target=self._follow, name=self._thread_name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Let every client end; may be called again."""
+        self._closed = True
+        self._stop.set()
+        self._wake()
+
+    async def join(self) -> None:
+        """Wait for the following thread after `close`."""
+        if self._thread is not None:
+            await asyncio.to_thread(self._thread.join)
+
+    @property
+    def closed(self) -> bool:
+        """True once clients must end."""
+        return self._closed
+
+    async def changed(self) -> None:
+        """Wait for the next change or the end."""
+        if not self._closed:
+            assert self._tick is not None
+            await asyncio.shield(self._tick)
+
+    def _wake(self) -> None:
+        if self._tick is not None and not self._tick.done():
+            self._tick.set_result(None)
+            if not self._closed:
+                self._tick = self._loop.create_future()
+
+    def _follow(self) -> None:
+        """Body of the thread, until `_stop` is set."""
+        raise NotImplementedError
+
+    def _pass_on(self, function: Callable[..., None], *arguments: Any) -> None:
+        """Call a function on the event loop, from the thread."""
+        try:
+            self._loop.call_soon_threadsafe(function, *arguments)
+        except RuntimeError:
+            # The loop is gone: the service ends.
+            self._stop.set()
