@@ -25,11 +25,12 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from daq_service.archive.nexus import (
     add_field,
@@ -51,6 +52,8 @@ FORMAT_VERSION = "1.1"
 CLIPPED = 1
 """Bit of ``shots/flags``."""
 _PREVIEW_POINTS = 500
+
+_SINCE_1970 = {"units": "ns", "start": "1970-01-01T00:00:00Z"}
 
 Record = Shot | PulseEchoRecord
 
@@ -158,7 +161,7 @@ def _add_facts(entry: Any, record: SetRecord) -> None:
     if record.trouble:
         add_field(entry, "trouble", record.trouble, long_name="instrument error that ended the set early")
     for name in ("due_utc_ns", "started_utc_ns", "ended_utc_ns"):
-        add_field(entry, name, np.int64(getattr(record, name)), units="ns", start="1970-01-01T00:00:00Z")
+        add_field(entry, name, np.int64(getattr(record, name)), **_SINCE_1970)
 
 
 def _add_detectors(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
@@ -222,12 +225,16 @@ def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) 
         _add_time_axis(data, group, time_axes)
         shot_time_s = [(shot.stamp.utc_ns - record.due_utc_ns) / NS_PER_S for shot in group.records]
         add_field(data, "shot_time", np.array(shot_time_s), units="s", start=start, long_name="time of shot")
-        add_field(data, "shot_id", np.array([shot.sequence for shot in group.records], dtype=np.int64))
+        add_field(data, "shot_id", _int64(shot.sequence for shot in group.records))
         echoes = [echo for echo in group.records if isinstance(echo, PulseEchoRecord)]
         if echoes:
             add_field(data, "gain", np.array([echo.gain_db for echo in echoes]), units="dB")
             add_field(data, "offset", np.array([echo.offset_v for echo in echoes]), units="V")
-            add_field(data, "averages", np.array([echo.averages for echo in echoes], dtype=np.int64))
+            add_field(data, "averages", _int64(echo.averages for echo in echoes))
+
+
+def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
+    return np.fromiter(numbers, dtype=np.int64)
 
 
 def _add_time_axis(data: Any, group: _RecordGroup, time_axes: dict[tuple[float, int, int], Any]) -> None:
@@ -258,7 +265,7 @@ def _add_facts_of_records(entry: Any, record: SetRecord, kind: Literal["truth", 
         group = add_group(
             entry, f"{position.position}_{kind}", "NXcollection", {"position": position.position}
         )
-        add_field(group, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
+        add_field(group, "shot_id", _int64(shot.sequence for shot in records))
         for name in names:
             known = [name in fact for fact in facts]
             is_text = any(isinstance(fact.get(name), str) for fact in facts)
@@ -277,7 +284,7 @@ def _add_missed(entry: Any, record: SetRecord) -> None:
     table = add_group(entry, "missed", "NXcollection")
     add_field(table, "position", [item.key.position for item in record.missed])
     for name in ("shot_index", "attempt"):
-        add_field(table, name, np.array([getattr(item.key, name) for item in record.missed], dtype=np.int64))
+        add_field(table, name, _int64(getattr(item.key, name) for item in record.missed))
     add_field(table, "reason", [item.reason for item in record.missed])
     add_field(table, "cause", [item.cause for item in record.missed])
 
@@ -297,21 +304,15 @@ def _add_environment(entry: Any, record: SetRecord) -> None:
 def _add_shots(entry: Any, record: SetRecord) -> None:
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
-    add_field(table, "shot_id", np.array([shot.sequence for shot in records], dtype=np.int64))
+    add_field(table, "shot_id", _int64(shot.sequence for shot in records))
     add_field(table, "position", [shot.key.position for shot in records])
     for name in ("shot_index", "attempt"):
-        add_field(table, name, np.array([getattr(shot.key, name) for shot in records], dtype=np.int64))
-    add_field(
-        table,
-        "utc_ns",
-        np.array([shot.stamp.utc_ns for shot in records], dtype=np.int64),
-        units="ns",
-        start="1970-01-01T00:00:00Z",
-    )
+        add_field(table, name, _int64(getattr(shot.key, name) for shot in records))
+    add_field(table, "utc_ns", _int64(shot.stamp.utc_ns for shot in records), **_SINCE_1970)
     add_field(
         table,
         "mono_ns",
-        np.array([shot.stamp.mono_ns for shot in records], dtype=np.int64),
+        _int64(shot.stamp.mono_ns for shot in records),
         units="ns",
         long_name="monotonic clock; comparable within one boot_id",
     )
@@ -344,8 +345,8 @@ def _add_positions(entry: Any, record: SetRecord) -> None:
     add_field(table, "name", [row.position for row in positions])
     for name in ("method", "label", "serial_number", "cause"):
         add_field(table, name, [getattr(row, name) for row in positions])
-    add_field(table, "n_planned", np.array([row.n_planned for row in positions], dtype=np.int64))
-    add_field(table, "n_taken", np.array([taken.count(row.position) for row in positions], dtype=np.int64))
+    add_field(table, "n_planned", _int64(row.n_planned for row in positions))
+    add_field(table, "n_taken", _int64(taken.count(row.position) for row in positions))
 
 
 def _add_preview(entry: Any, groups: Sequence[_RecordGroup]) -> None:

@@ -39,6 +39,8 @@ from hardware_drivers.measurement import (
 _HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
 _READABLE_FORMAT = "1."
 
+_PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
+
 _Columns = Mapping[str, list[Any]]
 
 
@@ -207,18 +209,21 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
     return [found[sequence] for sequence in row_of if sequence in found], damages
 
 
-def _read_table(entry: h5py.Group) -> _Columns:
-    table = entry["shots"]
-    names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
+def _columns(table: h5py.Group, *names: str) -> _Columns:
     columns = {name: table[name][()].tolist() for name in names}
-    # Format 1.0 knew no repetitions: every record counts.
-    columns["outcome"] = (
-        table["outcome"][()].tolist() if "outcome" in table else ["accepted"] * len(columns["shot_id"])
-    )
     return {
         name: [_text(value) if isinstance(value, bytes) else value for value in values]
         for name, values in columns.items()
     }
+
+
+def _read_table(entry: h5py.Group) -> _Columns:
+    table = entry["shots"]
+    names = ("shot_id", "position", "shot_index", "attempt", "utc_ns", "mono_ns", "boot_id", "crc32")
+    if "outcome" in table:
+        return _columns(table, *names, "outcome")
+    # Format 1.0 knew no repetitions: every record counts.
+    return {**_columns(table, *names), "outcome": ["accepted"] * table["shot_id"].size}
 
 
 def _superseded(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -> dict[int, str]:
@@ -273,18 +278,11 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
 def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
     if "missed" not in entry:
         return []
-    table = entry["missed"]
-    columns = [table[name][()].tolist() for name in ("position", "shot_index", "attempt", "cause", "reason")]
+    columns = _columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
     set_index = int(entry["set_index"][()])
     return [
-        MissedRecord(
-            key=ShotKey(
-                position=_text(position), set_index=set_index, shot_index=shot_index, attempt=attempt
-            ),
-            cause=_text(cause),
-            reason=_text(reason),
-        )
-        for position, shot_index, attempt, cause, reason in zip(*columns, strict=True)
+        MissedRecord(key=_key(columns, row, set_index), cause=cause, reason=columns["reason"][row])
+        for row, cause in enumerate(columns["cause"])
     ]
 
 
@@ -298,21 +296,10 @@ def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
 
 
 def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
-    table = entry["positions"]
-    texts = {
-        name: [_text(value) for value in table[name][()]]
-        for name in ("name", "method", "label", "cause", "serial_number")
-    }
+    columns = _columns(entry["positions"], "name", *_PLANNED)
     return [
-        PositionRecord(
-            position=texts["name"][row],
-            method=texts["method"][row],
-            n_planned=n_planned,
-            cause=texts["cause"][row],
-            label=texts["label"][row],
-            serial_number=texts["serial_number"][row],
-        )
-        for row, n_planned in enumerate(table["n_planned"][()].tolist())
+        PositionRecord(position=position, **{name: columns[name][row] for name in _PLANNED})
+        for row, position in enumerate(columns["name"])
     ]
 
 
