@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
 from daq_service.archive.nexus import (
@@ -53,7 +54,7 @@ CLIPPED = 1
 """Bit of ``shots/flags``."""
 _PREVIEW_POINTS = 500
 
-_SINCE_1970 = {"units": "ns", "start": "1970-01-01T00:00:00Z"}
+_EPOCH = "1970-01-01T00:00:00Z"
 
 Record = Shot | PulseEchoRecord
 
@@ -65,7 +66,7 @@ class _RecordGroup:
     name: str
     position: str
     records: list[Record]
-    counts: Any
+    counts: NDArray[Any]
     """Shape (n_records, n_samples)."""
 
     @property
@@ -145,7 +146,7 @@ def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
     return groups
 
 
-def _add_facts(entry: Any, record: SetRecord) -> None:
+def _add_facts(entry: GroupID, record: SetRecord) -> None:
     provenance = record.provenance
     hash_ = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
@@ -161,10 +162,10 @@ def _add_facts(entry: Any, record: SetRecord) -> None:
     if record.trouble:
         add_field(entry, "trouble", record.trouble, long_name="instrument error that ended the set early")
     for name in ("due_utc_ns", "started_utc_ns", "ended_utc_ns"):
-        add_field(entry, name, np.int64(getattr(record, name)), **_SINCE_1970)
+        add_field(entry, name, np.int64(getattr(record, name)), units="ns", start=_EPOCH)
 
 
-def _add_detectors(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+def _add_detectors(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
     add_field(instrument, "name", record.rig_kind)
@@ -196,8 +197,8 @@ def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
     return slope, constant / slope if slope else 0.0
 
 
-def _add_records(entry: Any, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    time_axes: dict[tuple[float, int, int], Any] = {}
+def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+    time_axes: dict[tuple[float, int, int], GroupID] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
         signal = "record" if group.is_echo else "waveform"
@@ -237,7 +238,9 @@ def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
     return np.fromiter(numbers, dtype=np.int64)
 
 
-def _add_time_axis(data: Any, group: _RecordGroup, time_axes: dict[tuple[float, int, int], Any]) -> None:
+def _add_time_axis(
+    data: GroupID, group: _RecordGroup, time_axes: dict[tuple[float, int, int], GroupID]
+) -> None:
     """Add the time axis; groups sampled alike share one by a hard link."""
     known = time_axes.get(group.sampling)
     if known is not None:
@@ -254,7 +257,7 @@ def _add_time_axis(data: Any, group: _RecordGroup, time_axes: dict[tuple[float, 
     )
 
 
-def _add_facts_of_records(entry: Any, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
+def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
     """Add a group a position with a column a fact; ``known`` marks the records that have it."""
     for position in record.positions:
         records = [shot for shot in record.records if shot.key.position == position.position]
@@ -278,7 +281,7 @@ def _add_facts_of_records(entry: Any, record: SetRecord, kind: Literal["truth", 
                 set_attributes(field, {"known": np.array(known, dtype=np.uint8)})
 
 
-def _add_missed(entry: Any, record: SetRecord) -> None:
+def _add_missed(entry: GroupID, record: SetRecord) -> None:
     if not record.missed:
         return
     table = add_group(entry, "missed", "NXcollection")
@@ -289,7 +292,7 @@ def _add_missed(entry: Any, record: SetRecord) -> None:
     add_field(table, "cause", [item.cause for item in record.missed])
 
 
-def _add_environment(entry: Any, record: SetRecord) -> None:
+def _add_environment(entry: GroupID, record: SetRecord) -> None:
     known = {name: value for name, value in record.environment.items() if value is not None}
     if not known:
         return
@@ -301,14 +304,14 @@ def _add_environment(entry: Any, record: SetRecord) -> None:
             add_field(group, name, np.float64(value), units=unit_of(name))
 
 
-def _add_shots(entry: Any, record: SetRecord) -> None:
+def _add_shots(entry: GroupID, record: SetRecord) -> None:
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
     add_field(table, "shot_id", _int64(shot.sequence for shot in records))
     add_field(table, "position", [shot.key.position for shot in records])
     for name in ("shot_index", "attempt"):
         add_field(table, name, _int64(getattr(shot.key, name) for shot in records))
-    add_field(table, "utc_ns", _int64(shot.stamp.utc_ns for shot in records), **_SINCE_1970)
+    add_field(table, "utc_ns", _int64(shot.stamp.utc_ns for shot in records), units="ns", start=_EPOCH)
     add_field(
         table,
         "mono_ns",
@@ -338,7 +341,7 @@ def _add_shots(entry: Any, record: SetRecord) -> None:
     )
 
 
-def _add_positions(entry: Any, record: SetRecord) -> None:
+def _add_positions(entry: GroupID, record: SetRecord) -> None:
     positions = record.positions
     taken = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
@@ -349,7 +352,7 @@ def _add_positions(entry: Any, record: SetRecord) -> None:
     add_field(table, "n_taken", _int64(taken.count(row.position) for row in positions))
 
 
-def _add_preview(entry: Any, groups: Sequence[_RecordGroup]) -> None:
+def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
     """Mean, lowest and highest volts over the shots and a few samples of each transducer.
 
     One NXdata has one time axis: the groups sampled like the first transducer are shown.
@@ -377,7 +380,7 @@ def _add_preview(entry: Any, groups: Sequence[_RecordGroup]) -> None:
     add_field(preview, "time", first.waveform.time_s()[starts], units="s", long_name="time from trigger (s)")
 
 
-def _envelope(group: _RecordGroup, starts: Any) -> dict[str, Any]:
+def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
     """Mean, min and max in V of all records between neighbouring starts, shape (n_starts,) each.
 
     Counts are reduced and then calibrated: an ADC's calibration is monotonic, and the difference
@@ -396,7 +399,7 @@ def _envelope(group: _RecordGroup, starts: Any) -> dict[str, Any]:
     return {kind: calibrate(values).astype(np.float32) for kind, values in reduced.items()}
 
 
-def _add_provenance(entry: Any, record: SetRecord) -> None:
+def _add_provenance(entry: GroupID, record: SetRecord) -> None:
     text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
     note = add_group(entry, "provenance", "NXnote")
     add_field(note, "type", "application/json")

@@ -34,8 +34,8 @@ Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
 
 @contextmanager
-def image_file() -> Iterator[Any]:
-    """Low-level id of an empty HDF5 file in memory that never touches a disk."""
+def image_file() -> Iterator[h5f.FileID]:
+    """Give an empty HDF5 file in memory that never touches a disk."""
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     # The oldest format with checksums everywhere, up to what tools of the last ten years read.
@@ -50,29 +50,34 @@ def image_file() -> Iterator[Any]:
         file.close()
 
 
-def open_root(file: Any) -> Any:
-    """Low-level id of the root group."""
+def open_root(file: h5f.FileID) -> h5g.GroupID:
+    """Root group."""
     return h5g.open(file, b"/")
 
 
-def image_of(file: Any) -> bytes:
+def image_of(file: h5f.FileID) -> bytes:
     """Return the bytes that the file would have on a disk."""
     h5f.flush(file)
     return bytes(file.get_file_image())
 
 
 def add_group(
-    parent: Any, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
-) -> Any:
-    """Group of a NeXus class; takes and gives low-level ids."""
+    parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
+) -> h5g.GroupID:
+    """Group of a NeXus class."""
     group = h5g.create(parent, name.encode(), gcpl=_group_properties())
     set_attributes(group, {"NX_class": nx_class, **(attributes or {})})
     return group
 
 
 def add_field(
-    parent: Any, name: str, values: Any, *, chunk: tuple[int, ...] | None = None, **attributes: Attribute
-) -> Any:
+    parent: h5g.GroupID,
+    name: str,
+    values: Any,
+    *,
+    chunk: tuple[int, ...] | None = None,
+    **attributes: Attribute,
+) -> h5d.DatasetID:
     """Dataset of numbers or strings; ``chunk`` None leaves the choice to the size.
 
     Parameters
@@ -96,26 +101,26 @@ def add_field(
     return dataset
 
 
-def write_chunks(dataset: Any, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
+def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
     """Write an array of the stored type as chunks that are filtered already."""
     for first in range(0, array.shape[0], chunk[0]):
         place = (first, *(0 for _ in chunk[1:]))
         dataset.write_direct_chunk(place, filtered_chunk(array[first : first + chunk[0]]))
 
 
-def set_attributes(target: Any, attributes: Mapping[str, Attribute]) -> None:
-    """Set attributes of a low-level object."""
+def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
+    """Set attributes of a group, a dataset or a file."""
     for name, value in attributes.items():
         array, data_type, space = _stored_form(value)
         h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
 
 
-def add_hard_link(parent: Any, name: str, source_parent: Any, source_name: str) -> None:
+def add_hard_link(parent: h5g.GroupID, name: str, source_parent: h5g.GroupID, source_name: str) -> None:
     """Let a second name lead to a dataset; it is stored once."""
     parent.links.create_hard(name.encode(), source_parent, source_name.encode())
 
 
-def _stored_form(values: Any) -> tuple[NDArray[Any], Any, Any]:
+def _stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
     """Array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
         return _stored_text(values)
@@ -129,14 +134,14 @@ def _stored_form(values: Any) -> tuple[NDArray[Any], Any, Any]:
 
 
 @lru_cache(maxsize=1024)
-def _stored_text(text: str) -> tuple[NDArray[Any], Any, Any]:
+def _stored_text(text: str) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
     """Units, names and classes come again in every set."""
     array = np.array(text.encode(), dtype=np.bytes_)
     return array, _text_type(array.itemsize), _space(())
 
 
 @lru_cache(maxsize=256)
-def _text_type(n_bytes: int) -> Any:
+def _text_type(n_bytes: int) -> h5t.TypeID:
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
@@ -145,19 +150,19 @@ def _text_type(n_bytes: int) -> Any:
 
 
 @cache
-def _number_type(dtype: np.dtype[Any]) -> Any:
+def _number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
     return h5t.py_create(dtype)
 
 
 @cache
-def _group_properties() -> Any:
+def _group_properties() -> h5p.PropGCID:
     properties = h5p.create(h5p.GROUP_CREATE)
     properties.set_obj_track_times(False)
     return properties
 
 
 @cache
-def _compact_properties() -> Any:
+def _compact_properties() -> h5p.PropDCID:
     properties = h5p.create(h5p.DATASET_CREATE)
     # A file's bytes depend on its content alone, not on the moment of writing.
     properties.set_obj_track_times(False)
@@ -166,7 +171,7 @@ def _compact_properties() -> Any:
 
 
 @lru_cache(maxsize=256)
-def _chunked_properties(chunk: tuple[int, ...]) -> Any:
+def _chunked_properties(chunk: tuple[int, ...]) -> h5p.PropDCID:
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     properties.set_fill_time(h5d.FILL_TIME_NEVER)
@@ -178,5 +183,5 @@ def _chunked_properties(chunk: tuple[int, ...]) -> Any:
 
 
 @lru_cache(maxsize=256)
-def _space(shape: tuple[int, ...]) -> Any:
+def _space(shape: tuple[int, ...]) -> h5s.SpaceID:
     return h5s.create_simple(shape) if shape else h5s.create(h5s.SCALAR)

@@ -133,11 +133,6 @@ class StoreTimings:
     fsync_s: float
     directory_fsync_s: float
 
-    @property
-    def total_s(self) -> float:
-        """All together."""
-        return self.image_s + self.write_s + self.fsync_s + self.directory_fsync_s
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StoredSet:

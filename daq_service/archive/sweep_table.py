@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
 from daq_service.archive.nexus import Attribute, add_field, add_group, image_file, image_of, set_attributes
@@ -52,7 +53,7 @@ def hdf5_image(
         return image_of(file)
 
 
-def _add_waveforms(entry: Any, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:
+def _add_waveforms(entry: GroupID, forces: Sequence[tuple[NDArray[np.float64], float]]) -> None:
     group = add_group(entry, "waveforms", "NXcollection")
     samples = np.array([force.size for force, _ in forces], dtype=np.int64)
     together = np.concatenate([force for force, _ in forces])

@@ -22,11 +22,6 @@ class Charge:
     coulomb: float = 0.0
     unknown_s: float = 0.0
 
-    @property
-    def ampere_hours(self) -> float:
-        """The same charge in A h."""
-        return self.coulomb / 3600.0
-
 
 def add_interval(
     charge: Charge, *, elapsed_s: float, first_a: float, last_a: float, longest_s: float

@@ -34,8 +34,8 @@ TRACES = 25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SolitaryWaves:
-    """Sets of one solitary-wave transducer in the order they were taken.
+class Series:
+    """Sets of one position in the order they were taken.
 
     Attributes
     ----------
@@ -43,13 +43,6 @@ class SolitaryWaves:
         Assumed size of the corroded patch; None where the configuration does not say.
     set_index, hour_h
         Shape (n,).
-    values
-        By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
-        `JUDGED`.
-    in_baseline, outlier, outlier_paper
-        float64, shape (n,): 1 yes, 0 no, NaN where a set was not judged.
-    baseline
-        Row of the catalogue, None before it is frozen.
     first_alarm_h
         Hour of the first alarm about the wall, None where there is none.
     """
@@ -59,16 +52,33 @@ class SolitaryWaves:
     patch_m: float | None
     set_index: NDArray[np.int64]
     hour_h: FloatArray
+    first_alarm_h: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SolitaryWaves(Series):
+    """Sets of one solitary-wave transducer.
+
+    Attributes
+    ----------
+    values
+        By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
+        `JUDGED`.
+    in_baseline, outlier, outlier_paper
+        float64, shape (n,): 1 yes, 0 no, NaN where a set was not judged.
+    baseline
+        Row of the catalogue, None before it is frozen.
+    """
+
     values: Mapping[str, FloatArray]
     in_baseline: FloatArray
     outlier: FloatArray
     outlier_paper: FloatArray
     baseline: BaselineRow | None
-    first_alarm_h: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseEchoes:
+class PulseEchoes(Series):
     """Readings of one ultrasonic probe; arrays of shape (n,), NaN where no echo was found.
 
     Attributes
@@ -79,18 +89,12 @@ class PulseEchoes:
         Distance of the probe's elements that its path is corrected for; 0: eq. 17 as it stands.
     """
 
-    position: str
-    label: str
-    patch_m: float | None
-    set_index: NDArray[np.int64]
-    hour_h: FloatArray
     travel_time_s: FloatArray
     thickness_m: FloatArray
     thickness_loss_m: FloatArray
     delay_s: float | None
     element_separation_m: float
     initial_thickness_m: float | None
-    first_alarm_h: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -153,9 +157,8 @@ class Evidence:
     @property
     def last_h(self) -> float:
         """Hour of the last set of any position."""
-        hours = [series.hour_h for series in self.pulses.values()]
-        hours += [series.hour_h for series in self.echoes.values()]
-        return max((float(hour[-1]) for hour in hours if hour.size), default=0.0)
+        series = (*self.pulses.values(), *self.echoes.values())
+        return max((float(one.hour_h[-1]) for one in series if one.hour_h.size), default=0.0)
 
 
 def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
@@ -219,9 +222,19 @@ def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[st
     return {name: {**configured.get(name, {}), "method": methods[name]} for name in names}
 
 
-def _patch_m(place: Mapping[str, Any]) -> float | None:
-    size: float | None = place.get("corrosion", {}).get("size_m")
-    return size
+def _common(
+    catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
+) -> dict[str, Any]:
+    """Fields of a `Series`."""
+    alarms_h = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
+    return {
+        "position": position,
+        "label": place.get("label", ""),
+        "patch_m": place.get("corrosion", {}).get("size_m"),
+        "set_index": np.array(columns["set_index"], dtype=np.int64),
+        "hour_h": _array(columns["due_h"]),
+        "first_alarm_h": min(alarms_h, default=None),
+    }
 
 
 def _array(values: Sequence[float | bool | None]) -> FloatArray:
@@ -240,20 +253,12 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any
         return _array([None if row is None else verdicts[name][row] for row in rows])
 
     return SolitaryWaves(
-        position=position,
-        label=place.get("label", ""),
-        patch_m=_patch_m(place),
-        set_index=np.array(columns["set_index"], dtype=np.int64),
-        hour_h=_array(columns["due_h"]),
-        values={
-            **{name: _array(columns[name]) for name in PULSES},
-            **{name: judged(name) for name in JUDGED},
-        },
+        **_common(catalogue, position, place, columns),
+        values={name: _array(columns[name]) for name in PULSES} | {name: judged(name) for name in JUDGED},
         in_baseline=judged("in_baseline"),
         outlier=judged("outlier"),
         outlier_paper=judged("outlier_paper"),
         baseline=catalogue.baseline(position),
-        first_alarm_h=_first_alarm_h(catalogue, position),
     )
 
 
@@ -264,24 +269,14 @@ def _pulse_echoes(
     columns = catalogue.columns(ThicknessRow, ["set_index", "due_h", *names], position=position)
     ultrasound = configuration.get("ultrasound", {})
     return PulseEchoes(
-        position=position,
-        label=place.get("label", ""),
-        patch_m=_patch_m(place),
-        set_index=np.array(columns["set_index"], dtype=np.int64),
-        hour_h=_array(columns["due_h"]),
+        **_common(catalogue, position, place, columns),
         travel_time_s=_array(columns["travel_time_s"]),
         thickness_m=_array(columns["thickness_m"]),
         thickness_loss_m=_array(columns["thickness_loss_m"]),
         delay_s=ultrasound.get("delay_s"),
         element_separation_m=ultrasound.get("element_separation_m") or 0.0,
         initial_thickness_m=ultrasound.get("initial_thickness_m"),
-        first_alarm_h=_first_alarm_h(catalogue, position),
     )
-
-
-def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
-    hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
-    return min(hours) if hours else None
 
 
 def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:

@@ -131,7 +131,7 @@ def draw_fig12(material: Material) -> Product:
         _name_mark(axis, text, printed("fig12", quantity), side)
     figure.legend(loc="outside lower center", ncols=2)
     name_panels(axes, ("time of flight", "amplitude ratio"))
-    return Product(drawing=figure, tables={"": _curve_table(curves)}, found=_isw_found(curves))
+    return Product(drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves))
 
 
 def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
@@ -152,9 +152,9 @@ def _band(axis: Axes, nominal: str, spread: str) -> None:
         axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **PAPER_LINE)
 
 
-def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> Table:
+def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> Table:
     rows = [(name, *point) for name, points in curves.items() for point in points]
-    names = ("curve", "isw_ratio", "tof_us", "amplitude_ratio")
+    names = ("curve", over, "tof_us", "amplitude_ratio")
     return Table(columns=dict(zip(names, (list(column) for column in zip(*rows, strict=True)), strict=True)))
 
 
@@ -237,12 +237,9 @@ def draw_fig13(material: Material) -> Product:
     axes[1].set_ylabel("amplitude ratio (1)")
     figure.legend(loc="outside lower center", ncols=2)
     name_panels(axes, ("time of flight", "amplitude ratio"))
-    rows = [(name, *point) for name, points in curves.items() for point in points]
-    names = ("curve", "depth_fraction", "tof_us", "amplitude_ratio")
-    table = Table(columns=dict(zip(names, (list(column) for column in zip(*rows, strict=True)), strict=True)))
     return Product(
         drawing=figure,
-        tables={"": table},
+        tables={"": _curve_table(curves, "depth_fraction")},
         found=_depth_found(curves, absent),
         notes=(
             *(_turning(name, points) for name, points in curves.items()),
@@ -290,6 +287,7 @@ FIG10 = Item(
     },
 )
 _STEPS = models.ISW_STEPS
+_STRONG = replace(_CHAINS["disk"], contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)
 FIG12 = Item(
     name="fig12",
     title="Figure 12. Influence of the incident wave's amplitude",
@@ -299,14 +297,7 @@ FIG12 = Item(
     jobs={
         "disk": Job(function=models.pulses_over_isw, arguments=(_CHAINS["disk"], _PLATE, _STEPS)),
         "sphere": Job(function=models.pulses_over_isw, arguments=(_CHAINS["sphere"], _PLATE, _STEPS)),
-        "disk_gamma": Job(
-            function=models.pulses_over_isw,
-            arguments=(
-                replace(_CHAINS["disk"], contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M),
-                _PLATE,
-                _STEPS,
-            ),
-        ),
+        "disk_gamma": Job(function=models.pulses_over_isw, arguments=(_STRONG, _PLATE, _STEPS)),
         "zener_eq8": Job(function=models.zener_by_eq_8, arguments=(_STEPS,)),
         "zener_closed": Job(function=models.zener_by_closed_forms, arguments=(_STEPS,)),
     },

@@ -43,17 +43,8 @@ def _grid(axis: Axes, x_mm: Any, y_mm: Any, *, half_mm: float, width: float, col
 
 
 def _patch(axis: Axes, size_mm: float) -> None:
-    axis.add_patch(
-        Rectangle(
-            (-0.5 * size_mm, -0.5 * size_mm),
-            size_mm,
-            size_mm,
-            fill=False,
-            edgecolor=VERMILLION,
-            lw=1.4,
-            zorder=3,
-        )
-    )
+    corner = (-0.5 * size_mm, -0.5 * size_mm)
+    axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 
 
 def draw_fig5(material: Material) -> Product:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 from analysis.errors import AnalysisError
 from analysis.statistics.limits import false_alarm_rate
@@ -324,17 +323,20 @@ SLIPS = tuple(
 
 def make_slips(material: Material) -> Product:
     """List every slip with our finding, or why there is none in this run."""
-    columns: dict[str, list[Any]] = {"where": [], "printed": [], "right": [], "finding": []}
-    for slip in SLIPS:
-        try:
-            finding = slip.finding(material)
-        except NotAvailableError as error:
-            finding = f"not available: {error}"
-        columns["where"].append(slip.where)
-        columns["printed"].append(slip.prints)
-        columns["right"].append(slip.right)
-        columns["finding"].append(finding)
+    columns = {
+        "where": [slip.where for slip in SLIPS],
+        "printed": [slip.prints for slip in SLIPS],
+        "right": [slip.right for slip in SLIPS],
+        "finding": [_told(slip, material) for slip in SLIPS],
+    }
     return Product(tables={"": Table(columns=columns)})
+
+
+def _told(slip: Slip, material: Material) -> str:
+    try:
+        return slip.finding(material)
+    except NotAvailableError as error:
+        return f"not available: {error}"
 
 
 SLIP_LIST = Item(
