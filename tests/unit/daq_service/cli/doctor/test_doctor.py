@@ -54,6 +54,10 @@ def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> N
     assert exit_code(checks) == code
 
 
+def test_what_is_ok_keeps_no_remedy() -> None:
+    assert Check(area="rig", name="coils", found="cool", remedy="let them cool").remedy == ""
+
+
 def test_what_is_not_ok_needs_a_remedy() -> None:
     with pytest.raises(ValueError, match="needs a remedy"):
         Check(area="rig", name="it", state="warn", found="something")
