@@ -110,14 +110,8 @@ def _run_on(
 
 
 def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, Any]:
-    overrides: dict[str, Any] = {}
-    if hours is not None:
-        overrides["schedule"] = {"end_h": hours}
-    if seed is not None:
-        overrides["twin"] = {"seed": seed}
-    if pace is not None:
-        overrides["clock"] = {"pace_h_per_s": pace}
-    return overrides
+    given = (("schedule", "end_h", hours), ("twin", "seed", seed), ("clock", "pace_h_per_s", pace))
+    return {table: {key: value} for table, key, value in given if value is not None}
 
 
 def _process_start_s() -> float:

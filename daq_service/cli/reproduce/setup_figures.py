@@ -11,6 +11,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.patches import Rectangle
 
 from daq_service.cli.reproduce import models
+from daq_service.cli.reproduce.evidence import FloatArray
 from daq_service.cli.reproduce.item import Item, Job, Material, Product, Table, found
 from daq_service.cli.reproduce.style import BLUE, GREY, VERMILLION, name_panels, sheet
 from simulator.parameters.chain import ChainParameters
@@ -27,23 +28,32 @@ _PLATE = PlateParameters()
 _SOLID = "solid"
 
 
-def _mirrored(lines_m: Any) -> Any:
+def _mirrored(lines_m: FloatArray) -> FloatArray:
     return 1e3 * np.concatenate((-lines_m[:0:-1], lines_m))
 
 
-def _grid(axis: Axes, x_mm: Any, y_mm: Any, *, half_mm: float, width: float, colour: str = GREY) -> None:
+def _grid(
+    axis: Axes,
+    x_mm: FloatArray,
+    y_mm: FloatArray,
+    window_mm: tuple[float, float],
+    *,
+    width: float,
+    colour: str,
+) -> None:
     """Draw the lines of a tensor grid within a square window."""
-    x, y = x_mm[np.abs(x_mm) <= half_mm * 1.0001], y_mm[np.abs(y_mm) <= half_mm * 1.0001]
-    lines = [[(value, -half_mm), (value, half_mm)] for value in x]
-    lines += [[(-half_mm, value), (half_mm, value)] for value in y]
+    low, high = window_mm
+    x, y = (places[(places >= 1.0001 * low) & (places <= 1.0001 * high)] for places in (x_mm, y_mm))
+    lines = [[(value, low), (value, high)] for value in x]
+    lines += [[(low, value), (high, value)] for value in y]
     axis.add_collection(LineCollection(lines, linewidths=width, colors=colour))
-    axis.set(xlim=(-half_mm, half_mm), ylim=(-half_mm, half_mm), xlabel="x (mm)", ylabel="y (mm)")
+    axis.set(xlim=window_mm, ylim=window_mm, xlabel="x (mm)", ylabel="y (mm)")
     axis.set_aspect("equal")
     axis.grid(visible=False)
 
 
-def _patch(axis: Axes, size_mm: float) -> None:
-    corner = (-0.5 * size_mm, -0.5 * size_mm)
+def _patch(axis: Axes, from_mm: float, size_mm: float) -> None:
+    corner = (from_mm, from_mm)
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 
 
@@ -58,9 +68,9 @@ def draw_fig5(material: Material) -> Product:
     axes[3].remove()
     wave = figure.add_subplot(grid[1, :])
     x_mm, y_mm = _mirrored(mesh.x_m), _mirrored(mesh.y_m)
-    _grid(axes[0], x_mm, y_mm, half_mm=float(x_mm[-1]), width=0.25)
-    _patch(axes[0], 1e3 * mesh.patch_m)
-    _grid(axes[1], x_mm, y_mm, half_mm=ZOOM_MM, width=0.4)
+    _grid(axes[0], x_mm, y_mm, (float(x_mm[0]), float(x_mm[-1])), width=0.25, colour=GREY)
+    _patch(axes[0], -500.0 * mesh.patch_m, 1e3 * mesh.patch_m)
+    _grid(axes[1], x_mm, y_mm, (-ZOOM_MM, ZOOM_MM), width=0.4, colour=GREY)
     for trace in traces:
         time_us = 1e6 * trace.time_s
         early = time_us <= 900.0
@@ -116,17 +126,8 @@ def draw_fig6(material: Material) -> Product:
     half_mm = 20.0
     nodes_mm = 1e3 * mesh.nodes_m
     for places, width, colour in ((nodes_mm, 0.25, "#aaaaaa"), (x_mm, 0.8, GREY)):
-        shown = places[places <= half_mm]
-        lines = [[(value, 0.0), (value, half_mm)] for value in shown]
-        lines += [[(0.0, value), (half_mm, value)] for value in shown]
-        plan.add_collection(LineCollection(lines, linewidths=width, colors=colour))
-    plan.add_patch(
-        Rectangle(
-            (0, 0), 500.0 * mesh.patch_m, 500.0 * mesh.patch_m, fill=False, ec=VERMILLION, lw=1.4, zorder=3
-        )
-    )
-    plan.set(xlim=(0, half_mm), ylim=(0, half_mm), xlabel="x (mm)", ylabel="y (mm)")
-    plan.set_aspect("equal")
+        _grid(plan, places, places, (0.0, half_mm), width=width, colour=colour)
+    _patch(plan, 0.0, 500.0 * mesh.patch_m)
     edge_mm, remaining_mm = 500.0 * mesh.patch_m, (1.0 - mesh.depth_fraction) * z_mm[-1]
     lines = [
         [(value, 0.0), (value, remaining_mm if value < edge_mm - 1e-6 else z_mm[-1])]
@@ -141,8 +142,7 @@ def draw_fig6(material: Material) -> Product:
         0.5 * edge_mm, 0.5 * (remaining_mm + z_mm[-1]), "corroded", color=VERMILLION, ha="center", va="center"
     )
     section.set(xlim=(0, half_mm), ylim=(z_mm[-1] + 0.5, -2.4), xlabel="x (mm)", ylabel="z (mm)")
-    for axis in axes:
-        axis.grid(visible=False)
+    section.grid(visible=False)
     name_panels(
         axes,
         ("a quarter in plan; thin: nodes", f"section, {100 * mesh.depth_fraction:g} % thinned"),

@@ -13,6 +13,12 @@ down_revision = None
 branch_labels = None
 depends_on = None
 
+_FEATURES = (
+    "tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s",
+    "tof_mf_s", "isw_amplitude_v", "psw_amplitude_v", "ssw_amplitude_v", "isw_time_s", "psw_time_s",
+    "ssw_time_s", "isw_fwhm_s", "psw_isw_area_ratio", "noise_rms_v",
+)  # fmt: skip
+
 
 def upgrade() -> None:
     op.create_table(
@@ -142,21 +148,7 @@ def upgrade() -> None:
         sa.Column("extractor_version", sa.String(), nullable=False),
         sa.Column("quality", sa.String(), nullable=False),
         sa.Column("n_valid", sa.Integer(), nullable=False),
-        sa.Column("tof_pp_s", sa.Float(), nullable=True),
-        sa.Column("tof_ac_s", sa.Float(), nullable=True),
-        sa.Column("amplitude_ratio", sa.Float(), nullable=True),
-        sa.Column("autocorrelation_coefficient", sa.Float(), nullable=True),
-        sa.Column("psw_area_v_s", sa.Float(), nullable=True),
-        sa.Column("tof_mf_s", sa.Float(), nullable=True),
-        sa.Column("isw_amplitude_v", sa.Float(), nullable=True),
-        sa.Column("psw_amplitude_v", sa.Float(), nullable=True),
-        sa.Column("ssw_amplitude_v", sa.Float(), nullable=True),
-        sa.Column("isw_time_s", sa.Float(), nullable=True),
-        sa.Column("psw_time_s", sa.Float(), nullable=True),
-        sa.Column("ssw_time_s", sa.Float(), nullable=True),
-        sa.Column("isw_fwhm_s", sa.Float(), nullable=True),
-        sa.Column("psw_isw_area_ratio", sa.Float(), nullable=True),
-        sa.Column("noise_rms_v", sa.Float(), nullable=True),
+        *(sa.Column(name, sa.Float(), nullable=True) for name in _FEATURES),
         sa.ForeignKeyConstraint(["sequence"], ["shots.sequence"], name=op.f("fk_features_sequence_shots")),
         sa.PrimaryKeyConstraint("id", name=op.f("pk_features")),
     )
@@ -216,21 +208,9 @@ def upgrade() -> None:
 
 
 def downgrade() -> None:
-    op.drop_table("verdicts")
-    op.drop_table("thickness")
-    op.drop_index(
-        "uq_features_set",
-        table_name="features",
-        sqlite_where=sa.text("shot_index IS NULL"),
-        postgresql_where=sa.text("shot_index IS NULL"),
-    )
-    op.drop_index("ix_features_position_set_index_shot_index", table_name="features")
-    op.drop_table("features")
-    op.drop_table("shots")
-    op.drop_table("sets")
-    op.drop_table("experiment")
-    op.drop_table("events")
-    op.drop_table("commands")
-    op.drop_table("baselines")
-    op.drop_index("ix_alarms_position_kind", table_name="alarms")
-    op.drop_table("alarms")
+    # A table's indices go with it.
+    for table in (
+        "verdicts", "thickness", "features", "shots", "sets", "experiment", "events", "commands", "baselines",
+        "alarms",
+    ):  # fmt: skip
+        op.drop_table(table)

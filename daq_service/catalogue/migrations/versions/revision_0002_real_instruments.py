@@ -13,6 +13,11 @@ down_revision = "0001"
 branch_labels = None
 depends_on = None
 
+_MEASURED = (
+    "voltage_v", "voltage_min_v", "voltage_max_v", "current_a", "current_min_a", "current_max_a",
+    "charge_coulomb", "unknown_s",
+)  # fmt: skip
+
 
 def upgrade() -> None:
     op.add_column("sets", sa.Column("n_missed", sa.Integer(), nullable=False, server_default="0"))
@@ -27,14 +32,7 @@ def upgrade() -> None:
         sa.Column("supply_quality", sa.String(), nullable=False),
         sa.Column("supply_age_s", sa.Float(), nullable=True),
         sa.Column("supply_tripped", sa.String(), nullable=True),
-        sa.Column("voltage_v", sa.Float(), nullable=True),
-        sa.Column("voltage_min_v", sa.Float(), nullable=True),
-        sa.Column("voltage_max_v", sa.Float(), nullable=True),
-        sa.Column("current_a", sa.Float(), nullable=True),
-        sa.Column("current_min_a", sa.Float(), nullable=True),
-        sa.Column("current_max_a", sa.Float(), nullable=True),
-        sa.Column("charge_coulomb", sa.Float(), nullable=True),
-        sa.Column("unknown_s", sa.Float(), nullable=True),
+        *(sa.Column(name, sa.Float(), nullable=True) for name in _MEASURED),
         sa.Column("climate_quality", sa.String(), nullable=False),
         sa.Column("climate_age_s", sa.Float(), nullable=True),
         sa.Column("temperature_c", sa.Float(), nullable=True),
