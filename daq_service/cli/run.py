@@ -74,25 +74,12 @@ def child_plans(
         Added to the recorder's: where the vendor's libraries are found.
     """
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
-    plans = [
-        ChildPlan(
-            name="recorder",
-            arguments=[
-                "record",
-                *common,
-                "--restarted-because",
-                "{cause}",
-                *(["--linger"] if linger else []),
-            ],
-            watched=True,
-            environment=environment,
-        )
-    ]
+    common += ["--restarted-because", "{cause}"]
+    recorder = ["record", *common, *(["--linger"] if linger else [])]
+    plans = [ChildPlan(name="recorder", arguments=recorder, watched=True, environment=environment)]
     if web:
         at = [] if port is None else ["--port", str(port)]
-        plans.append(
-            ChildPlan(name="web", arguments=["serve", *common, "--restarted-because", "{cause}", *at])
-        )
+        plans.append(ChildPlan(name="web", arguments=["serve", *common, *at]))
     return plans
 
 

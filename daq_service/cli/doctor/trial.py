@@ -12,7 +12,7 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from daq_service.acquisition.taken_set import features_of
-from daq_service.cli.doctor.check import Check, Value, failure
+from daq_service.cli.doctor.check import Check, failure
 from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
@@ -113,7 +113,7 @@ def strike_once(settings: Settings, position: str) -> Trial:
     features = features_of(measurement)
     return Trial(
         position=position,
-        checks=(_record(measurement, features, took_s), *_level(settings, measurement, features)),
+        checks=(_record(measurement, features, took_s), _level(settings, measurement, features)),
         features=features,
         settings=measurement.settings,
     )
@@ -164,20 +164,17 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     )
 
 
-def _level(settings: Settings, shot: Shot, features: ShotFeatures) -> list[Check]:
+def _level(settings: Settings, shot: Shot, features: ShotFeatures) -> Check:
     """Compare the trigger level with the incident wave."""
     boards = settings.rig.daqmx
     level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
     part = abs(level_v) / features.isw_amplitude_v
     fits = LEVEL_PART[0] <= part <= LEVEL_PART[1]
-    values: dict[str, Value] = {"trigger_level_v": level_v, "isw_amplitude_v": features.isw_amplitude_v}
-    return [
-        Check(
-            area="rig",
-            name=f"strike {shot.key.position}: trigger level",
-            state="ok" if fits else "warn",
-            found=f"{level_v:g} V is {part:.0%} of the incident wave",
-            remedy="set trigger_level_v to a tenth of the incident wave",
-            values=values,
-        )
-    ]
+    return Check(
+        area="rig",
+        name=f"strike {shot.key.position}: trigger level",
+        state="ok" if fits else "warn",
+        found=f"{level_v:g} V is {part:.0%} of the incident wave",
+        remedy="set trigger_level_v to a tenth of the incident wave",
+        values={"trigger_level_v": level_v, "isw_amplitude_v": features.isw_amplitude_v},
+    )

@@ -63,17 +63,12 @@ def draw_fig14(material: Material) -> Product:
     columns: dict[str, list[Any]] = {}
     for name in names:
         pulses = test.pulses[name]
-        part: dict[str, list[Any]] = {
-            "position": [name] * pulses.hour_h.size,
-            "set_index": pulses.set_index.tolist(),
-            "due_h": pulses.hour_h.tolist(),
-            **{key: pulses.values[key].tolist() for key in ("distance_squared", "limit_f", "limit_paper")},
-            "in_baseline": pulses.in_baseline.tolist(),
-            "outlier": pulses.outlier.tolist(),
-            "outlier_paper": pulses.outlier_paper.tolist(),
-        }
+        judged = {key: pulses.values[key] for key in ("distance_squared", "limit_f", "limit_paper")}
+        judged |= {key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_paper")}
+        part = {"set_index": pulses.set_index, "due_h": pulses.hour_h, **judged}
+        columns.setdefault("position", []).extend([name] * pulses.hour_h.size)
         for key, values in part.items():
-            columns.setdefault(key, []).extend(values)
+            columns.setdefault(key, []).extend(values.tolist())
     return Product(
         drawing=figure,
         tables={"": Table(columns=columns)},
