@@ -40,15 +40,9 @@ def contact_stiffness(above: Surface, below: Surface) -> float:
         return sphere_on_sphere_stiffness(above.radius_m, above.youngs_modulus_pa, above.poisson_ratio)
     if math.isinf(above.radius_m):
         above, below = below, above
-    if math.isinf(below.radius_m):
-        return sphere_on_flat_stiffness(
-            above.radius_m,
-            above.youngs_modulus_pa,
-            above.poisson_ratio,
-            below.youngs_modulus_pa,
-            below.poisson_ratio,
-        )
-    radius = above.radius_m * below.radius_m / (above.radius_m + below.radius_m)
+    radius = above.radius_m
+    if not math.isinf(below.radius_m):
+        radius = above.radius_m * below.radius_m / (above.radius_m + below.radius_m)
     compliance = 1.0 / plane_modulus_pa(above.youngs_modulus_pa, above.poisson_ratio)
     compliance += 1.0 / plane_modulus_pa(below.youngs_modulus_pa, below.poisson_ratio)
     return 4.0 * math.sqrt(radius) / 3.0 / compliance
@@ -74,9 +68,11 @@ def sphere_on_flat_stiffness(
     ``A = (4 sqrt(R) / 3) [(1 - nu_b^2) / E_b + (1 - nu_p^2) / E_p]^-1``: equation 2, second row, with
     the power -1 of the bracket that the print lacks.
     """
-    compliance = 1.0 / plane_modulus_pa(youngs_modulus_pa, poisson_ratio)
-    compliance += 1.0 / plane_modulus_pa(flat_youngs_modulus_pa, flat_poisson_ratio)
-    return 4.0 * math.sqrt(radius_m) / 3.0 / compliance
+    sphere = Surface(radius_m=radius_m, youngs_modulus_pa=youngs_modulus_pa, poisson_ratio=poisson_ratio)
+    flat = Surface(
+        radius_m=math.inf, youngs_modulus_pa=flat_youngs_modulus_pa, poisson_ratio=flat_poisson_ratio
+    )
+    return contact_stiffness(sphere, flat)
 
 
 def indentation_m(force_n: float, stiffness: float) -> float:

@@ -11,12 +11,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.echo import EchoParameters
-
-FloatArray = NDArray[np.float64]
 
 PLANE_WAVES = 512
 """Waves the field is made of: its fourth moment then misses the Gaussian one by 0.3 %."""

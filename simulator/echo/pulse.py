@@ -16,14 +16,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from hardware_drivers.measurement import Calibration
 from simulator.echo.far_wall import FarWall, smooth_wall
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.echo import EchoParameters
-
-FloatArray = NDArray[np.float64]
 
 PULSE_HALF_LENGTH = 5.0
 """A pulse is drawn this many standard deviations to both sides: it is then below 4e-6 of its peak."""

@@ -10,16 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hardware_drivers.measurement import Calibration, ShotKey
 from simulator.echo.far_wall import FarWall, RoughSpot
 from simulator.echo.pulse import at_temperature, bubble_volts, echo_volts, travel_time_s
 from simulator.electronics.transduction import counts_of
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.echo import EchoParameters
-
-FloatArray = NDArray[np.float64]
 
 RECORDS_AT_ONCE = 64
 """Single records held at a time where each has to be drawn."""

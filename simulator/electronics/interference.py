@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from simulator.numerics.arrays import FloatArray
 
 SPIKE_REACH_FWHM = 3.0
 """A spike is drawn this far to both sides of its peak: beyond, a Gaussian is below 2e-11 of it."""

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.machine_code import compiled
-
-FloatArray = NDArray[np.float64]
 
 
 @compiled(error_model="numpy")

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
 from hardware_drivers.measurement import Calibration, Counts
@@ -21,9 +20,8 @@ from simulator.electronics.sampling_kernel import (
     rising_edge,
     scaled_noise,
 )
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
-
-FloatArray = NDArray[np.float64]
 
 EARLY_TRIGGER_S = 30e-6
 """Noise may fire the trigger this long before, or delay it this long after, the noise-free crossing."""

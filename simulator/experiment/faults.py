@@ -14,8 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hardware_drivers.measurement import ShotKey
-from simulator.electronics.interference import FloatArray, Interference
+from simulator.electronics.interference import Interference
 from simulator.experiment.scatter import STEEPEST_TILT_RAD, Strike
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters, SensorParameters

@@ -25,13 +25,12 @@ from typing import Final
 
 import numpy as np
 import platformdirs
-from numpy.typing import NDArray
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import blas_libraries
 from simulator.numerics.source import source_digest
 
 log = logging.getLogger(__name__)
-FloatArray = NDArray[np.float64]
 
 DEFAULT_CACHE_FOLDER: Final = platformdirs.user_cache_path("solimon", appauthor=False) / "reductions"
 """The user's cache folder; hand in another one to keep tests or machines apart."""

@@ -10,12 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import lapack
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from simulator.numerics.arrays import FloatArray, IntArray
 
 
 def band_factor(band: FloatArray) -> FloatArray:

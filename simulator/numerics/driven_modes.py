@@ -16,12 +16,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.machine_code import compiled
-
-FloatArray = NDArray[np.float64]
 
 ROUNDING = 1e-14
 """Eigenvalues below this part of the largest are rounding; such modes are static."""

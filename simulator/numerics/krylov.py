@@ -9,9 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from simulator.numerics.arrays import FloatArray
 
 SHIFT_RAD_PER_S = 6e4
 """sigma: about the circular frequency of a solitary wave of the paper's chain (10 kHz). A shift of the

@@ -12,13 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
 from simulator.errors import SpecimenError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from simulator.numerics.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -47,7 +44,7 @@ class Front:
     own: tuple[IntArray, IntArray]
 
 
-def dissect(cells: NDArray[np.int64], unknowns: Sequence[IntArray]) -> list[Front]:
+def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
     """Order of elimination; every front comes after its children.
 
     Parameters
@@ -91,7 +88,7 @@ def dissect(cells: NDArray[np.int64], unknowns: Sequence[IntArray]) -> list[Fron
     return fronts
 
 
-def _halves(cells: NDArray[np.int64], chosen: IntArray) -> tuple[IntArray, IntArray]:
+def _halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
     """Cut along the line that leaves two halves most alike, across the longer side."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)

@@ -12,9 +12,8 @@ from functools import cache
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from simulator.numerics.arrays import FloatArray, IntArray
 
 METRIC_POINTS = 20_001
 """Points of the numerical integral that places graded lines; the lines only need to be smooth."""
@@ -36,7 +35,7 @@ class Axis:
     degrees: tuple[int, ...]
 
     @property
-    def first(self) -> NDArray[np.int64]:
+    def first(self) -> IntArray:
         """Number of the first node of each interval, and of the last node of all."""
         return np.concatenate(([0], np.cumsum(self.degrees)))
 
@@ -49,7 +48,7 @@ class Axis:
             pieces[-1][-1] = end
         return np.concatenate(pieces)
 
-    def nodes_of(self, interval: int) -> NDArray[np.int64]:
+    def nodes_of(self, interval: int) -> IntArray:
         """Nodes of one interval, both ends included."""
         first = self.first
         return np.arange(first[interval], first[interval + 1] + 1)

@@ -8,9 +8,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Protocol
 
-import numpy as np
-
-from simulator.numerics.array_cache import FloatArray, content_key, kept_arrays
+from simulator.numerics.array_cache import content_key, kept_arrays
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import reduced_plate
@@ -106,20 +105,12 @@ class KeptSolid:
     def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
         def compute() -> dict[str, FloatArray]:
             with one_blas_thread():
-                modes = solid_modes(self._plate, corrosion)
-            return {
-                "omega_rad_per_s": modes.omega_rad_per_s,
-                "participation": modes.participation,
-                "residual_compliance_m_per_n": np.array(modes.residual_compliance_m_per_n),
-            }
+                return asdict(solid_modes(self._plate, corrosion))
 
         described = {"modes": "solid", "plate": asdict(self._plate), "patch": asdict(corrosion)}
         found = kept_arrays(self._folder, content_key(described), compute)
-        return PlateModes(
-            omega_rad_per_s=found["omega_rad_per_s"],
-            participation=found["participation"],
-            residual_compliance_m_per_n=float(found["residual_compliance_m_per_n"]),
-        )
+        residual_m_per_n = float(found.pop("residual_compliance_m_per_n"))
+        return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _kept_family(self) -> SolidFamily:
         def compute() -> dict[str, FloatArray]:

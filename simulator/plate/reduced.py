@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.driven_modes import driven_modes
-
-FloatArray = NDArray[np.float64]
 
 MERGE_TOLERANCE = 5e-7
 """Directions weaker than this part of the strongest are left out of the merged basis."""

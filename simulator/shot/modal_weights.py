@@ -5,11 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from simulator.numerics.arrays import FloatArray
 from simulator.shot.kernel import BANK_ROWS, BLOCK
-
-FloatArray = NDArray[np.float64]
 
 FEW_POINTS, FEW_POINTS_PHASE_RAD = 10, 1.5
 MANY_POINTS = 24

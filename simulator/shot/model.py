@@ -21,11 +21,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.chain.spheres import Chain, build_chain, struck_again
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -35,8 +35,6 @@ from simulator.shot.modal_weights import modal_weights
 from simulator.shot.registers import Propagator
 from simulator.shot.side_by_side import UNMOVED, integrate
 from simulator.shot.time_step import record_duration_s, resolving_step_s, stiffest_contact_n_per_m
-
-FloatArray = NDArray[np.float64]
 
 ENERGY_TOLERANCE = 1e-4
 """Largest defect of the energy balance, relative to the impact energy."""

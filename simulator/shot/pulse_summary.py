@@ -19,12 +19,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.errors import NoSolitaryWaveError
+from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.shot.model import ShotForce
-
-FloatArray = NDArray[np.float64]
 
 LEADING_FRACTION = 0.5
 """A pulse this strong, compared with the strongest candidate, may be the wave looked for."""
@@ -84,13 +82,13 @@ def summarise(force: ShotForce) -> PulseSummary:
     )
 
 
-def local_maxima(values: FloatArray) -> NDArray[np.int64]:
+def local_maxima(values: FloatArray) -> IntArray:
     """Find samples above the one before and not below the one after; never the ends."""
     inner = values[1:-1]
     return np.flatnonzero((inner > values[:-2]) & (inner >= values[2:])) + 1
 
 
-def _incident(f: FloatArray, maxima: NDArray[np.int64], force: ShotForce) -> int:
+def _incident(f: FloatArray, maxima: IntArray, force: ShotForce) -> int:
     dynamic = f - force.preload_n
     strong = maxima[dynamic[maxima] >= LEADING_FRACTION * dynamic.max()] if maxima.size else maxima
     if strong.size == 0 or dynamic[strong[0]] <= 0.0:
@@ -101,7 +99,7 @@ def _incident(f: FloatArray, maxima: NDArray[np.int64], force: ShotForce) -> int
     return int(strong[0])
 
 
-def _reflected(f: FloatArray, maxima: NDArray[np.int64], force: ShotForce, isw: int) -> int | None:
+def _reflected(f: FloatArray, maxima: IntArray, force: ShotForce, isw: int) -> int | None:
     turn = force.reflection_time_s
     if turn is None:
         return None

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.chain.spheres import Chain
+from simulator.numerics.arrays import FloatArray
 from simulator.shot.kernel import ENERGY_INTERVAL_STEPS, LAWS_OF_DAMPING, WIDEST, kernel
 from simulator.shot.registers import Chains, Found, Propagator, Strikes
-
-FloatArray = NDArray[np.float64]
 
 WORTH_A_WIDE_PASS = 4
 """Shots from which on a pass of `kernel.WIDEST` lanes costs less than one after the other."""

@@ -335,21 +335,34 @@ def reflect(
         restitution=restitution,
         contact_time=contact_time,
         amplitude_ratio=amplitude_ratio(restitution),
-        tof_s=time_of_flight_s(
+        tof_s=chain_time_of_flight_s(
+            chain,
+            plate,
             restitution=restitution,
             contact_time=contact_time,
-            spheres_below=chain.spheres_below,
-            mass_kg=chain.mass_kg,
-            sphere_stiffness=sphere_on_sphere_stiffness(chain.radius_m, modulus, chain.poisson_ratio),
-            plate_stiffness=sphere_on_flat_stiffness(
-                chain.radius_m,
-                modulus,
-                chain.poisson_ratio,
-                plate.warm_youngs_modulus_pa,
-                plate.poisson_ratio,
-            ),
             impact_speed_m_per_s=impact_speed,
         ),
+    )
+
+
+def chain_time_of_flight_s(
+    chain: ChainParameters,
+    plate: PlateParameters,
+    *,
+    restitution: float,
+    contact_time: float,
+    impact_speed_m_per_s: float,
+) -> float:
+    """Time of flight of a chain on a plate: eq. 13 with the stiffnesses of eq. 2."""
+    sphere = chain.radius_m, chain.body(0).youngs_modulus_pa, chain.poisson_ratio
+    return time_of_flight_s(
+        restitution=restitution,
+        contact_time=contact_time,
+        spheres_below=chain.spheres_below,
+        mass_kg=chain.mass_kg,
+        sphere_stiffness=sphere_on_sphere_stiffness(*sphere),
+        plate_stiffness=sphere_on_flat_stiffness(*sphere, plate.warm_youngs_modulus_pa, plate.poisson_ratio),
+        impact_speed_m_per_s=impact_speed_m_per_s,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from simulator.chain.hertz_contact import sphere_on_flat_stiffness, sphere_on_sphere_stiffness
 from simulator.chain.spheres import FREE_FALL_M_PER_S2
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import PlateParameters
@@ -14,8 +13,8 @@ from simulator.zener.model import (
     amplitude_ratio,
     approximate_contact_time,
     approximate_restitution,
+    chain_time_of_flight_s,
     inelasticity_parameter,
-    time_of_flight_s,
 )
 
 DROP_HEIGHTS_M = (2e-3, 3.5e-3, 5e-3, 6.5e-3, 8e-3)
@@ -70,17 +69,8 @@ def _row(drop_height_m: float) -> Table2Row:
     printed_inelasticity = round(inelasticity, 3)
     restitution = approximate_restitution(inelasticity)
     contact_time = approximate_contact_time(inelasticity)
-    E, nu = chain.youngs_modulus_pa, chain.poisson_ratio
-    tof_s = time_of_flight_s(
-        restitution=restitution,
-        contact_time=contact_time,
-        spheres_below=chain.spheres_below,
-        mass_kg=chain.mass_kg,
-        sphere_stiffness=sphere_on_sphere_stiffness(chain.radius_m, E, nu),
-        plate_stiffness=sphere_on_flat_stiffness(
-            chain.radius_m, E, nu, plate.youngs_modulus_pa, plate.poisson_ratio
-        ),
-        impact_speed_m_per_s=speed,
+    tof_s = chain_time_of_flight_s(
+        chain, plate, restitution=restitution, contact_time=contact_time, impact_speed_m_per_s=speed
     )
     return Table2Row(
         drop_height_m=drop_height_m,

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, FloatArray, content_key, kept_arrays
+from simulator.numerics.array_cache import DEFAULT_CACHE_FOLDER, content_key, kept_arrays
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
@@ -30,8 +31,7 @@ def reduced_plate(
 
     def compute() -> dict[str, FloatArray]:
         with one_blas_thread():
-            reduced = reduce_plate(build_plate(plate, corrosion))
-        return {"stiffness": reduced.stiffness, "mass": reduced.mass, "load": reduced.load}
+            return asdict(reduce_plate(build_plate(plate, corrosion)))
 
     return ReducedPlate(**kept_arrays(folder, reduction_key(plate, corrosion), compute))
 

@@ -12,9 +12,9 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.materials import plane_modulus_pa, shear_modulus_pa
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.plate import PlateParameters
 
 SHEAR_CORRECTION = 5.0 / 6.0
@@ -25,8 +25,6 @@ GAUSS_POINTS = tuple(
     (sign_x / math.sqrt(3.0), sign_y / math.sqrt(3.0)) for sign_x in (-1.0, 1.0) for sign_y in (-1.0, 1.0)
 )
 """Natural coordinates (xi, eta) in the order in which the elements are integrated."""
-
-FloatArray = NDArray[np.float64]
 
 
 def element_matrices(

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
 from simulator.errors import SpecimenError
-
-FloatArray = NDArray[np.float64]
+from simulator.numerics.arrays import FloatArray, IntArray
 
 SAME_LINE = 1e-9
 """Lines nearer to each other than this part of the edge are one: rounding of offset and size."""
@@ -143,7 +141,7 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
     return float(optimize.brentq(excess, smallest, largest, rtol=1e-12))
 
 
-def _shared_out(wanted: FloatArray, total: int) -> NDArray[np.int64]:
+def _shared_out(wanted: FloatArray, total: int) -> IntArray:
     """Whole numbers, at least 1, that add up to `total` and lie near `wanted`."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:

@@ -20,14 +20,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator
 
 from simulator.errors import SpecimenError
+from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.parameters.plate import LiquidParameters, PlateParameters
 from simulator.plate.mindlin.element import DOF_PER_NODE
-
-FloatArray = NDArray[np.float64]
 
 HALF_WAVE_PER_THICKNESS = 0.375
 """The shortest half wave of the liquid over the plate's thickness; see docs for the convergence."""
@@ -63,7 +61,7 @@ def layer_mass(
     plate: PlateParameters,
     x_m: FloatArray,
     y_m: FloatArray,
-    free: NDArray[np.int64],
+    free: IntArray,
     *,
     symmetric: tuple[bool, bool],
     terms: tuple[int, int] | None = None,

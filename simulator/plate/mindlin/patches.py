@@ -12,12 +12,10 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.errors import SpecimenError
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.plate import CorrosionParameters, PatchParameters, PlateParameters
-
-FloatArray = NDArray[np.float64]
 
 TOUCHING = 1e-9
 """Outlines that overlap by less than this part of their size touch."""

@@ -20,10 +20,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import LinearOperator
 
+from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import (
     DOF_PER_NODE,
@@ -42,8 +42,7 @@ from simulator.plate.mindlin.patches import (
     symmetric_axes,
 )
 
-FloatArray = NDArray[np.float64]
-_Elements = tuple[NDArray[np.int64], FloatArray]
+_Elements = tuple[IntArray, FloatArray]
 """Numbers of some elements and a matrix of each, shape (number, 12, 12)."""
 
 Cubic = tuple[sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix, sparse.csc_matrix]
@@ -75,7 +74,7 @@ class AffinePlate:
     load: FloatArray
     x_m: FloatArray
     y_m: FloatArray
-    free: NDArray[np.int64]
+    free: IntArray
     added_mass: LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
@@ -297,7 +296,7 @@ def _load(
     return load.ravel()
 
 
-def _element_nodes(n_x: int, n_y: int) -> NDArray[np.int64]:
+def _element_nodes(n_x: int, n_y: int) -> IntArray:
     """Node numbers of each element, counter-clockwise, shape (elements, 4)."""
     first = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
     return np.stack((first, first + n_y, first + n_y + 1, first + 1), axis=1)
@@ -305,7 +304,7 @@ def _element_nodes(n_x: int, n_y: int) -> NDArray[np.int64]:
 
 def _free_unknowns(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Unknowns that neither a support nor a symmetry holds: w and, along an edge, the tangential rotation."""
     held = np.zeros((len(x_m), len(y_m), DOF_PER_NODE), dtype=bool)
     clamped = plate.support == "clamped"

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.band_factor import FactorFamily
 from simulator.numerics.krylov import SHIFT_RAD_PER_S, lanczos
 from simulator.plate.mindlin.element import DOF_PER_NODE
 from simulator.plate.mindlin.plate import AffinePlate
-from simulator.plate.reduced import FloatArray, ReducedPlate, merge
+from simulator.plate.reduced import ReducedPlate, merge
 
 BASIS = ((0.0, 50), (0.3, 28), (0.6, 28), (0.8, 28), (0.9, 28), (0.95, 32))
 """Depths whose Krylov vectors enter the basis, and how many of each: what lies between can use those of

@@ -6,12 +6,10 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.materials import plane_modulus_pa
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.plate import PlateParameters
-
-FloatArray = NDArray[np.float64]
 
 WAVES_PER_THICKNESS = 40.0
 """Waves with k h beyond this see a half-space, up to ``exp(-40)``."""

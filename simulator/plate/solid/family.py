@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.polynomial import chebyshev
-from numpy.typing import NDArray
 from scipy import linalg
 
+from simulator.numerics.arrays import FloatArray
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PlateParameters
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.plate import build_solid_plate
@@ -27,8 +27,6 @@ from simulator.plate.solid.reduction import (
     passive_modes,
     project,
 )
-
-FloatArray = NDArray[np.float64]
 
 FAMILY = (
     (0.004, 60),
@@ -73,18 +71,13 @@ class SolidFamily:
 
     def arrays(self) -> dict[str, FloatArray]:
         """Give what `family_of` needs to make it again."""
-        return {
-            "stiffness": self.projected.stiffness,
-            "mass": self.projected.mass,
-            "load": self.projected.load,
-            "residual": self.residual,
-        }
+        return asdict(self.projected) | {"residual": self.residual}
 
 
 def family_of(arrays: Mapping[str, FloatArray]) -> SolidFamily:
     """Make the family whose `arrays` these are."""
-    projected = ProjectedSolid(stiffness=arrays["stiffness"], mass=arrays["mass"], load=arrays["load"])
-    return SolidFamily(projected=projected, residual=arrays["residual"])
+    projected = {name: values for name, values in arrays.items() if name != "residual"}
+    return SolidFamily(projected=ProjectedSolid(**projected), residual=arrays["residual"])
 
 
 def _log_place(remaining: float) -> float:

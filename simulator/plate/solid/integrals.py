@@ -10,23 +10,18 @@ import itertools
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from simulator.materials import shear_modulus_pa
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.tensor_basis import Axis, lagrange
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
-
-FloatArray = NDArray[np.float64]
+from simulator.plate.quadrature import gauss, hertz_points
 
 COMPONENTS = 3
 
 VOID = 1e-9
 """Stiffness and mass of what a circle takes out of an element, relative to the metal: not quite nothing, so
 that every unknown is held."""
-
-RADIAL_POINTS = 48
-ANGULAR_POINTS = 48
-"""Points over a quarter of the circle of contact: the nodal loads are sure to about 1e-4 of the largest."""
 
 CUT_POINTS = 16
 """Points of each of the integrals over an element that a circle cuts."""
@@ -80,13 +75,13 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
     at_x, at_y, weights = [], [], []
     for start, end in itertools.pairwise(ends):
         # Squared towards the end: there the arc may stand upright.
-        t, t_weight = _gauss(CUT_POINTS, 1.0)
+        t, t_weight = gauss(CUT_POINTS, 1.0)
         across = end - (end - start) * t**2
         for a, a_weight in zip(across, 2.0 * (end - start) * t * t_weight, strict=True):
             reach = min(top, math.sqrt(max(radius_m**2 - a**2, 0.0))) - bottom
             if reach <= 0.0:
                 continue
-            up, up_weight = _gauss(CUT_POINTS, reach)
+            up, up_weight = gauss(CUT_POINTS, reach)
             at_x.append(np.full(CUT_POINTS, a))
             at_y.append(bottom + up)
             weights.append(a_weight * up_weight)
@@ -113,24 +108,13 @@ def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray,
 def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
     """Consistent nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
 
-    With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
-    in c and in the angle carry the pressure. The loads add up to one, for a quarter of the plate, too.
+    The loads add up to one, for a quarter of the plate, too.
     """
-    c, c_weight = _gauss(RADIAL_POINTS, 1.0)
-    angle, angle_weight = _gauss(ANGULAR_POINTS, 0.5 * math.pi)
-    r = radius_m * np.sqrt(1.0 - c**2)
-    share = np.outer(c**2 * c_weight, angle_weight).ravel()
-    at_x, at_y = np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()
+    at_x, at_y, share = hertz_points(radius_m)
     signs = (1.0, -1.0) if whole else (1.0,)
     along_x, along_y = (sum(axis.values(sign * at) for sign in signs) for axis, at in ((x, at_x), (y, at_y)))
     weights = np.asarray(along_x).T @ ((share / share.sum())[:, None] * np.asarray(along_y))
     return np.asarray(weights / len(signs) ** 2)
-
-
-def _gauss(count: int, end: float) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Legendre points and weights on 0..end."""
-    points, weights = np.polynomial.legendre.leggauss(count)
-    return 0.5 * end * (points + 1.0), 0.5 * end * weights
 
 
 def in_plane_terms(

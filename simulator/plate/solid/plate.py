@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from simulator.errors import SpecimenError
+from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.numerics.tensor_basis import Axis, graded_breaks_m, lagrange
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.integrals import COMPONENTS, hertz_nodal_weights, patch_integrals
 
-FloatArray = NDArray[np.float64]
 Symmetry = Literal["eighth", "quarter", "none"]
 
 MOST_DISPLACEMENTS = 3_000_000
@@ -91,10 +91,10 @@ class SolidPlate:
     upper: int
     inside: FloatArray
     cut: Mapping[tuple[int, int], tuple[FloatArray, ...]]
-    kinds: NDArray[np.int64]
+    kinds: IntArray
     shapes: tuple[FloatArray, FloatArray]
-    numbers: NDArray[np.int64]
-    columns: NDArray[np.int64]
+    numbers: IntArray
+    columns: IntArray
     repeats: FloatArray
     lift: sparse.csr_matrix
     force: FloatArray
@@ -105,7 +105,7 @@ class SolidPlate:
         """Nodes of z in the upper layer, those on its lower face included."""
         return int(self.z.first[self.upper]) + 1
 
-    def displacements_of(self, ex: int, ey: int) -> NDArray[np.int64]:
+    def displacements_of(self, ex: int, ey: int) -> IntArray:
         """Numbers of the displacements of one column, shape (nodes in the plane, 3, nodes of z)."""
         nodes_y, nodes_z = self.kinds.shape[1], self.numbers.shape[2]
         nodes = (self.x.nodes_of(ex)[:, None] * nodes_y + self.y.nodes_of(ey)).ravel()
@@ -311,9 +311,7 @@ def assembled_solid(
     )
 
 
-def _kinds(
-    x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float
-) -> NDArray[np.int64]:
+def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float) -> IntArray:
     """Choose the unknowns of each node, see `SolidPlate.kinds`; where a circle cuts, all layers stay."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
@@ -355,7 +353,7 @@ def _held(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[n
     return held
 
 
-def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> NDArray[np.int64]:
+def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
     """Give the free displacements numbers; across the diagonal of an eighth u and v change places."""
     own = np.ones(free.shape, dtype=bool)
     diagonal = np.arange(min(free.shape[:2]))
@@ -372,9 +370,7 @@ def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> NDArray[np.int64]:
     return numbers
 
 
-def _lift(
-    numbers: NDArray[np.int64], kinds: NDArray[np.int64], shapes: tuple[FloatArray, FloatArray]
-) -> sparse.csr_matrix:
+def _lift(numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]) -> sparse.csr_matrix:
     """Take the unknowns to the displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)

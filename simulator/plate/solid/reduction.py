@@ -21,19 +21,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from simulator.errors import SpecimenError
+from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.numerics.nested_dissection import dissect, factorize
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.reduced import PlateModes
 from simulator.plate.solid.contact import exact_contact_compliance_m_per_n, half_space_indentation_m_per_n
 from simulator.plate.solid.integrals import COMPONENTS, in_plane_integrals, in_plane_terms
 from simulator.plate.solid.plate import SolidPlate, build_solid_plate, plate_under_contact
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SOLID_VECTORS = 60
 """Krylov vectors: the plate's response is kept to 1e-5 up to 10 kHz and to 1e-3 at 20 kHz."""
