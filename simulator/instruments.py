@@ -2,8 +2,7 @@
 
 A strike reaches the digitizer through the bench they share, as it does in a laboratory through the
 chain of spheres: a digitizer that is not armed, or armed at another position, records nothing.
-Time passes only on the experiment's clock; no instrument waits. Nobody can strike while `read` runs,
-so a read without a strike times out at once.
+Time passes only on the experiment's clock; no instrument waits.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from itertools import groupby, islice
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock, Echo, require_timeout
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.struck_digitizer import StruckDigitizer
 from simulator.errors import SimulatorError
 from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import Specimen, Transducer, build_specimen
@@ -157,8 +157,8 @@ def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
             yield group
 
 
-class Bench:
-    """What striker and digitizer share: the specimen, which position is armed, which strike came.
+class Bench(StruckDigitizer):
+    """The digitizer, and what striker and pulse-echo unit share with it: the specimen and the hour.
 
     Parameters
     ----------
@@ -170,58 +170,43 @@ class Bench:
         Computes records ahead; None computes each when it is read.
     """
 
+    no_strike_remedy = "; check the striker"
+
     def __init__(
         self, specimen: Specimen, clock: Clock, *, epoch_utc_ns: int, ahead: RecordsAhead | None = None
     ) -> None:
+        super().__init__()
         self.specimen = specimen
         self.clock = clock
         self._epoch_utc_ns = epoch_utc_ns
         self._ahead = ahead
-        self._armed: ShotKey | None = None
-        self._strike: tuple[ShotKey, int] | None = None
+        self._struck_utc_ns = 0
 
     def hour_h(self, utc_ns: int) -> float:
         """Hour of the experiment whose depth and temperature hold at a time."""
         return self.specimen.hour_h(utc_ns - self._epoch_utc_ns)
 
-    def arm(self, key: ShotKey) -> None:
-        """Let the next strike at the key's position be recorded."""
+    def require_transducer(self, key: ShotKey) -> None:
+        """Refuse a position without a chain."""
         _require_position(key, self.specimen.transducers, "solitary-wave transducer")
-        if self._armed is not None:
-            raise ConfigurationError(
-                f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
-                f"{self._armed.set_index}; read or disarm first"
-            )
-        self._armed = key
 
-    def disarm(self) -> None:
-        """Record nothing any more."""
-        self._armed = self._strike = None
-
-    def strike(self, key: ShotKey) -> None:
+    def strike(self, key: ShotKey) -> bool:
         """Send a wave down the chain: only the first one at the armed position is recorded."""
-        if self._armed is None or self._armed.position != key.position or self._strike is not None:
-            return
-        self._strike = key, self.clock.utc_ns()
+        heard = super().strike(key)
+        if heard:
+            self._struck_utc_ns = self.clock.utc_ns()
+        return heard
 
-    def read(self) -> Acquired:
-        """Hand over the record of the armed shot and disarm."""
-        if self._armed is None:
-            raise ConfigurationError("not armed; arm before the strike, then read")
-        armed, strike = self._armed, self._strike
-        self._armed = self._strike = None
-        if strike is None:
-            raise AcquisitionTimeoutError(
-                f"no strike at {armed.position!r} since the digitizer was armed; check the striker"
-            )
+    def record_of(self, key: ShotKey) -> Acquired:
+        """Sample the PZT disk around the trigger."""
         try:
-            acquired = self._record(*strike)
+            acquired = self._record(key, self._struck_utc_ns)
         except (SimulatorError, ValueError) as error:
             raise ConfigurationError(f"the twin cannot compute this shot: {error}") from error
         if acquired is None:
             level_v = self.specimen.twin.adc.trigger_level_v
             raise AcquisitionTimeoutError(
-                f"the strike at {armed.position!r} did not reach the trigger level of {level_v} V; check "
+                f"the strike at {key.position!r} did not reach the trigger level of {level_v} V; check "
                 "drop height, sensitivity and level"
             )
         return acquired
@@ -283,26 +268,6 @@ class SimulatedStriker:
         self._events.append(CoilEvent(utc_ns=now_ns, position=position, energised=energised))
 
 
-class SimulatedDigitizer:
-    """Samples the PZT disk of the armed position around the trigger."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
-
-    def arm(self, key: ShotKey) -> None:
-        """Wait for the trigger at the key's position."""
-        self._bench.arm(key)
-
-    def read(self, timeout_s: float) -> Acquired:
-        """Hand over the record; how fast this machine computes it never makes a strike a missed one."""
-        require_timeout(timeout_s)
-        return self._bench.read()
-
-    def disarm(self) -> None:
-        """Stop waiting."""
-        self._bench.disarm()
-
-
 class SimulatedPulseEchoUnit:
     """Fires the ultrasonic probe and averages."""
 
@@ -321,7 +286,7 @@ class SimulatedInstruments:
     """The instruments of one bench; a rig is composed of them and the clock."""
 
     striker: SimulatedStriker
-    digitizer: SimulatedDigitizer
+    digitizer: Bench
     pulse_echo: SimulatedPulseEchoUnit
 
 
@@ -362,6 +327,6 @@ def build_bench(
     bench = Bench(specimen, clock, epoch_utc_ns=epoch_utc_ns, ahead=ahead)
     return SimulatedInstruments(
         striker=SimulatedStriker(bench),
-        digitizer=SimulatedDigitizer(bench),
+        digitizer=bench,
         pulse_echo=SimulatedPulseEchoUnit(bench),
     )

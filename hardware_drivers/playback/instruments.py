@@ -17,18 +17,18 @@ from hardware_drivers.instruments import Acquired, Echo, require_timeout
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.playback.source import ShotSource
+from hardware_drivers.struck_digitizer import StruckDigitizer
 
 SWITCHINGS_KEPT = 1_000
 """The record of switchings is a ring: the newest of the last 500 strikes."""
 
 
-class Recording:
-    """What striker and digitizer share: the source, which position is armed, which strike came."""
+class Recording(StruckDigitizer):
+    """The digitizer, and what striker and pulse-echo unit share with it: the source."""
 
     def __init__(self, source: ShotSource) -> None:
+        super().__init__()
         self._source = source
-        self._armed: ShotKey | None = None
-        self._struck: ShotKey | None = None
 
     def require(self, key: ShotKey, method: str) -> None:
         """Refuse a position that was not recorded by this method."""
@@ -40,36 +40,15 @@ class Recording:
                 "position out of the configuration, or play back another recording"
             )
 
-    def arm(self, key: ShotKey) -> None:
-        """Let the next strike at the key's position be played back."""
+    def require_transducer(self, key: ShotKey) -> None:
+        """Refuse a position of which no solitary waves were recorded."""
         self.require(key, SOLITARY_WAVE)
-        if self._armed is not None:
-            raise ConfigurationError(
-                f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
-                f"{self._armed.set_index}; read or disarm first"
-            )
-        self._armed = key
 
-    def disarm(self) -> None:
-        """Play back nothing any more."""
-        self._armed = self._struck = None
-
-    def strike(self, key: ShotKey) -> None:
-        """Remember the first strike at the armed position; any other is lost, as it is in a laboratory."""
-        if self._armed is not None and self._armed.position == key.position and self._struck is None:
-            self._struck = key
-
-    def read(self) -> Acquired:
-        """Hand over the record of the strike and disarm."""
-        armed, struck = self._armed, self._struck
-        self.disarm()
-        if armed is None:
-            raise ConfigurationError("not armed; arm before the strike, then read")
-        if struck is None:
-            raise AcquisitionTimeoutError(f"no strike at {armed.position!r} since the digitizer was armed")
-        last_attempt = not self._source.tried(replace(struck, attempt=struck.attempt + 1))
+    def record_of(self, key: ShotKey) -> Acquired:
+        """Find the recorded shot and say whether it was the last attempt."""
+        last_attempt = not self._source.tried(replace(key, attempt=key.attempt + 1))
         try:
-            return replace(self.find(struck), last_attempt=last_attempt)
+            return replace(self.find(key), last_attempt=last_attempt)
         except AcquisitionTimeoutError as error:
             error.last_attempt = last_attempt
             raise
@@ -99,32 +78,12 @@ class RecordedStriker:
 
     def strike(self, key: ShotKey) -> None:
         """Let the armed digitizer play back this shot."""
-        self._recording.require(key, SOLITARY_WAVE)
+        self._recording.require_transducer(key)
         self._switchings.extend(((key.position, True), (key.position, False)))
         self._recording.strike(key)
 
     def make_safe(self) -> None:
         """Nothing is ever energised after a strike."""
-
-
-class RecordedDigitizer:
-    """Plays back the shot that was struck."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-
-    def arm(self, key: ShotKey) -> None:
-        """Wait for a strike at the key's position."""
-        self._recording.arm(key)
-
-    def read(self, timeout_s: float) -> Acquired:
-        """Hand over the recorded shot; how fast it is read from a disk never makes it a missed one."""
-        require_timeout(timeout_s)
-        return self._recording.read()
-
-    def disarm(self) -> None:
-        """Stop waiting."""
-        self._recording.disarm()
 
 
 class RecordedPulseEchoUnit:
@@ -151,7 +110,7 @@ class RecordedInstruments:
     """The instruments of one recording; a rig is composed of them and a clock."""
 
     striker: RecordedStriker
-    digitizer: RecordedDigitizer
+    digitizer: Recording
     pulse_echo: RecordedPulseEchoUnit
 
 
@@ -173,6 +132,6 @@ def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = 
         recording.require(ShotKey(position=position, set_index=0, shot_index=0), method)
     return RecordedInstruments(
         striker=RecordedStriker(recording),
-        digitizer=RecordedDigitizer(recording),
+        digitizer=recording,
         pulse_echo=RecordedPulseEchoUnit(recording),
     )

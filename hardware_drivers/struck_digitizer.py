@@ -1,0 +1,66 @@
+"""What digitizers share whose records follow from the strike alone: simulated and recorded ones."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
+from hardware_drivers.instruments import Acquired, require_timeout
+from hardware_drivers.measurement import ShotKey
+
+
+class StruckDigitizer(ABC):
+    """Hands over the record of the first strike at the armed position; its striker tells it of strikes.
+
+    Nobody can strike while `read` runs, so a read without a strike times out at once.
+    """
+
+    no_strike_remedy: ClassVar[str] = ""
+    """What a person should do about a strike that did not come, behind a semicolon."""
+
+    def __init__(self) -> None:
+        self._armed: ShotKey | None = None
+        self._struck: ShotKey | None = None
+
+    @abstractmethod
+    def require_transducer(self, key: ShotKey) -> None:
+        """Refuse a position that has no solitary-wave transducer."""
+
+    @abstractmethod
+    def record_of(self, key: ShotKey) -> Acquired:
+        """Find the record of the strike just remembered."""
+
+    def arm(self, key: ShotKey) -> None:
+        """Let the next strike at the key's position be recorded."""
+        self.require_transducer(key)
+        if self._armed is not None:
+            raise ConfigurationError(
+                f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
+                f"{self._armed.set_index}; read or disarm first"
+            )
+        self._armed = key
+
+    def disarm(self) -> None:
+        """Record nothing any more."""
+        self._armed = self._struck = None
+
+    def strike(self, key: ShotKey) -> bool:
+        """Remember the first strike at the armed position and say so; any other is lost."""
+        heard = self._armed is not None and self._armed.position == key.position and self._struck is None
+        if heard:
+            self._struck = key
+        return heard
+
+    def read(self, timeout_s: float) -> Acquired:
+        """Hand over the record and disarm; how long that takes never makes a strike a missed one."""
+        require_timeout(timeout_s)
+        armed, struck = self._armed, self._struck
+        self.disarm()
+        if armed is None:
+            raise ConfigurationError("not armed; arm before the strike, then read")
+        if struck is None:
+            raise AcquisitionTimeoutError(
+                f"no strike at {armed.position!r} since the digitizer was armed{self.no_strike_remedy}"
+            )
+        return self.record_of(struck)
