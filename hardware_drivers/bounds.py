@@ -7,18 +7,26 @@ Python, and a configuration model that embeds it enforces the same ones while re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
 _COMPARISONS: tuple[tuple[type, str, str, Callable[[Any, Any], bool]], ...] = (
-    (Gt, "gt", "greater than", lambda value, bound: value > bound),
-    (Ge, "ge", "at least", lambda value, bound: value >= bound),
-    (Lt, "lt", "less than", lambda value, bound: value < bound),
-    (Le, "le", "at most", lambda value, bound: value <= bound),
+    (Gt, "gt", "greater than", operator.gt),
+    (Ge, "ge", "at least", operator.ge),
+    (Lt, "lt", "less than", operator.lt),
+    (Le, "le", "at most", operator.le),
 )
+
+_PAIRS: Mapping[str, Callable[[Any, Any], bool]] = {
+    "at least": operator.ge,
+    "later than": operator.gt,
+    "below": operator.lt,
+    "less than": operator.lt,
+}
 
 Parameters = TypeVar("Parameters")
 
@@ -59,6 +67,21 @@ def check_bounds(parameters: Any) -> None:
         for words, limit, holds in bounds:
             if not holds(value, limit):
                 raise ValueError(f"{name} is {value}; it must be {words} {limit}")
+
+
+def check_pair(parameters: Any, name: str, words: str, other: str, unit: str = "") -> None:
+    """Raise ValueError unless one value is ``at least``, ``later than``, ``below`` or ``less than`` another.
+
+    Parameters
+    ----------
+    name, other
+        Fields of `parameters`; the message names both, their values and what the first must be.
+    unit
+        As printed behind a value, with its space.
+    """
+    value, limit = getattr(parameters, name), getattr(parameters, other)
+    if not _PAIRS[words](value, limit):
+        raise ValueError(f"{name} is {value}{unit}; it must be {words} {other} ({limit}{unit})")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(field,))

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 
 LONGEST_PULSE_S = 0.5
 """Cap of the coil's on-time: many times what lifts a striker by millimetres, far from heating a coil."""
@@ -138,11 +138,7 @@ class DaqmxParameters:
         self._check_watchdog()
 
     def _check_record(self) -> None:
-        if self.pretrigger_samples >= self.record_samples:
-            raise ValueError(
-                f"pretrigger_samples is {self.pretrigger_samples}; it must be less than record_samples "
-                f"({self.record_samples})"
-            )
+        check_pair(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
             raise ValueError("transducers is empty; wire at least one position")
         for position, wiring in self.transducers.items():

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 
 
 @bounded
@@ -61,12 +61,5 @@ class AdcParameters:
     """Rising edge that triggers: a tenth of the incident wave, ten times the noise."""
 
     def __post_init__(self) -> None:
-        if self.pretrigger_samples >= self.record_samples:
-            raise ValueError(
-                f"pretrigger_samples is {self.pretrigger_samples}; it must be less than record_samples "
-                f"({self.record_samples})"
-            )
-        if self.trigger_level_v >= self.range_v:
-            raise ValueError(
-                f"trigger_level_v is {self.trigger_level_v} V; it must be below range_v ({self.range_v} V)"
-            )
+        check_pair(self, "pretrigger_samples", "less than", "record_samples")
+        check_pair(self, "trigger_level_v", "below", "range_v", " V")

@@ -16,7 +16,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le, Lt
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 from simulator.parameters.echo import EchoParameters as EchoParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters
@@ -48,10 +48,7 @@ class ThinningParameters:
     def __post_init__(self) -> None:
         if self.history:
             self._check_history()
-        if self.reference_h <= self.onset_h:
-            raise ValueError(
-                f"reference_h is {self.reference_h} h; it must be later than onset_h ({self.onset_h} h)"
-            )
+        check_pair(self, "reference_h", "later than", "onset_h", " h")
         if self.hole_h is not None and not self.onset_h < self.hole_h <= 1e6:
             raise ValueError(
                 f"hole_h is {self.hole_h} h; it must be later than onset_h ({self.onset_h} h) and at most "
@@ -136,11 +133,7 @@ class DriftParameters:
     """Relative change of the PZT's sensitivity a kelvin (assumption: of the order given for soft PZT)."""
 
     def __post_init__(self) -> None:
-        if self.longest_wander_h < self.shortest_wander_h:
-            raise ValueError(
-                f"longest_wander_h is {self.longest_wander_h} h; it must be at least shortest_wander_h "
-                f"({self.shortest_wander_h} h)"
-            )
+        check_pair(self, "longest_wander_h", "at least", "shortest_wander_h", " h")
 
 
 PAPER_THINNING: Mapping[str, ThinningParameters] = MappingProxyType(

@@ -12,7 +12,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 
 
 @bounded
@@ -41,11 +41,7 @@ class DoubleStrikeFault:
     """Least drop height of the second impact over the first one's; drawn evenly up to 1 (assumption)."""
 
     def __post_init__(self) -> None:
-        if self.longest_delay_s < self.shortest_delay_s:
-            raise ValueError(
-                f"longest_delay_s is {self.longest_delay_s} s; it must be at least shortest_delay_s "
-                f"({self.shortest_delay_s} s)"
-            )
+        check_pair(self, "longest_delay_s", "at least", "shortest_delay_s", " s")
 
 
 @bounded

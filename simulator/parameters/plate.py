@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, fields
 from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
@@ -215,16 +215,8 @@ class CorrosionParameters:
     @property
     def patches(self) -> tuple[PatchParameters, ...]:
         """All patches, the first one first."""
-        first = PatchParameters(
-            shape=self.shape,
-            size_m=self.size_m,
-            size_y_m=self.size_y_m,
-            offset_x_m=self.offset_x_m,
-            offset_y_m=self.offset_y_m,
-            profile=self.profile,
-            depth_factor=self.depth_factor,
-        )
-        return first, *self.further
+        first = {part.name: getattr(self, part.name) for part in fields(PatchParameters)}
+        return PatchParameters(**first), *self.further
 
     @property
     def half_sizes_m(self) -> tuple[float, float]:
