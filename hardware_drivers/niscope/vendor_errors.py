@@ -24,9 +24,6 @@ from hardware_drivers.errors import (
 _IVI_ERROR = -0x40060000  # 0xBFFA0000 as a signed 32-bit number
 
 RESOURCE_UNKNOWN = _IVI_ERROR + 0x0060
-MAX_TIME_EXCEEDED = _IVI_ERROR + 0x2003
-INVALID_SESSION = _IVI_ERROR + 0x1190
-DIGITIZER_ALREADY_IN_USE = _IVI_ERROR + 0x402E
 SYNCHRONISATION_TIMEOUT = -1074108967
 """An internal lock of the driver was not free in time (wraps -50550)."""
 

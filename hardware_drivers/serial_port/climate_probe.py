@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
-
-from hardware_drivers.instruments import require_timeout
-from hardware_drivers.measurement import ClimateReading, Stamp
-from hardware_drivers.serial_port.line import SerialLine, name_parts
+from hardware_drivers.measurement import ClimateReading
+from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ClimateParameters
 
 TEMPERATURE_RANGE_C = (-60.0, 200.0)
@@ -16,46 +12,8 @@ HUMIDITY_RANGE = (0.0, 1.05)
 """Capacitive sensors read a little over 1 in fog."""
 
 
-class ScpiClimateProbe:
-    """A `ClimateProbe` of the instrument Protocols.
-
-    Parameters
-    ----------
-    parameters
-        Line, name and questions. Nothing is opened before the first call.
-    stamp
-        The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
-    monotonic_s
-        The machine's monotonic time, for deadlines.
-    """
-
-    def __init__(
-        self,
-        parameters: ClimateParameters,
-        *,
-        stamp: Callable[[], Stamp],
-        monotonic_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._parameters = parameters
-        self._stamp = stamp
-        self._line = SerialLine(
-            parameters.line,
-            identity=parameters.identity,
-            identity_query=parameters.identity_query,
-            stamp=stamp,
-            monotonic_s=monotonic_s,
-        )
-
-    def identity(self) -> Mapping[str, str]:
-        """Maker, model, serial number and firmware, as the probe tells them, and its port.
-
-        Raises
-        ------
-        BusyError, ConfigurationError, ConnectionLostError
-            As for `read`.
-        """
-        self._line.connect(self._line.monotonic_s() + self._parameters.read_timeout_s)
-        return name_parts(self._line)
+class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
+    """A `ClimateProbe` of the instrument Protocols."""
 
     def read(self, timeout_s: float) -> ClimateReading:
         """Temperature and relative humidity now.
@@ -69,10 +27,9 @@ class ScpiClimateProbe:
         ConnectionLostError
             The probe does not answer in time, or tells what air cannot have.
         """
-        require_timeout(timeout_s)
-        deadline_s = self._line.monotonic_s() + timeout_s
+        deadline_s = self._deadline_s(timeout_s)
         parameters = self._parameters
-        self._line.connect(deadline_s)
+        self._connect(deadline_s)
         stamp = self._stamp()
         temperature_c = self._line.query_number(parameters.temperature_query, deadline_s)
         humidity = self._line.query_number(parameters.humidity_query, deadline_s)
@@ -87,7 +44,3 @@ class ScpiClimateProbe:
                     f"tells {value:g} as {what}; it must lie in {low:g}..{high:g}: check its sensor and unit"
                 )
         return ClimateReading(stamp=stamp, temperature_c=temperature_c, relative_humidity=min(humidity, 1.0))
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._line.close()

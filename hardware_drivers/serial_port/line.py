@@ -339,14 +339,6 @@ class SerialLine:
         return f"{self._name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
-def name_parts(line: SerialLine) -> dict[str, str]:
-    """Answer to ``*IDN?`` by its four parts (IEEE 488.2); what is missing is empty."""
-    parts = [part.strip() for part in line.name.split(",", 3)]
-    parts += [""] * (4 - len(parts))
-    names = ("maker", "model", "serial_number", "firmware")
-    return {**dict(zip(names, parts, strict=True)), "port": line.parameters.port}
-
-
 def _text(raw: bytes) -> str | None:
     """Printable ASCII of a reply, or None; spaces around it and a stray carriage return do not count."""
     stripped = raw.strip(b" \t\r\n")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
@@ -62,6 +62,8 @@ class SupplyParameters:
     identity: str
     """Regular expression that the answer to `*IDN?` must begin with, up to the serial number
     (`KEYSIGHT,E36312A,MY1234`): anything else on the line is refused and sent nothing but `*IDN?`."""
+    identity_query: ClassVar[str] = "*IDN?"
+    """SCPI's own, which every supply of the dialect answers."""
     dialect: Literal["scpi"] = "scpi"
     """Commands it understands: `scpi` (SCPI-1999: VOLT, CURR, OUTP, MEAS:VOLT?, MEAS:CURR?, SYST:ERR?)."""
     protection_queries: tuple[str, ...] = ("VOLT:PROT:TRIP?", "CURR:PROT:TRIP?")

@@ -9,13 +9,11 @@ reach the supply come from the caller's ``stamp``.
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
-from hardware_drivers.instruments import require_timeout
-from hardware_drivers.measurement import Stamp, SupplyReading
-from hardware_drivers.serial_port.line import SerialLine, name_parts
+from hardware_drivers.measurement import SupplyReading
+from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
@@ -26,48 +24,15 @@ ORDER_REPLIES = 12
 """An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
 
 
-class ScpiPowerSupply:
-    """A `PowerSupply` of the instrument Protocols.
+class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
+    """A `PowerSupply` of the instrument Protocols."""
 
-    Parameters
-    ----------
-    parameters
-        Line, name, caps. Nothing is opened before the first call.
-    stamp
-        The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
-    monotonic_s
-        The machine's monotonic time, for deadlines.
-    """
-
-    def __init__(
-        self,
-        parameters: SupplyParameters,
-        *,
-        stamp: Callable[[], Stamp],
-        monotonic_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._parameters = parameters
-        self._stamp = stamp
-        self._line = SerialLine(
-            parameters.line, identity=parameters.identity, stamp=stamp, monotonic_s=monotonic_s
-        )
-        self._tripped: tuple[str, ...] = ()
+    _tripped: tuple[str, ...] = ()
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
         """Protections found tripped when the output was last found off, by the question asked."""
         return self._tripped
-
-    def identity(self) -> Mapping[str, str]:
-        """Maker, model, serial number and firmware, as the supply tells them, and its port.
-
-        Raises
-        ------
-        BusyError, ConfigurationError, ConnectionLostError
-            As for `read`.
-        """
-        self._connect(self._deadline_s(self._parameters.read_timeout_s))
-        return name_parts(self._line)
 
     def read(self, timeout_s: float) -> SupplyReading:
         """Measure voltage and current and ask whether the output is on.
@@ -163,10 +128,6 @@ class ScpiPowerSupply:
                 f"the supply could not be switched off, what its output does is unknown: {error}"
             ) from error
 
-    def close(self) -> None:
-        """Give the port back; the output stays as it is."""
-        self._line.close()
-
     # Steps ---------------------------------------------------------------------------------------
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
@@ -257,7 +218,3 @@ class ScpiPowerSupply:
             if len(entries) == ERROR_QUEUE_LENGTH:
                 raise self._line.refused(f"has an error queue that does not end: {entry}")
         return entries
-
-    def _deadline_s(self, timeout_s: float) -> float:
-        require_timeout(timeout_s)
-        return self._line.monotonic_s() + timeout_s

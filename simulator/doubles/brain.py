@@ -16,6 +16,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.description import Description
 from simulator.doubles.daqmx import (
     analog_calls,
@@ -310,7 +311,7 @@ class Brain:
     def wait_until_quiet(self, timeout_s: float) -> bool:
         """Wait until no striker is in flight and no wave rings on; False at the deadline."""
         clock = self.bench.clock
-        deadline_ns = clock.now_ns() + round(timeout_s * 1e9)
+        deadline_ns = clock.now_ns() + round(timeout_s * NS_PER_S)
         with self.bench.changed:
             while True:
                 contacts_ns = [strike.contact_ns for strike in self.bench.strikes.planned]

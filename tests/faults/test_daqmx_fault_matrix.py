@@ -298,16 +298,10 @@ def coil_wrongly(laboratory: Laboratory) -> Iterator[str]:
 
 def polynomial_v():
     mine = DESCRIPTION.boards[0]
-    adc = mine.adc(
-        range_v=5.0,
-        sample_rate_hz=10e6,
-        record_samples=13_600,
-        pretrigger_samples=1_000,
-        trigger_level_v=0.25,
-    )
     from simulator.electronics.transduction import adc_calibration
+    from simulator.parameters.electronics import AdcParameters
 
-    return adc_calibration(adc).coefficients_v
+    return adc_calibration(mine.adc(AdcParameters())).coefficients_v
 
 
 def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:

@@ -23,7 +23,7 @@ from simulator.doubles.chassis.description import TransducerWiring as DoubleWiri
 from simulator.doubles.doors.control import RunningDoubles
 from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.parameters.chain import ChainParameters
-from simulator.parameters.electronics import NoiseParameters
+from simulator.parameters.electronics import AdcParameters, NoiseParameters
 from simulator.parameters.experiment import ScatterParameters, TwinParameters
 from simulator.parameters.plate import PlateParameters
 from simulator.shot.model import ShotModel
@@ -134,13 +134,14 @@ def counts_of_the_twin(description: Description, parameters: DaqmxParameters, ke
     """Counts of this shot: the twin's volts through the polynomial of the board that samples it."""
     wiring = description.transducers[key.position]
     sampler = next(one for one in description.boards if one.serial_number == wiring.ai_serial)
-    adc = sampler.adc(
+    record = AdcParameters(
         range_v=parameters.transducers[key.position].range_v,
         sample_rate_hz=parameters.sample_rate_hz,
         record_samples=parameters.record_samples,
         pretrigger_samples=parameters.pretrigger_samples,
         trigger_level_v=parameters.trigger_level_v,
     )
+    adc = sampler.adc(record)
     model = _model(wiring.chain, wiring.plate, wiring.corrosion)
     specimen = build_specimen(
         replace(description.twin, adc=adc),

@@ -137,8 +137,4 @@ def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibr
     calibration = adc_calibration(adc)
     coefficients_v = calibration.coefficients_v.copy()
     coefficients_v[0] += offset_shift_v
-    return Calibration(
-        coefficients_v=coefficients_v,
-        resolution_bits=calibration.resolution_bits,
-        range_v=calibration.range_v,
-    )
+    return replace(calibration, coefficients_v=coefficients_v)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -57,22 +57,10 @@ class BoardParameters:
         """The product's figures."""
         return BOARD_TYPES[self.product]
 
-    def adc(
-        self,
-        *,
-        range_v: float,
-        sample_rate_hz: float,
-        record_samples: int,
-        pretrigger_samples: int,
-        trigger_level_v: float,
-    ) -> AdcParameters:
-        """ADC of this board as one task uses it; ValueError where the twin has no such ADC."""
-        return AdcParameters(
-            range_v=range_v,
-            sample_rate_hz=sample_rate_hz,
-            record_samples=record_samples,
-            pretrigger_samples=pretrigger_samples,
-            trigger_level_v=trigger_level_v,
+    def adc(self, record: AdcParameters) -> AdcParameters:
+        """ADC of this board for a record; ValueError where the twin has no such ADC."""
+        return replace(
+            record,
             resolution_bits=self.kind.resolution_bits,
             over_range_fraction=self.over_range_fraction,
             offset_v=self.offset_v,

@@ -36,7 +36,7 @@ from simulator.doubles.vendor_api.statuses import (
 )
 
 
-def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCreateAIVoltageChan`."""
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
@@ -62,7 +62,6 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> An
         ),
     )
     bench.last_channel[task.client] = task.channel.name
-    return None
 
 
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
@@ -73,7 +72,7 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
     task.settings |= settings
 
 
-def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgSampClkTiming`."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         raise Status(
@@ -91,10 +90,9 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> An
             "SampQuant.SampPerChan": arguments["samps_per_chan"],
         },
     )
-    return None
 
 
-def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgAnlgEdgeRefTrig`."""
     _change(
         task,
@@ -106,13 +104,11 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
             "RefTrig.PretrigSamples": arguments["pretrigger_samples"],
         },
     )
-    return None
 
 
-def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxDisableRefTrig`."""
     _change(task, {"RefTrig.Type": NO_TRIGGER})
-    return None
 
 
 def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) -> NDArray[Any]:

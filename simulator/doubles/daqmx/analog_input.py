@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from hardware_drivers.measurement import Calibration, Counts, ShotKey
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import fire, waits_for
@@ -27,7 +28,7 @@ ANALOG_EDGE = 10099
 NO_TRIGGER = 10230
 DEFAULT_CONFIGURATION = -1
 SMALLEST_RECORD = 2
-LONGEST_TRAVEL_NS = 1_000_000_000
+LONGEST_TRAVEL_NS = NS_PER_S
 """No wave triggers later than this after the striker's contact: older strikes need no look."""
 
 
@@ -222,13 +223,14 @@ def _verify_record(task: Task) -> None:
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
-    return task.device.parameters.adc(
+    record = AdcParameters(
         range_v=task.channel.range_v,
         sample_rate_hz=rate_hz(task),
         record_samples=record_samples(task),
         pretrigger_samples=pretrigger_samples,
         trigger_level_v=trigger_level_v,
     )
+    return task.device.parameters.adc(record)
 
 
 def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
@@ -236,7 +238,7 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
     position = _position(bench, task.channel)
     pretrigger = int(task.settings["RefTrig.PretrigSamples"])
     assert run.begin_ns is not None
-    filled_ns = run.begin_ns + round(pretrigger / rate_hz(task) * 1e9)
+    filled_ns = run.begin_ns + round(pretrigger / rate_hz(task) * NS_PER_S)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
             continue
@@ -247,14 +249,14 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
             acquired = bench.strikes.record(strike, adc, task.channel.calibration)
         except (SimulatorError, ValueError) as error:
             raise Status(SOFTWARE_FAULT, f"The twin cannot compute this: {error}", task=task.name) from error
-        trigger_ns = (
-            None if acquired is None else strike.contact_ns + round(acquired.truth["trigger_time_s"] * 1e9)
-        )
-        if acquired is None or trigger_ns is None or trigger_ns < filled_ns:
+        trigger_ns = strike.contact_ns
+        if acquired is not None:
+            trigger_ns += round(acquired.truth["trigger_time_s"] * NS_PER_S)
+        if acquired is None or trigger_ns < filled_ns:
             run.seen.add(strike)
             continue
         run.codes = acquired.waveform.counts
-        run.done_ns = trigger_ns + round((record_samples(task) - pretrigger) / rate_hz(task) * 1e9)
+        run.done_ns = trigger_ns + round((record_samples(task) - pretrigger) / rate_hz(task) * NS_PER_S)
         run.strike = strike
         return
 
@@ -267,7 +269,7 @@ def _record_freely(bench: Bench, task: Task, run: Acquisition) -> None:
     key = ShotKey(position=place, set_index=0, shot_index=task.begun)
     adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
     run.codes = bench.strikes.quiet(key, adc, channel.calibration)
-    run.done_ns = run.begin_ns + round(record_samples(task) / rate_hz(task) * 1e9)
+    run.done_ns = run.begin_ns + round(record_samples(task) / rate_hz(task) * NS_PER_S)
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:

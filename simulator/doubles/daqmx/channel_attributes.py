@@ -66,7 +66,7 @@ def get_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     return look_up(_PULSE_CHANNEL, arguments, "Chan", channel)
 
 
-def set_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxSetChanAttribute`: the coupling that a board has, or where a pulse leaves it."""
     name, value = settable(task, arguments, "Chan"), arguments["value"]
     channel = _named_channel(task, arguments["channel"])
@@ -81,7 +81,6 @@ def set_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     if not taken:
         raise Status(INVALID_VALUE, f"Property: {name}\nRequested Value: {value}", task=task.name)
     tasks.changed(task)
-    return None
 
 
 TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(

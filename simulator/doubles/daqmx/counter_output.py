@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.analog_input import forget_strike
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import fire, waits_for
 from simulator.doubles.daqmx.strikes import Strike
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler
+from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
 from simulator.doubles.vendor_api.statuses import INVALID_VALUE, WATCHDOG_EXPIRED, Status
 
 LOW = 10214
@@ -136,7 +137,7 @@ def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
 
 def _ns(time_s: float) -> int:
     """Time in whole ticks of the counter's timebase."""
-    return round(time_s * TIMEBASE_HZ) * round(1e9 / TIMEBASE_HZ)
+    return round(time_s * TIMEBASE_HZ) * round(NS_PER_S / TIMEBASE_HZ)
 
 
 def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
@@ -150,7 +151,7 @@ def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
     return None
 
 
-def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCreateCOPulseChanTime`."""
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
@@ -172,7 +173,6 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> Answ
         ),
     )
     bench.last_channel[task.client] = task.channel.name
-    return None
 
 
 TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(

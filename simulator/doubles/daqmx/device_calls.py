@@ -47,16 +47,15 @@ def _taken_away(bench: Bench, device: Device, status: int, cause: str) -> None:
         bench.lines.cut(f"{device.serial_number}/{terminal}", 0, now_ns, cause)
 
 
-def reset(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def reset(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxResetDevice`: whoever used the board loses it, its lines go low, its routes are gone."""
     device = _present(bench, arguments["device_name"])
     _taken_away(bench, device, DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
     bench.routes = {end: start for end, start in bench.routes.items() if not end.startswith(own)}
-    return None
 
 
-def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxSelfCal`: only while no task holds the board."""
     device = _present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
@@ -65,7 +64,6 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> Answer:
             f"Device: {device.name} is reserved by task {holder.task} of {holder.client}.",
         )
     device.self_calibrate(datetime.now(UTC))
-    return None
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -84,7 +82,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
     return found
 
 
-def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxSetDigitalPowerUpStates`."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
@@ -93,7 +91,6 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answ
         if state not in (POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE):
             raise Status(INVALID_VALUE, f"Power-up state {state}.")
     device.power_up_states |= dict(zip(lines, states, strict=True))
-    return None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:

@@ -15,6 +15,7 @@ from simulator.doubles.vendor_api.statuses import (
     UNKNOWN_DEVICE,
     Status,
 )
+from simulator.parameters.electronics import AdcParameters
 
 _LINES = re.compile(
     r"^/?(?P<device>[^/]+)/(?P<port>port\d+)/line(?P<first>\d+)(:(?P<last>\d+))?$", re.IGNORECASE
@@ -45,13 +46,7 @@ class Device:
 
     def calibration(self, range_v: float) -> Calibration:
         """Scaling polynomial in one range, as it is now."""
-        adc = self.parameters.adc(
-            range_v=range_v,
-            sample_rate_hz=self.kind.max_rate_hz,
-            record_samples=16,
-            pretrigger_samples=2,
-            trigger_level_v=0.5 * range_v,
-        )
+        adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
         return board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
@@ -95,19 +90,16 @@ class Devices:
         code = DEVICE_NOT_ACCESSIBLE if wanted in known else UNKNOWN_DEVICE
         raise Status(code, f"Device Specified: {name}")
 
-    def unplug(self, serial_number: int) -> Device:
+    def unplug(self, serial_number: int) -> None:
         """Take a board out; its name stays in NI MAX."""
-        device = self.by_serial(serial_number)
-        device.plugged = False
-        return device
+        self.by_serial(serial_number).plugged = False
 
-    def plug(self, serial_number: int, name: str = "") -> Device:
+    def plug(self, serial_number: int, name: str = "") -> None:
         """Put a board back, usually under another name."""
         device = self.by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name
         device.plugged = True
-        return device
 
     def channel(self, text: str, part: str) -> tuple[Device, int]:
         """Board and number of a physical channel like ``Dev1/ai0``.

@@ -53,11 +53,10 @@ class Reservations:
         """Give back everything of one holder."""
         self._held = {resource: other for resource, other in self._held.items() if other != holder}
 
-    def release_board(self, serial_number: int) -> dict[str, Holder]:
-        """Give back everything on one board, as its reset does; returns what was taken from whom."""
-        lost = {name: holder for name, holder in self._held.items() if board_of(name) == serial_number}
-        self._held = {name: holder for name, holder in self._held.items() if name not in lost}
-        return lost
+    def release_board(self, serial_number: int) -> None:
+        """Give back everything on one board, as its reset does."""
+        held = self._held.items()
+        self._held = {name: holder for name, holder in held if board_of(name) != serial_number}
 
     def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
         """Who holds anything on one board."""

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminals
 from simulator.doubles.daqmx import tasks
-from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler, TaskState
+from simulator.doubles.daqmx.tasks import Arguments, Bench, Handler, Task, TaskHandler, TaskState
 from simulator.doubles.vendor_api.statuses import (
     INVALID_DESTINATION_TERMINAL,
     INVALID_SOURCE_TERMINAL,
@@ -66,7 +66,7 @@ def _known(bench: Bench, terminal: str) -> bool:
     )
 
 
-def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgDigEdgeStartTrig`."""
     tasks.changed(task)
     source = arguments["trigger_source"]
@@ -82,17 +82,15 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> A
         "DigEdge.StartTrig.Src": source,
         "DigEdge.StartTrig.Edge": arguments["trigger_edge"],
     }
-    return None
 
 
-def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxDisableStartTrig`."""
     tasks.changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
-    return None
 
 
-def connect(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def connect(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxConnectTerms`."""
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _known(bench, source):
@@ -103,18 +101,16 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> Answer:
     if other not in (None, short_name(source)):
         raise Status(ROUTE_IN_USE, f"Destination Terminal: {destination}\nSource Terminal in use: {other}")
     bench.routes[short_name(destination)] = short_name(source)
-    return None
 
 
-def disconnect(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def disconnect(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxDisconnectTerms`; harmless where there is no route."""
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
-    return None
 
 
-def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
     """`DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
     terminal = short_name(arguments["output_terminal"])
     if not _known(bench, terminal):
@@ -126,10 +122,9 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> Answer:
     for output in device.kind.counter_terminals:
         if output.casefold() == pin:
             bench.lines.drive(f"{device.serial_number}/{output}", 0, bench.settle(), "tristate")
-    return None
 
 
-def export(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def export(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
     tasks.changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
@@ -142,7 +137,6 @@ def export(bench: Bench, task: Task, arguments: Arguments) -> Answer:
         )
     source = f"{task.device.name}/ai/{ends[signal]}"
     bench.routes[short_name(arguments["output_terminal"])] = short_name(source)
-    return None
 
 
 HANDLERS: Mapping[str, Handler] = MappingProxyType(

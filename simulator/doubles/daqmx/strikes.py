@@ -14,6 +14,7 @@ import numpy as np
 
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import Calibration, Counts, ShotKey
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.description import Description
 from simulator.electronics.transduction import counts_of, noise_volts
 from simulator.errors import SimulatorError
@@ -92,7 +93,7 @@ class Strikes:
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
         """Let the striker fall at a time to come; None if the pulse is too short to lift it."""
         lift_s = self._description.transducers[position].lift_s
-        if released_ns - lifted_ns < round(lift_s * 1e9):
+        if released_ns - lifted_ns < round(lift_s * NS_PER_S):
             return None
         announced = self._announced.pop(position, None)
         key, hour_h = announced or (self._counted_key(position), self._hour_h)
@@ -112,7 +113,7 @@ class Strikes:
         if strike.released_ns <= ns:
             return
         lift_s = self._description.transducers[strike.key.position].lift_s
-        if ns - strike.lifted_ns >= round(lift_s * 1e9):
+        if ns - strike.lifted_ns >= round(lift_s * NS_PER_S):
             strike.contact_ns -= strike.released_ns - ns
             strike.released_ns = ns
             return
@@ -131,7 +132,7 @@ class Strikes:
 
     def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
         height_m = self.specimen.strike(key, hour_h).drop_height_m
-        return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * 1e9)
+        return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
     def record(self, strike: Strike, adc: AdcParameters, calibration: Calibration) -> Acquired | None:
         """Compute what a board records of a strike; None if it does not reach the trigger level.

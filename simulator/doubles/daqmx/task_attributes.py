@@ -63,13 +63,12 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
     return look_up(values, arguments, family, task)
 
 
-def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxSet<family>Attribute`."""
     _require_channels(task)
     name = settable(task, arguments, family)
     tasks.changed(task)
     task.settings[name] = arguments["value"]
-    return None
 
 
 def _require_channels(task: Task) -> None:

@@ -10,8 +10,8 @@ from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Tas
 from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, TEXTS, Status
 
 
-def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    return None
+def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> None:
+    """Nothing: which language calls is no matter here."""
 
 
 def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -23,40 +23,35 @@ def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
     return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
 
 
-def _clear_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
+def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
     task = bench.tasks.get(arguments["task"])
     if task is not None and task.client == client and task.lost:
         # Clearing is how a lost task is got rid of: it never fails for the loss.
         del bench.tasks[task.handle]
     else:
         tasks.clear(bench, tasks.find(bench, client, arguments["task"]))
-    return None
 
 
 def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
     return {"value": bench.last_channel.get(client, "")}
 
 
-def _control(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _control(bench: Bench, task: Task, arguments: Arguments) -> None:
     tasks.control(bench, task, arguments["action"])
-    return None
 
 
-def _start(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _start(bench: Bench, task: Task, arguments: Arguments) -> None:
     tasks.start(bench, task)
-    return None
 
 
-def _stop(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _stop(bench: Bench, task: Task, arguments: Arguments) -> None:
     tasks.stop(bench, task)
-    return None
 
 
-def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
     timeout_s = arguments["time_to_wait"]
     late = Status(NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
     tasks.wait(bench, task, timeout_s, late)
-    return None
 
 
 HANDLERS: Mapping[str, Handler] = MappingProxyType(

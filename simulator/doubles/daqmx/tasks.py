@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any, Protocol
 
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.description import Description
 from simulator.doubles.daqmx.devices import Device, Devices
 from simulator.doubles.daqmx.lines import LineRecord
@@ -73,7 +74,7 @@ class WallClock:
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
         """Wait on the condition, at most until a time."""
-        changed.wait(None if until_ns is None else max(until_ns - self.now_ns(), 0) / 1e9)
+        changed.wait(None if until_ns is None else max(until_ns - self.now_ns(), 0) / NS_PER_S)
 
 
 @dataclass(slots=True, eq=False)
@@ -390,7 +391,7 @@ def wait(bench: Bench, task: Task, timeout_s: float, expired: Status) -> None:
     Status
         `expired` at the deadline; -88710 and the like if the board goes away meanwhile.
     """
-    deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * 1e9)
+    deadline_ns = None if timeout_s < 0.0 else bench.clock.now_ns() + round(timeout_s * NS_PER_S)
     begun = task.begun
     while not is_done(bench, task):
         now_ns = bench.clock.now_ns()

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.boards import terminal_of_line
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.counter_output import HIGH, LOW, cut
@@ -56,7 +57,7 @@ class Countdown:
         """Let the timer expire at its own time, not when somebody looks."""
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
-        deadline_ns = self.begin_ns + round(self.timeout_s * 1e9)
+        deadline_ns = self.begin_ns + round(self.timeout_s * NS_PER_S)
         if deadline_ns > now_ns:
             return
         bench.lines.settle(deadline_ns)
@@ -128,7 +129,7 @@ def _require_watchdog(task: Task) -> None:
         raise Status(NOT_A_WATCHDOG_TASK, task=task.name)
 
 
-def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line that its terminal is."""
     _require_watchdog(task)
     tasks.changed(task)
@@ -147,10 +148,9 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> Answ
                 task=task.name,
             )
     task.settings["expiration"] |= {line: state for (_, line), state in wanted.items()}
-    return None
 
 
-def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
+def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
     """`DAQmxControlWatchdogTask`."""
     _require_watchdog(task)
     now_ns = bench.settle()
@@ -167,7 +167,6 @@ def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
         run.begin_ns = now_ns if task.state is TaskState.RUNNING else None
     else:
         raise Status(INVALID_VALUE, f"Watchdog action {action}.", task=task.name)
-    return None
 
 
 HANDLERS: Mapping[str, Handler] = MappingProxyType({"DAQmxCreateWatchdogTimerTaskEx": create_watchdog})

@@ -7,28 +7,20 @@ from __future__ import annotations
 
 import json
 import socketserver
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.brain import Brain
+from simulator.doubles.doors.server import LoopbackServer
 from simulator.doubles.vendor_api.statuses import Status
 
 
-class ControlServer(socketserver.ThreadingTCPServer):
+class ControlServer(LoopbackServer):
     """Listens for `DoublesControl` on the loopback interface."""
 
-    daemon_threads = True
-
-    def __init__(self, brain: Brain, host: str = "127.0.0.1", port: int = 0) -> None:
-        super().__init__((host, port), _Connection)
-        self.brain = brain
-
-    @property
-    def address(self) -> str:
-        """``host:port``."""
-        host, port = self.server_address[:2]
-        return f"{host!s}:{port}"
+    def __init__(self, brain: Brain) -> None:
+        super().__init__(brain, _Connection)
 
 
 class _Connection(socketserver.StreamRequestHandler):
@@ -54,33 +46,22 @@ def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
         No such command, or arguments that make no sense.
     """
     arguments = dict(request)
-    match arguments.pop("command", None):
-        case "announce":
-            brain.announce(ShotKey(**arguments["key"]), float(arguments["hour_h"]))
-        case "inject":
-            brain.faults.inject(**arguments)
-        case "clear_faults":
-            brain.faults.clear()
-        case "release_hangs":
-            brain.faults.release()
-        case "wait_until_hanging":
-            return brain.faults.wait_until_hanging(float(arguments["timeout_s"]))
-        case "wait_until_no_tasks":
-            return brain.wait_until_no_tasks(float(arguments["timeout_s"]))
-        case "wait_until_quiet":
-            return brain.wait_until_quiet(float(arguments["timeout_s"]))
-        case "record":
-            return brain.record()
-        case "clear_record":
-            brain.clear_record()
-        case "unplug":
-            brain.unplug(int(arguments["serial_number"]))
-        case "plug":
-            brain.plug(int(arguments["serial_number"]), str(arguments.get("name", "")))
-        case "occupy":
-            brain.occupy(str(arguments["resource"]), str(arguments["owner"]))
-        case "vacate":
-            brain.vacate(str(arguments["owner"]))
-        case command:
-            raise ValueError(f"command is {command!r}; there is no such command")
-    return None
+    command = arguments.pop("command", None)
+    commands: Mapping[Any, Callable[..., Any]] = {
+        "announce": lambda key, hour_h: brain.announce(ShotKey(**key), float(hour_h)),
+        "inject": brain.faults.inject,
+        "clear_faults": brain.faults.clear,
+        "release_hangs": brain.faults.release,
+        "wait_until_hanging": brain.faults.wait_until_hanging,
+        "wait_until_no_tasks": brain.wait_until_no_tasks,
+        "wait_until_quiet": brain.wait_until_quiet,
+        "record": brain.record,
+        "clear_record": brain.clear_record,
+        "unplug": brain.unplug,
+        "plug": brain.plug,
+        "occupy": brain.occupy,
+        "vacate": brain.vacate,
+    }
+    if command not in commands:
+        raise ValueError(f"command is {command!r}; there is no such command")
+    return commands[command](**arguments)

@@ -15,22 +15,29 @@ from simulator.doubles.vendor_api.statuses import SOFTWARE_FAULT, Status
 log = logging.getLogger(__name__)
 
 
-class WireServer(socketserver.ThreadingTCPServer):
-    """Listens for C libraries on the loopback interface."""
+class LoopbackServer(socketserver.ThreadingTCPServer):
+    """Listens on the loopback interface for callers of a brain, one thread a connection."""
 
     daemon_threads = True
 
-    def __init__(self, brain: Brain, host: str = "127.0.0.1", port: int = 0) -> None:
-        super().__init__((host, port), _Connection)
+    def __init__(self, brain: Brain, connection: type[socketserver.BaseRequestHandler]) -> None:
+        super().__init__(("127.0.0.1", 0), connection)
         self.brain = brain
-        self._clients: dict[int, str] = {}
-        self._lock = threading.Lock()
 
     @property
     def address(self) -> str:
         """``host:port``."""
         host, port = self.server_address[:2]
         return f"{host!s}:{port}"
+
+
+class WireServer(LoopbackServer):
+    """Listens for C libraries on the loopback interface."""
+
+    def __init__(self, brain: Brain) -> None:
+        super().__init__(brain, _Connection)
+        self._clients: dict[int, str] = {}
+        self._lock = threading.Lock()
 
     def join(self, number: int, process: int) -> tuple[int, str]:
         """Return number and name of a client; 0 makes a new one, an unknown number too."""

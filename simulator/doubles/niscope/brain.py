@@ -160,8 +160,8 @@ class NiscopeBrain:
             return {"error_code": code, "description": description}
         try:
             if name in CONFIGURATION:
-                return CONFIGURATION[name](session, arguments)
-            return _ENTRIES[name](self, session, arguments)
+                return CONFIGURATION[name](session, arguments) or {}
+            return _ENTRIES[name](self, session, arguments) or {}
         except Status as status:
             session.last_error = (status.code, status.message)
             raise
@@ -180,22 +180,19 @@ class NiscopeBrain:
             self._sessions[handle] = Session(handle=handle, client=client, board=board, channels=channels)
             return {"vi": handle}
 
-    def _close(self, session: Session, _: Arguments) -> Answer:
+    def _close(self, session: Session, _: Arguments) -> None:
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
-        return {}
 
-    def _lock(self, session: Session, _: Arguments) -> Answer:
+    def _lock(self, session: Session, _: Arguments) -> None:
         """Nothing: a lock is of the caller's own threads."""
-        return {}
 
-    def _commit(self, session: Session, _: Arguments) -> Answer:
+    def _commit(self, session: Session, _: Arguments) -> None:
         require_idle(session)
         self._require_present(session)
-        return {}
 
-    def _restore_defaults(self, session: Session, _: Arguments) -> Answer:
+    def _restore_defaults(self, session: Session, _: Arguments) -> None:
         self._require_present(session)
         fresh = Session(
             handle=session.handle,
@@ -207,24 +204,21 @@ class NiscopeBrain:
             self._sessions[session.handle] = fresh
             session.acquisition = None
             self._changed.notify_all()
-        return {}
 
     # Acquisition
 
-    def _initiate(self, session: Session, _: Arguments) -> Answer:
+    def _initiate(self, session: Session, _: Arguments) -> None:
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
             raise ScopeStatus(CHANNEL_NOT_ENABLED)
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
-        return {}
 
-    def _abort(self, session: Session, _: Arguments) -> Answer:
+    def _abort(self, session: Session, _: Arguments) -> None:
         with self._changed:
             session.acquisition = None
             self._changed.notify_all()
         self._require_present(session)
-        return {}
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
         asked = session.fetch[FETCH_RECORDS]
@@ -290,19 +284,18 @@ class NiscopeBrain:
     def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
         return {"temperature": session.board.calibration_temperature_c}
 
-    def _self_calibrate(self, session: Session, _: Arguments) -> Answer:
+    def _self_calibrate(self, session: Session, _: Arguments) -> None:
         require_idle(session)
         self._require_present(session)
         today = datetime.datetime.now(tz=datetime.UTC).date()
         self._self_calibrated[session.board.serial_number] = today
-        return {}
 
     def _require_present(self, session: Session) -> None:
         if session.board not in self._boards.values():
             raise ScopeStatus(HARDWARE_FAILURE, f"{session.board.name} is not in the system any more")
 
 
-_ENTRIES: Mapping[str, Callable[[NiscopeBrain, Session, Arguments], Answer]] = {
+_ENTRIES: Mapping[str, Callable[[NiscopeBrain, Session, Arguments], Answer | None]] = {
     "close": NiscopeBrain._close,
     "LockSession": NiscopeBrain._lock,
     "UnlockSession": NiscopeBrain._lock,

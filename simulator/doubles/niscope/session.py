@@ -110,18 +110,18 @@ def get_attribute(session: Session, arguments: Arguments) -> Answer:
     raise ScopeStatus(ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
 
 
-def set_attribute(session: Session, arguments: Arguments) -> Answer:
+def set_attribute(session: Session, arguments: Arguments) -> None:
     """Set an attribute; fetch attributes while an acquisition runs too."""
     number, value = arguments["attribute_id"], arguments["value"]
     if number in session.fetch:
         session.fetch[number] = value
-        return {}
+        return
     require_idle(session)
     if number in _CHANNEL_VALUES:
         for _, channel in channels_of(session, arguments):
             name = _CHANNEL_VALUES[number]
             setattr(channel, name, type(getattr(channel, name))(value))
-        return {}
+        return
     raise ScopeStatus(ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
 
 
@@ -143,7 +143,7 @@ def channel_names(session: Session, arguments: Arguments) -> Answer:
         raise ScopeStatus(INVALID_VALUE, f"indices {arguments['indices']!r}") from None
 
 
-def configure_vertical(session: Session, arguments: Arguments) -> Answer:
+def configure_vertical(session: Session, arguments: Arguments) -> None:
     """Set range (coerced up) and offset of inputs."""
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
@@ -153,20 +153,18 @@ def configure_vertical(session: Session, arguments: Arguments) -> Answer:
         channel.range_pp_v = 2.0 * range_v
         channel.offset_v = arguments["offset"]
         channel.enabled = bool(arguments["enabled"])
-    return {}
 
 
-def configure_input(session: Session, arguments: Arguments) -> Answer:
+def configure_input(session: Session, arguments: Arguments) -> None:
     """Set the impedance of inputs."""
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
         raise ScopeStatus(INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
     for _, channel in channels_of(session, arguments):
         channel.input_impedance_ohm = arguments["input_impedance"]
-    return {}
 
 
-def configure_horizontal_timing(session: Session, arguments: Arguments) -> Answer:
+def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
     """Set rate (coerced up), length and number of records."""
     require_idle(session)
     rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])
@@ -176,19 +174,17 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> Answe
     if samples * records > session.board.memory_samples:
         raise ScopeStatus(INSUFFICIENT_MEMORY, f"{records} records of {samples} samples")
     session.rate_hz, session.samples, session.records = rate_hz, samples, records
-    return {}
 
 
-def configure_trigger(session: Session, arguments: Arguments) -> Answer:
+def configure_trigger(session: Session, arguments: Arguments) -> None:
     """Set an analog edge or a digital one as the reference trigger."""
     require_idle(session)
     session.trigger_source = arguments["trigger_source"]
     session.trigger_delay_s = arguments["delay"]
     session.trigger_level_v = arguments.get("level", session.trigger_level_v)
-    return {}
 
 
-CONFIGURATION: Mapping[str, Callable[[Session, Arguments], Answer]] = {
+CONFIGURATION: Mapping[str, Callable[[Session, Arguments], Answer | None]] = {
     "GetAttributeViInt32": get_attribute,
     "GetAttributeViReal64": get_attribute,
     "GetAttributeViString": get_attribute,

@@ -1,0 +1,70 @@
+"""What instruments on a serial line share: the line, the name they tell, deadlines."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Generic, TypeVar
+
+from hardware_drivers.instruments import require_timeout
+from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.line import SerialLine
+from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
+
+Parameters = TypeVar("Parameters", bound=SupplyParameters | ClimateParameters)
+
+
+class SerialInstrument(Generic[Parameters]):
+    """An instrument that tells its name and answers questions.
+
+    Parameters
+    ----------
+    parameters
+        Line, name, what to ask. Nothing is opened before the first call.
+    stamp
+        The caller's clock: dates the readings, and its monotonic time spaces attempts to reconnect.
+    monotonic_s
+        The machine's monotonic time, for deadlines.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        *,
+        stamp: Callable[[], Stamp],
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._parameters = parameters
+        self._stamp = stamp
+        self._line = SerialLine(
+            parameters.line,
+            identity=parameters.identity,
+            identity_query=parameters.identity_query,
+            stamp=stamp,
+            monotonic_s=monotonic_s,
+        )
+
+    def identity(self) -> Mapping[str, str]:
+        """Maker, model, serial number and firmware, as the instrument tells them, and its port.
+
+        Raises
+        ------
+        BusyError, ConfigurationError, ConnectionLostError
+            As for `read`.
+        """
+        self._connect(self._deadline_s(self._parameters.read_timeout_s))
+        parts = [part.strip() for part in self._line.name.split(",", 3)]
+        parts += [""] * (4 - len(parts))
+        names = ("maker", "model", "serial_number", "firmware")
+        return {**dict(zip(names, parts, strict=True)), "port": self._line.parameters.port}
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.close()
+
+    def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
+        self._line.connect(deadline_s, at_once=at_once)
+
+    def _deadline_s(self, timeout_s: float) -> float:
+        require_timeout(timeout_s)
+        return self._line.monotonic_s() + timeout_s
