@@ -71,12 +71,18 @@ def copy_of_the_code(folder: Path) -> None:
     shutil.copy(ROOT / "pyproject.toml", folder)
 
 
-def apply(patch: Path, copy: Path, *, back: bool = False) -> None:
-    """Apply a patch to the copy, or take it back."""
-    command = ["git", "apply", "--whitespace=nowarn", *(["-R"] if back else []), str(patch)]
+def apply(patch: Path, copy: Path, *options: str) -> None:
+    """Apply a patch to a copy; ``--reverse`` takes it back, ``--check`` only tells whether it applies.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        It does not apply; its ``stderr`` says where.
+    """
+    command = ["git", "apply", "--whitespace=nowarn", *options, str(patch)]
     # Outside a repository git applies to the folder it stands in.
     environment = {**os.environ, "GIT_CEILING_DIRECTORIES": str(copy.parent)}
-    subprocess.run(command, cwd=copy, env=environment, check=True)
+    subprocess.run(command, cwd=copy, env=environment, check=True, capture_output=True, text=True)
 
 
 def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Connection) -> None:
@@ -87,15 +93,18 @@ def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Conn
     import pytest
 
     output = io.StringIO()
+    options = ["-q", "-x", "--no-header", "-p", "no:cacheprovider", "-p", "no:xdist"]
+    # What is loaded before the fork has plain asserts; they are none of ours.
+    options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     with redirect_stdout(output), redirect_stderr(output):
-        code = pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", "--no-header", *tests])
+        code = pytest.main([*options, *tests])
     told.send((int(code), output.getvalue(), time.process_time()))
 
 
 def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
     """Run tests on the copy in a process of their own."""
-    methods = multiprocessing.get_all_start_methods()
-    context = multiprocessing.get_context("fork" if "fork" in methods else "spawn")
+    # Elsewhere libraries do not survive a fork, or there is none: then each child imports them anew.
+    context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     ours, theirs = context.Pipe(duplex=False)
     child = context.Process(target=_run, args=(copy, tests, theirs))
     child.start()
@@ -116,6 +125,8 @@ def main() -> int:
     chosen = [
         one for one in mutants() if not options.names or any(one.name.startswith(n) for n in options.names)
     ]
+    if not chosen:
+        parser.error(f"no fault is called {' or '.join(options.names)}")
     for name in LOADED_ONCE:
         importlib.import_module(name)
     with tempfile.TemporaryDirectory() as place:
@@ -127,17 +138,16 @@ def main() -> int:
             print(f"the tests fail on the code as it is:\n{output}", file=sys.stderr)
             return 1
         unnoticed = []
-        for number, one in enumerate(chosen, 1):
+        for one in chosen:
             apply(one.patch, copy)
             code, output, _ = run_tests(copy, [one.noticed_by])
-            apply(one.patch, copy, back=True)
+            apply(one.patch, copy, "--reverse")
             noticed = code == 1  # tests were run and failed: an import error or a missing test is none
             if not noticed:
                 unnoticed.append(one.name)
-            print(
-                f"{number:3} {'noticed' if noticed else 'NOT NOTICED':<12}{one.name}: {one.fault}",
-                file=sys.stderr,
-            )
+            print(f"{'noticed' if noticed else 'NOT NOTICED':<12}{one.name}: {one.fault}", file=sys.stderr)
+            if not noticed:
+                print(f"{one.noticed_by}\n{output}", file=sys.stderr)
     facts = {
         "faults": len(chosen),
         "unnoticed": unnoticed,

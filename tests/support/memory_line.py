@@ -31,6 +31,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -171,6 +172,7 @@ class Line:
     shelf: Shelf = field(default_factory=Shelf)
     instruments: list[ScriptedInstruments] = field(default_factory=list)
     heartbeat: QuietHeartbeat = field(default_factory=QuietHeartbeat)
+    listen_every_s: float = LISTEN_EVERY_S
 
     def run(
         self,
@@ -214,6 +216,7 @@ class Line:
                 stop=stop or threading.Event(),
                 tell=lambda event, **values: None,
                 features_of=self.features_of,
+                listen_every_s=self.listen_every_s,
             )
             return recorder.run(not_running_because=cause)
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
@@ -89,3 +89,20 @@ def test_a_tripped_protection_is_left_for_a_person():
     with pytest.raises(ConfigurationError, match=r"has tripped .*; the output was left as it was"):
         supply_on(line).energise(10.0, 1.0)
     assert line.sent == []
+
+
+class StuckLine(AnsweringLine):
+    """A supply whose output stays on whatever it is told."""
+
+    def query_flag(self, question, deadline_s):
+        return question == "OUTP?"
+
+    def refused(self, message):
+        return ConnectionLostError(message)
+
+
+def test_an_output_that_reads_back_as_on_is_never_told_as_off():
+    line = StuckLine()
+    with pytest.raises(ConnectionLostError, match=r"what its output does is unknown: .* says it is on"):
+        supply_on(line).make_safe()
+    assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried once more

@@ -1,6 +1,6 @@
 """How a set is taken: its order, what a fault costs, and that what is planned is what is struck."""
 
-from itertools import islice
+from itertools import count, islice
 
 import numpy as np
 import pytest
@@ -236,6 +236,18 @@ def test_a_transducer_that_an_order_retires_is_struck_no_more():
     found, _, _ = taken(
         [], wants_restrike=lambda shot: allowed.discard("B"), may_strike=lambda position: position in allowed
     )
+    assert [item.key.position for item in found] == ["A", "B", "C", "C"]
+
+
+def test_a_strike_that_waits_is_not_struck_when_its_transducer_is_retired_meanwhile():
+    allowed, looks = {"B", "C"}, count()
+
+    def idle():
+        if next(looks) == 2:  # A's echo, B's first strike, and now its second one waits
+            allowed.discard("B")
+        return True
+
+    found, _, _ = taken([], idle=idle, may_strike=lambda position: position in allowed)
     assert [item.key.position for item in found] == ["A", "B", "C", "C"]
 
 

@@ -7,6 +7,7 @@ from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
+from daq_service.acquisition import taken_set as taken_set_module
 from daq_service.acquisition.take_set import MissedShot
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes, n_tried, superseded
 from daq_service.archive import MissedRecord
@@ -68,6 +69,15 @@ def test_a_record_is_judged_by_its_flags(features, wanted):
     taken = taken_set(shot)
     taken.features[1] = features
     assert taken.wants_restrike(shot) is wanted
+
+
+def test_a_shot_whose_analysis_fails_is_flagged_and_costs_nothing_else(monkeypatch):
+    def fails(waveform):
+        raise ZeroDivisionError("a fault of the analysis")
+
+    monkeypatch.setattr(taken_set_module, "extract_features", fails)
+    found = taken_set_module.features_of(make_shot("B", 0, 1))
+    assert (found.flags, found.valid, found.quality) == (("not_analysed",), False, "bad")
 
 
 def test_a_whole_position_has_no_shortfall():

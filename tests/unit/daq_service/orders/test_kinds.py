@@ -1,7 +1,7 @@
 """One definition for each order: what forbids it, in the words of web and recorder."""
 
 import pytest
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState
 from daq_service.errors import UsageError
@@ -139,6 +139,13 @@ def test_every_kind_is_read_alike_from_a_row_and_from_the_web() -> None:
     for kind in KINDS:
         body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
         assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
+
+
+def test_nobody_s_order_switches_the_supply_on() -> None:
+    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    with pytest.raises(ValidationError, match="author\n  Field required"):
+        web.validate_python({"kind": "supply_on"})
+    assert web.validate_python({"kind": "supply_off"}).author == "operator"
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What is taken becomes rows and alarms in one transaction, and what a restart knows of it."""
 
+import threading
 from contextlib import contextmanager
 
 import pytest
@@ -12,7 +13,11 @@ from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from hardware_drivers.errors import ConnectionLostError
-from hardware_drivers.instruments import Rig
+from hardware_drivers.instruments import Echo, Rig
+from hardware_drivers.measurement import ShotKey, Waveform
+from simulator.echo.pulse import echo_calibration, echo_volts
+from simulator.electronics.transduction import counts_of
+from simulator.parameters.echo import EchoParameters
 
 
 @pytest.fixture
@@ -106,6 +111,80 @@ def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
         ledger.reinstated("D")
         judge(ledger, again, *records[2])
         assert "D" not in ledger.retired()
+
+
+def ended_after(position, set_index, stop, script):
+    """A script that has the recorder stopped at the last strike of a transducer in a set."""
+
+    def told(key):
+        if key == ShotKey(position=position, set_index=set_index, shot_index=3):
+            stop.set()
+        return script(key)
+
+    return told
+
+
+def run_until(line, position, set_index, script):
+    stop = threading.Event()
+    line.script = ended_after(position, set_index, stop, script)
+    assert not line.run(stop=stop)
+
+
+def test_a_restart_knows_that_a_transducer_was_reinstated(line):
+    def script(key):
+        return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
+
+    run_until(line, "C", 3, script)  # D retired after three poor sets: C's is the last strike
+    line.order("reinstate", position="D")
+    run_until(line, "D", 4, script)
+    line.script = script
+    line.run()
+    assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
+
+
+def test_after_a_restart_a_shot_that_was_repeated_speaks_for_no_hole(line):
+    def script(key):
+        if key.position != "B" or key.set_index not in (1, 2):
+            return healthy(key)
+        # In set 1 two of the three silent shots were struck again, and their repetitions count.
+        silences = key.attempt == 0 and key.shot_index < 3 if key.set_index == 1 else key.shot_index < 3
+        return silent() if silences else healthy(key)
+
+    run_until(line, "D", 1, script)
+    assert [shot.outcome for shot in line.rows("shots", "B")].count("superseded") == 2
+    line.script = script
+    line.run()
+    assert "B" not in {row.position for row in line.rows("alarms") if row.kind == "hole"}
+
+
+class ThinningWall:
+    """A pulse-echo unit over a wall that loses the same in every set; no scatter."""
+
+    echo = EchoParameters(
+        element_separation_m=0.0, roughness_fraction=0.0, velocity_per_k=0.0, bubble_probability=0.0
+    )
+
+    def acquire(self, key, timeout_s):
+        calibration = echo_calibration(self.echo)
+        volts = echo_volts(6.35e-3 - 0.2e-3 * key.set_index, self.echo)
+        waveform = Waveform(
+            counts=counts_of(volts, calibration),
+            sample_rate_hz=1e8,
+            pretrigger_samples=0,
+            calibration=calibration,
+        )
+        return Echo(waveform=waveform, gain_db=30.0, offset_v=0.0, averages=16)
+
+
+def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
+    stop = threading.Event()
+    line.script = ended_after("D", 5, stop, healthy)
+    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    line.script = healthy
+    line.run(pulse_echo=ThinningWall())
+    lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
+    # 1e-6 m: a hundredth of a sample of the echo's carrier, twenty times below the loss of a set.
+    assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
 
 
 def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):

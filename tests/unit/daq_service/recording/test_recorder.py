@@ -205,6 +205,43 @@ def test_a_stop_before_the_first_strike_leaves_the_set_due(line):
     assert line.rows("sets") == []
 
 
+def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
+    stop = threading.Event()
+    line.script = lambda key: stop.set()  # nothing triggers
+    assert not line.run(stop=stop)
+    assert line.rows("sets") == []
+    line.script = healthy
+    assert line.run()
+    assert states(line, "B") == ["done"] * SETS
+
+
+def ordered_at(line, key, kind, **arguments):
+    """An order that a person gives while a shot is read; it is heard before the next strike."""
+    line.listen_every_s = 0.0
+
+    def script(asked):
+        if asked == key:
+            line.order(kind, **arguments)
+        return healthy(asked)
+
+    line.script = script
+
+
+def test_a_hold_ends_the_set_that_is_being_taken(line):
+    ordered_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
+    line.run()
+    assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
+    assert states(line, "C")[:3] == ["done", "partial", "missed"]
+    assert causes(line, "D")[1] == "held by Ada: hands in the rig"
+
+
+def test_a_transducer_that_is_retired_during_a_set_is_struck_no_more(line):
+    ordered_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
+    line.run()
+    assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
+    assert states(line, "C")[:3] == ["done", "missed", "retired"]
+
+
 def test_a_hold_misses_sets_with_its_reason_also_after_a_restart(line):
     line.order("hold", note="hands in the rig")
     assert line.run()
@@ -233,6 +270,21 @@ def test_a_silent_transducer_raises_no_data_then_retires(line):
     assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
 
 
+def test_a_transducer_that_gives_no_record_at_all_raises_no_data_then_retires(line):
+    line.script = lambda key: None
+    line.run()
+    alarms = {row.kind: row.raised_set_index for row in line.rows("alarms") if row.position == "D"}
+    assert alarms == {"no_data": 1, "retired": 2}
+    assert states(line, "D") == ["missed"] * 3 + ["retired"] * (SETS - 3)
+
+
+def test_the_baseline_ends_with_the_set_at_its_last_hour(line):
+    line.run()
+    baselines = line.rows("baselines")
+    assert [row.position for row in baselines] == list(TRANSDUCERS)
+    assert {(row.first_set_index, row.last_set_index, row.n_sets) for row in baselines} == {(0, 7, 8)}
+
+
 def test_a_rehearsal_raises_no_alarm_strikes_nothing_twice_and_is_named(line):
     line.script = lambda key: silent("noisy")
     line.run(dry_run=True)
@@ -246,6 +298,13 @@ def test_the_supervisor_is_told_what_is_begun(line):
     line.run()
     begun = line.heartbeat.told
     assert begun.index("taking set 1") < begun.index("storing set 1") < begun.index("taking set 2")
+
+
+def test_a_recorder_that_waits_gives_signs_of_life(line):
+    line.run()
+    told = line.heartbeat.told
+    waits = [f"waiting for set {index}" for index in range(SETS)]
+    assert [doing for doing in dict.fromkeys(told) if doing in waits] == waits
 
 
 class Calibrated:

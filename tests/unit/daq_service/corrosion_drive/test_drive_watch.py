@@ -1,0 +1,96 @@
+"""The drive beside the line: what a restart finds of its interlock, and how the end of a test leaves it."""
+
+import pytest
+from support.serial_rig import TestClock
+
+from daq_service.alarms.states import Condition, Moment, acknowledge, update
+from daq_service.corrosion_drive.watch import DriveWatch
+from daq_service.settings.tree import RigSettings
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import SupplyReading
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+
+MOMENT = Moment(utc_ns=0, due_h=1.0, set_index=None)
+
+
+class Supply:
+    """A supply that is on; ``error`` is what it answers."""
+
+    def __init__(self, clock):
+        self.clock, self.on, self.error = clock, True, None
+
+    def read(self, timeout_s):
+        return SupplyReading(stamp=self.clock.stamp(), voltage_v=10.0, current_a=0.2, output_on=self.on)
+
+    def make_safe(self):
+        if self.error is not None:
+            raise self.error
+        self.on = False
+
+
+class NothingBefore:
+    """A catalogue without a row of the drive."""
+
+    def rows(self, kind, **chosen):
+        return []
+
+
+def tripped(*, acknowledged=False):
+    """The alarm of an open interlock, as stored."""
+    condition = Condition(
+        position=None,
+        kind="interlock_tripped",
+        family="device",
+        severity="critical",
+        present=True,
+        message="hole at B",
+        proof={},
+    )
+    row = update(None, condition, MOMENT).row
+    return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
+
+
+def watched(*alarms, off_at_end=False):
+    """A watch that a recorder begins with these alarms, its supply and what it stored."""
+    clock = TestClock()
+    supply, stored = Supply(clock), []
+    settings = RigSettings(
+        supply=SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", off_at_end=off_at_end)
+    )
+    rig = Rig(kind="simulated", clock=clock, striker=None, digitizer=None, supply=supply)
+    known = {(row.position, row.kind): row for row in alarms}
+    return DriveWatch(settings, rig, NothingBefore(), known, stored.append), supply, stored
+
+
+@pytest.mark.parametrize("acknowledged", [False, True])
+def test_a_standing_trip_keeps_the_interlock_open_after_a_restart(acknowledged):
+    watch, supply, _ = watched(tripped(acknowledged=acknowledged))
+    watch.tick(2.0)
+    assert not supply.on
+    assert watch.summary()["supply_tripped"] == "hole at B"
+
+
+def test_an_alarm_is_stored_when_it_changes_and_once():
+    watch, supply, stored = watched()
+    watch.tick(1.0)
+    assert (supply.on, stored) == (True, [])
+    watch.trip("hole at B", 1.5)
+    (transaction,) = stored
+    assert [(row.kind, row.raised_h) for row in transaction.alarms] == [("interlock_tripped", 1.5)]
+    assert not supply.on
+
+
+@pytest.mark.parametrize(
+    ("off_at_end", "error", "told", "on"),
+    [
+        (True, None, "the supply is off", False),
+        (False, None, "", True),
+        (True, ConnectionLostError("gone"), "the supply may still be on, switch it off by hand: gone", True),
+    ],
+)
+def test_the_end_of_a_test_leaves_the_supply_as_configured(off_at_end, error, told, on):
+    watch, supply, _ = watched(off_at_end=off_at_end)
+    supply.error = error
+    assert watch.end() == told
+    assert supply.on is on
