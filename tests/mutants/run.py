@@ -132,6 +132,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as place:
         copy = Path(place)
         copy_of_the_code(copy)
+        for one in chosen:
+            try:
+                apply(one.patch, copy, "--check")
+            except subprocess.CalledProcessError as error:
+                parser.error(f"{one.name} applies no more, make it anew: {error.stderr}")
         tests = sorted({one.noticed_by for one in chosen})
         code, output, cpu_s = run_tests(copy, tests)
         if code != 0:
