@@ -7,6 +7,7 @@ it thins, a sound wall is smooth, no spot ever grows back, and pits are deeper t
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -76,13 +77,15 @@ def smooth_wall(thickness_m: float) -> FarWall:
     return FarWall(thickness_m=np.array([thickness_m]), weights=np.ones(1))
 
 
+@functools.lru_cache(maxsize=16)
 def rough_spot(
     echo: EchoParameters, *, seed: int, position: str, facets_across: int = FACETS_ACROSS
 ) -> RoughSpot | None:
     """Draw the far wall under the probe of one position; None if it stays smooth.
 
     The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that.
-    The field does not depend on the number of facets, so a finer grid samples the same wall.
+    The field does not depend on the number of facets, so a finer grid samples the same wall. Kept: it is the
+    costliest part of a specimen, and a doctor, a double or a comparison builds several of one seed.
     """
     if echo.roughness_fraction == 0.0:
         return None

@@ -5,16 +5,15 @@ took a record, calibrated itself and closed. A call that the driver makes tomorr
 """
 
 import os
+import signal
 import socket
-import subprocess
-import sys
 from collections import Counter
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 import support.niscope_rig as rig
+from support.daqmx_brains import in_a_process
 from support.waiting import happened, until
 
 from hardware_drivers.errors import (
@@ -29,8 +28,6 @@ from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNE
 from simulator.doubles.brain import Brain
 from simulator.doubles.doors.control import running_doubles
 from simulator.doubles.doors.library import client_environment
-
-ROOT = Path(__file__).parents[2]
 
 pytestmark = rig.needs_niscope
 
@@ -251,17 +248,14 @@ def test_a_driver_finds_the_double_that_was_started_again():
             assert is_right(take(unit, third), DESCRIBED)
 
 
-CLIENT = """
-import sys
-from hardware_drivers.measurement import ShotKey
-from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
-from hardware_drivers.niscope.pulse_echo import open_niscope
-probe = ProbeWiring(resource=sys.argv[1], serial_number=sys.argv[2])
-with open_niscope(NiscopeParameters(probes={"A": probe})) as unit:
-    unit.acquire(ShotKey(position="A", set_index=0, shot_index=0), 2.0)
-    unit.self_calibrate()
-print("came through", flush=True)
-"""
+def live_until_it_hangs(environment):
+    """Child: open the board, take a record, calibrate; some call of it never returns."""
+    os.environ.update(environment)
+    rig.preload()
+    with open_niscope(rig.parameters()) as unit:
+        unit.acquire(rig.key(), rig.TIMEOUT_S)
+        unit.self_calibrate()
+
 
 HANGING = sorted({function for _, function, _ in ALL})
 
@@ -269,12 +263,11 @@ HANGING = sorted({function for _, function, _ in ALL})
 @pytest.mark.parametrize("function", HANGING)
 def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, function):
     brain.faults.inject(function, "hang")
-    command = [sys.executable, "-c", CLIENT, rig.RESOURCE, f"{rig.SERIAL:08X}"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as child:
-        happened(brain.faults.wait_until_hanging, "a call hung")
-        child.kill()
-        assert child.stdout.read() == ""
+    child = in_a_process(live_until_it_hangs, dict(os.environ))
+    happened(brain.faults.wait_until_hanging, "a call hung")
+    child.kill()
+    child.join()
+    assert child.exitcode == -signal.SIGKILL, "it ended by itself"
     # First the double notices that the process is gone, then the hung call may go on: nobody hears it.
     until(lambda: not brain.record()["clients"], "the double noticed that the process is gone")
     brain.faults.release()

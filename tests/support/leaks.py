@@ -70,6 +70,8 @@ class _Looker:
             wanted = f"{MARK}={os.getpid()}".encode()
             try:
                 ours = wanted in (PROC / name / "environ").read_bytes().split(b"\0")
+            except ProcessLookupError:
+                ours = False  # it has no memory: a thread of the kernel, asked once, or one that has ended
             except OSError:
                 continue  # ended meanwhile, or another user's
             (self._ours if ours else self._strangers).add(name)
