@@ -1,4 +1,6 @@
-"""Puts `tests/` on the import path, so that tests of every kind share `support`; guards every test."""
+"""Puts `tests/` on the import path, so that tests of every kind share `support`; guards and orders them."""
+
+from pathlib import Path
 
 import pytest
 from support.leaks import LeakGuard, mark_descendants
@@ -6,13 +8,20 @@ from support.leaks import LeakGuard, mark_descendants
 SLOW_TEST_S = 3600.0
 """The longest of the tests marked slow takes a third of it."""
 
+LAST = ("contract", "property", "unit")
+"""Folders of short files: begun last, so that no process is left alone with a long one."""
+
 
 def pytest_configure(config: pytest.Config) -> None:
+    # pytest-xdist would begin with the files of most tests, which are the shortest ones.
+    config.option.loadscopereorder = False
     mark_descendants()
     config.pluginmanager.register(LeakGuard(), "leak-guard")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    items.sort(key=lambda item: here in item.path.parents and item.path.relative_to(here).parts[0] in LAST)
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_TEST_S))

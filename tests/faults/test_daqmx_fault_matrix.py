@@ -6,9 +6,10 @@ and the right one, each record is the twin's bit for bit, the coil is low and no
 asked, nothing is held, and the next shot is taken; after a configuration error the rig ends cleanly and
 a new one takes the next shot.
 
-The default run takes every call by library, and over gRPC, some ten times slower, the first call of every
-phase; the rest is `slow`. In the library nothing ends a call that hangs: there the client is a process of
-its own that is killed, as the supervisor would, and the next process takes the shot.
+The default run takes every entry point by library with a lost connection and with a lie, and the first call
+of every phase with every other fault and over gRPC, some ten times slower; every call is `slow`. In the
+library nothing ends a call that hangs: there the client is a process of its own that is killed, as the
+supervisor would, and the next process takes the shot.
 """
 
 from __future__ import annotations
@@ -391,13 +392,29 @@ over_grpc = pytest.mark.parametrize("laboratory", ["grpc"], indirect=True)
 
 
 @by_library
-def test_an_error_at_each_call(laboratory, calls):
-    each_in_turn(laboratory, calls, "error", ConnectionLostError, LOST)
+def test_an_error_at_each_entry_point(laboratory, calls):
+    each_in_turn(laboratory, one_of_each(calls), "error", ConnectionLostError, LOST)
 
 
 @by_library
-def test_a_lie_at_each_call(laboratory, calls):
-    each_in_turn(laboratory, calls, "lie", ANY_OF_THEM)
+def test_a_lie_at_each_entry_point(laboratory, calls):
+    each_in_turn(laboratory, one_of_each(calls), "lie", ANY_OF_THEM)
+
+
+@by_library
+@pytest.mark.parametrize("code", [BUSY, CONFIGURATION, MISSED])
+def test_an_error_of_each_class_in_each_phase(laboratory, calls, code):
+    each_in_turn(laboratory, one_of_each_phase(calls), "error", CLASS_OF[code], code)
+
+
+@by_library
+def test_a_death_in_each_phase(laboratory, calls):
+    each_in_turn(laboratory, one_of_each_phase(calls), "death", ConnectionLostError)
+
+
+@by_library
+def test_a_hang_in_each_phase(laboratory, calls):
+    hang_each(laboratory, one_of_each_phase(calls))
 
 
 @over_grpc
@@ -415,16 +432,9 @@ def test_a_fault_in_each_phase_over_grpc(laboratory, calls, kind, allowed, code)
 
 
 @pytest.mark.slow
-@over_grpc
-def test_an_error_and_a_lie_at_each_call_over_grpc(laboratory, calls):
+def test_an_error_and_a_lie_at_each_call(laboratory, calls):
     each_in_turn(laboratory, calls, "error", ConnectionLostError, LOST)
     each_in_turn(laboratory, calls, "lie", ANY_OF_THEM)
-
-
-@by_library
-@pytest.mark.parametrize("code", [BUSY, CONFIGURATION, MISSED])
-def test_an_error_of_each_class_at_each_entry_point(laboratory, calls, code):
-    each_in_turn(laboratory, one_of_each(calls), "error", CLASS_OF[code], code)
 
 
 @pytest.mark.slow
@@ -433,19 +443,9 @@ def test_an_error_of_each_class_at_each_call(laboratory, calls, code):
     each_in_turn(laboratory, calls, "error", CLASS_OF[code], code)
 
 
-@by_library
-def test_a_death_at_each_entry_point(laboratory, calls):
-    each_in_turn(laboratory, one_of_each(calls), "death", ConnectionLostError)
-
-
 @pytest.mark.slow
 def test_a_death_at_each_call(laboratory, calls):
     each_in_turn(laboratory, calls, "death", ConnectionLostError)
-
-
-@by_library
-def test_a_hang_at_each_entry_point(laboratory, calls):
-    hang_each(laboratory, one_of_each(calls))
 
 
 @pytest.mark.slow
