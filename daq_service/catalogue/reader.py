@@ -39,7 +39,7 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``first_h <= due_h <= last_h``, ``since_utc_ns <= due_utc_ns < until_utc_ns``.
+    single shots. ``first_h <= due_h <= last_h``, ``since_utc_ns <= due_utc_ns (or utc_ns) < until_utc_ns``.
     """
 
     position: str | None
@@ -56,9 +56,6 @@ class Filters(TypedDict, total=False):
 
 
 _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
-    "position": lambda table, name: table.c.position == name,
-    "set_index": lambda table, index: table.c.set_index == index,
-    "state": lambda table, state: table.c.state == state,
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
@@ -66,10 +63,15 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
-    "since_utc_ns": lambda table, utc_ns: table.c.due_utc_ns >= utc_ns,
-    "until_utc_ns": lambda table, utc_ns: table.c.due_utc_ns < utc_ns,
+    "since_utc_ns": lambda table, utc_ns: _date(table) >= utc_ns,
+    "until_utc_ns": lambda table, utc_ns: _date(table) < utc_ns,
     "after_id": lambda table, row_id: table.c.id > row_id,
 }
+"""A filter that is not listed asks for a column's value."""
+
+
+def _date(table: Table) -> ColumnElement[int]:
+    return table.c.due_utc_ns if "due_utc_ns" in table.c else table.c.utc_ns
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -314,7 +316,8 @@ class Catalogue:
 def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
     for name, value in filters.items():
         if value is not None:
-            statement = statement.where(_CONDITIONS[name](table, value))
+            condition = _CONDITIONS.get(name)
+            statement = statement.where(condition(table, value) if condition else table.c[name] == value)
     return statement.order_by(*table.primary_key.columns)
 
 

@@ -202,7 +202,7 @@ class NoveltySettings(Section):
     """Limits of the Mahalanobis squared distance (equation 16)."""
 
     limit: Literal["f_predictive", "paper_mean_3sd"] = "f_predictive"
-    """The limit that decides; the other one is computed and shown too."""
+    """The limit that decides; the others are computed and shown too."""
     false_alarm_rate: float = Field(default=NOMINAL_RATE, gt=0.0, lt=0.5)
     """Chance of a healthy set beyond the F limit (paper: 99.73 % confidence)."""
 

@@ -9,7 +9,7 @@ from sqlalchemy import Engine
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
 
-SCHEMA_REVISION = "0002"
+SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 """The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four
 digits, so that revisions compare as text."""
 

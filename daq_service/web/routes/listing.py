@@ -10,7 +10,7 @@ from typing import Annotated, Any, cast
 from fastapi import APIRouter, Query
 
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import Row, SetRow
+from daq_service.catalogue.rows import Row
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
@@ -118,10 +118,10 @@ def add_listing(
 
 
 def _filters(kind: type[Row], fresh: Freshness, given: Mapping[str, Any]) -> Filters:
-    """Translate for the catalogue; sets are dated to the nanosecond, the rest by the hour they belong to."""
+    """Translate for the catalogue; what has a date by it, the rest by the hour it belongs to."""
     from_h, to_h = given.get("from_h"), given.get("to_h")
     chosen: dict[str, Any] = {name: given[name] for name in given if name not in HOURS}
-    if kind is SetRow:
+    if not {"due_utc_ns", "utc_ns"}.isdisjoint(kind.__slots__):
         chosen["since_utc_ns"] = None if from_h is None else fresh.epoch_utc_ns + round(from_h * NS_PER_H)
         chosen["until_utc_ns"] = None if to_h is None else fresh.epoch_utc_ns + round(to_h * NS_PER_H)
     else:
