@@ -79,7 +79,7 @@ def test_every_link_and_path_leads_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
         assert (page.parent / target).exists(), target
-    for target in re.findall(r"`((?:tests|benchmarks|daq_service|analysis|config)/[\w./]+)`", text):
+    for target in re.findall(r"`((?:tests|benchmarks|daq_service|simulator|analysis|hardware_drivers|config)/[\w./]+)`", text):
         assert (ROOT / target).exists(), target
     for target in re.findall(r"python (benchmarks/\w+\.py)", text):
         assert (ROOT / target).exists(), target
