@@ -79,7 +79,8 @@ def test_every_link_and_path_leads_somewhere(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", text):
         assert (page.parent / target).exists(), target
-    for target in re.findall(r"`((?:tests|benchmarks|daq_service|simulator|analysis|hardware_drivers|config)/[\w./]+)`", text):
+    folders = "tests|benchmarks|daq_service|simulator|analysis|hardware_drivers|config"
+    for target in re.findall(rf"`((?:{folders})/[\w./]+)`", text):
         assert (ROOT / target).exists(), target
     for target in re.findall(r"python (benchmarks/\w+\.py)", text):
         assert (ROOT / target).exists(), target
