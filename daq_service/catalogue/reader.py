@@ -120,7 +120,7 @@ class Catalogue:
 
     # Rows of every kind
 
-    def rows(self, kind: type[R], *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
+    def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Rows of a table in the order in which they were stored."""
         return self._rows(kind, _chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
 
