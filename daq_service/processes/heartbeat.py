@@ -25,8 +25,8 @@ FILE_NAME = "heartbeat.json"
 SHORTEST_INTERVAL_NS = 500_000_000
 
 NEWS_AFTER_COSTS = 100
-"""What is begun is told at once, unless the last beat is younger than so many times what it cost: also in a
-simulated test of many stages a second beats take a hundredth of the time."""
+"""What is begun is told at once, unless the last news is younger than so many times what a beat cost: also in
+a simulated test of many stages a second beats take a hundredth of the time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,6 +68,7 @@ class Heartbeat:
         self._mono_ns = mono_ns
         self._boot = boot()
         self._last_ns: int | None = None
+        self._last_news_ns: int | None = None
         self._last_cost_ns = 0
         self._last_doing = ""
 
@@ -75,8 +76,9 @@ class Heartbeat:
         """Say that the line moves, and what it is doing."""
         now = self._mono_ns()
         news = doing != self._last_doing
+        last_ns = self._last_news_ns if news else self._last_ns
         pause_ns = NEWS_AFTER_COSTS * self._last_cost_ns if news else SHORTEST_INTERVAL_NS
-        if self._last_ns is not None and now - self._last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
+        if last_ns is not None and now - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
             return
         beat = Beat(
             process=os.getpid(), mono_ns=now, deadline_s=self._deadline_s, doing=doing, boot=self._boot
@@ -88,6 +90,7 @@ class Heartbeat:
         except PermissionError:
             return  # Windows replaces no file that somebody reads; the next beat is near
         self._last_ns, self._last_doing = now, doing
+        self._last_news_ns = now if news else self._last_news_ns
         self._last_cost_ns = self._mono_ns() - now
 
 

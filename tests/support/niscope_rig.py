@@ -21,7 +21,6 @@ from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.doubles.doors.server import WireServer
 from simulator.electronics.transduction import counts_of
-from simulator.parameters.echo import EchoParameters
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.specimen import build_specimen
@@ -36,8 +35,7 @@ POLL_S = 0.01
 """The server notices within this time that it shall end."""
 
 SCOPE = ScopeParameters(name=RESOURCE, serial_number=SERIAL)
-QUIET = TwinParameters(noise=NoiseParameters(enabled=False), echo=EchoParameters(roughness_fraction=0.0))
-"""A smooth wall: its echo costs a hundredth of a rough one's, and the driver sees codes either way."""
+QUIET = TwinParameters(noise=NoiseParameters(enabled=False))
 
 
 def why_no_niscope() -> str:

@@ -68,6 +68,22 @@ def test_news_comes_at_once_unless_the_last_beat_cost_too_much(tmp_path: Path) -
     assert 4 <= writes(cost_ns=1_000_000) <= 7
 
 
+def test_what_is_begun_after_a_wait_is_told_however_young_the_last_sign_of_life(tmp_path: Path) -> None:
+    """A call that hangs at once must be told by its name."""
+    clock = FakeMonotonic()
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    clock.cost_ns = 4_000_000  # of each look at the clock: a slow disk
+    for _ in range(3):
+        heartbeat.beat("waiting for set 1")
+        clock.now_ns += 600_000_000
+    heartbeat.beat("waiting for set 1")
+    clock.now_ns += 10_000_000
+    heartbeat.beat("taking set 1")
+    told = read_heartbeat(tmp_path)
+    assert told is not None
+    assert told.doing == "taking set 1"
+
+
 def test_nothing_half_written_is_left(tmp_path: Path) -> None:
     Heartbeat(tmp_path, deadline_s=65.0).beat("waiting")
     assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
