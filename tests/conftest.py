@@ -1,9 +1,14 @@
 """Puts `tests/` on the import path, so that tests of every kind share `support`; guards and orders them."""
 
+import os
 from pathlib import Path
 
 import pytest
 from support.leaks import LeakGuard, mark_descendants
+
+for library in ("OPENBLAS", "OMP", "MKL"):
+    # Tests run side by side: threads of theirs that wait for each other in loops would double the cost.
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # read once, when numpy is imported
 
 SLOW_TEST_S = 3600.0
 """The longest of the tests marked slow takes a third of it."""

@@ -1,6 +1,7 @@
-"""Apply each one-line fault to a copy of the code and show that the unit test it names notices it.
+"""Apply each one-line fault to a copy of the code and show that the test it names notices it.
 
-    python tests/mutants/run.py                 # all of them
+    python tests/mutants/run.py                 # those that a unit test notices, in milliseconds
+    python tests/mutants/run.py --line          # those of the whole line: doubles, processes, physics
     python tests/mutants/run.py 07 13 --json    # these two, as one JSON object
 
 A patch's head says what is wrong (``Fault:``) and which test fails then (``Noticed by:``). The tests first
@@ -21,7 +22,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -53,10 +53,10 @@ class Mutant:
     noticed_by: str
 
 
-def mutants() -> list[Mutant]:
-    """Every committed fault, in the order of its number."""
+def mutants(folder: str = "") -> list[Mutant]:
+    """Every committed fault of a folder (here: of unit tests; ``line``: of the whole line), by name."""
     found = []
-    for patch in sorted(HERE.glob("*.patch")):
+    for patch in sorted((HERE / folder).glob("*.patch")):
         head = dict(re.findall(r"^(Fault|Noticed by): (.+)$", patch.read_text("utf-8"), flags=re.MULTILINE))
         found.append(Mutant(name=patch.stem, patch=patch, fault=head["Fault"], noticed_by=head["Noticed by"]))
     return found
@@ -64,7 +64,7 @@ def mutants() -> list[Mutant]:
 
 def copy_of_the_code(folder: Path) -> None:
     """Copy what the unit tests need; what git ignores stays behind."""
-    for name in ("daq_service", "simulator", "analysis", "hardware_drivers", "config", "tests"):
+    for name in ("daq_service", "simulator", "analysis", "hardware_drivers", "config", "tests", "benchmarks"):
         shutil.copytree(
             ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
         )
@@ -89,6 +89,7 @@ def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Conn
     """Child: run tests on the copy; tell pytest's exit code, its output, and the seconds of processor."""
     os.chdir(copy)
     sys.path[:] = [str(copy), str(copy / "tests"), *(p for p in sys.path if Path(p).resolve() != ROOT)]
+    os.environ["PYTHONPATH"] = str(copy)  # what a test starts runs the copy too
     sys.dont_write_bytecode = True
     import pytest
 
@@ -98,7 +99,8 @@ def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Conn
     options += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     with redirect_stdout(output), redirect_stderr(output):
         code = pytest.main([*options, *tests])
-    told.send((int(code), output.getvalue(), time.process_time()))
+    spent = os.times()
+    told.send((int(code), output.getvalue(), sum(spent[:4])))
 
 
 def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
@@ -120,11 +122,11 @@ def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("names", nargs="*", help="numbers or names; default: all")
+    parser.add_argument("--line", action="store_true", help="the faults of the whole line")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
-    chosen = [
-        one for one in mutants() if not options.names or any(one.name.startswith(n) for n in options.names)
-    ]
+    there = mutants("line" if options.line else "")
+    chosen = [one for one in there if not options.names or any(map(one.name.startswith, options.names))]
     if not chosen:
         parser.error(f"no fault is called {' or '.join(options.names)}")
     for name in LOADED_ONCE:
