@@ -89,8 +89,7 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
     """Make a frozen dataclass with slots and keywords whose values obey the bounds beside them.
 
     What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
-    own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys, and the
-    text below an attribute describes its key.
+    own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys.
     """
     own_checks: Callable[[Parameters], None] | None = parameters.__dict__.get("__post_init__")
 
@@ -101,5 +100,5 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
 
     untyped: Any = parameters
     untyped.__post_init__ = check
-    untyped.__pydantic_config__ = {"extra": "forbid", "use_attribute_docstrings": True}
+    untyped.__pydantic_config__ = {"extra": "forbid"}
     return dataclass(frozen=True, slots=True, kw_only=True)(parameters)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
+import inspect
 import json
 import os
 import tomllib
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic.json_schema import GenerateJsonSchema
 
 from daq_service.errors import UsageError
 from daq_service.settings.stored import renamed
@@ -141,7 +145,39 @@ def _known_keys() -> list[str]:
     return sorted(keys)
 
 
+def _texts_below_attributes(kind: type) -> dict[str, str]:
+    """Return the string literal that follows each annotated attribute of a class."""
+    (definition,) = ast.parse(inspect.getsource(kind)).body
+    assert isinstance(definition, ast.ClassDef)  # for mypy: the source of a class
+    texts = {}
+    for attribute, text in pairwise(definition.body):
+        match attribute, text:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                texts[name] = inspect.cleandoc(words)
+    return texts
+
+
+class _Described(GenerateJsonSchema):
+    """Describes each key by the text below its attribute.
+
+    pydantic's ``use_attribute_docstrings`` would read the sources anew at each start of each process.
+    """
+
+    def _described(self, table: dict[str, Any], kind: type) -> dict[str, Any]:
+        keys = table["properties"]
+        for base in kind.__mro__[:-1]:
+            for name, words in _texts_below_attributes(base).items():
+                keys.get(name, {}).setdefault("description", words)
+        return table
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        return self._described(super().model_schema(schema), schema["cls"])
+
+    def dataclass_schema(self, schema: Any) -> dict[str, Any]:
+        return self._described(super().dataclass_schema(schema), schema["cls"])
+
+
 def settings_schema() -> dict[str, Any]:
     """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
-    schema = Settings.model_json_schema()
+    schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

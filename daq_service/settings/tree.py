@@ -60,7 +60,7 @@ HASHED_OUT: Mapping[str, Any] = {
 class Section(BaseModel):
     """A table of the file: unknown keys are refused, values never change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class ClockSettings(Section):
@@ -298,7 +298,6 @@ class Settings(BaseSettings):
         frozen=True,
         env_prefix="SOLIMON_",
         env_nested_delimiter="__",
-        use_attribute_docstrings=True,
     )
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)

@@ -59,4 +59,4 @@ def test_parameters_can_be_sent_to_another_process():
 
 
 def test_a_class_says_which_keys_a_file_may_give():
-    assert Window.__pydantic_config__ == {"extra": "forbid", "use_attribute_docstrings": True}
+    assert Window.__pydantic_config__ == {"extra": "forbid"}
