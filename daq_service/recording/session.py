@@ -45,6 +45,7 @@ def record(
     linger: bool = False,
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
+    wall_clock: Callable[[], Clock] = WallClock,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -58,6 +59,8 @@ def record(
         Shortest time between two looks for orders.
     waits_for_rig_s
         Wait before each further try to open the rig of a test that has begun; the last one repeats.
+    wall_clock
+        Makes the clock of a test in real time.
 
     Returns
     -------
@@ -73,7 +76,7 @@ def record(
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
-        clock = _clock(settings.clock, _resume_utc_ns(catalogue, epoch_ns))
+        clock = _clock(settings.clock, _resume_utc_ns(catalogue, epoch_ns), wall_clock)
         heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
@@ -181,9 +184,9 @@ def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
     return max(ended, default=epoch_ns)
 
 
-def _clock(settings: ClockSettings, start_ns: int) -> SimulatedClock | WallClock:
+def _clock(settings: ClockSettings, start_ns: int, wall_clock: Callable[[], Clock]) -> Clock:
     if settings.kind == "wall":
-        return WallClock()
+        return wall_clock()
     return SimulatedClock(start_ns, pace_h_per_s=settings.pace_h_per_s)
 
 

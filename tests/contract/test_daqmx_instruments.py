@@ -5,23 +5,23 @@ from __future__ import annotations
 import pytest
 from digitizer_contract import DigitizerContract
 from striker_contract import StrikerContract
-from support.daqmx_rig import meet, parameters_of, quick_description, why_no
+from support.daqmx_brains import running_brain
+from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description, why_no
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.doors.control import running_doubles
 
 DESCRIPTION = quick_description()
 
 
 @pytest.fixture(scope="module")
 def doubles():
-    with running_doubles(DESCRIPTION) as running:
+    with running_brain(DESCRIPTION) as running:
         yield running
 
 
-@pytest.fixture(params=["library", "grpc"])
+@pytest.fixture(params=TRANSPORTS)
 def transport(request, doubles, monkeypatch):
     if reason := why_no(request.param):
         pytest.skip(reason)

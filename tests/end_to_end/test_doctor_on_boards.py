@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.command_line import solimon_here
+from support.daqmx_brains import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
@@ -29,12 +31,13 @@ from support.stored_files import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
+from daq_service.errors import RigError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import config_file, load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.client_lock import ClientLock
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW, Description
-from simulator.doubles.doors.control import RunningDoubles, running_doubles
+from simulator.doubles.doors.control import RunningDoubles
 from simulator.doubles.doors.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
@@ -44,13 +47,12 @@ NOISY = replace(QUICK_TWIN, noise=NoiseParameters())
 DESCRIPTION = replace(
     quick_description(board(), replace(SLOW, name="Dev9"), positions="BCD"), twin=NOISY, shots_per_set=2
 )
-LIMIT_S = 120.0
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/how-to/be-safe.md"
 
 
 @pytest.fixture(scope="module")
 def running() -> Iterator[RunningDoubles]:
-    with running_doubles(DESCRIPTION) as doubles:
+    with running_brain(DESCRIPTION) as doubles:
         yield doubles
 
 
@@ -81,17 +83,6 @@ def configuration(
     path = folder / "laboratory.json"
     path.write_text(json.dumps(values), encoding="utf-8")
     return path
-
-
-def solimon(doubles: RunningDoubles, *arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "daq_service.cli", *map(str, arguments)],
-        env=doubles.client_environment(),
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
 
 
 def doctor(
@@ -155,24 +146,7 @@ def test_a_strike_is_refused_while_a_recorder_owns_the_folder(
     folder, config = tmp_path / "data", configuration(tmp_path, doubles)
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        done = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "daq_service.cli",
-                "doctor",
-                str(config),
-                "--data-dir",
-                str(folder),
-                "--strike",
-                "C",
-            ],
-            env=doubles.client_environment(),
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        done = solimon_here("doctor", str(config), "--data-dir", str(folder), "--strike", "C", env={})
     assert done.returncode == 5
     assert f"--strike is refused: another recorder owns {folder} (process {os.getpid()})" in done.stderr
     assert doubles.control.record()["calls"] == [], "not one call reached the driver"
@@ -257,9 +231,8 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(
     assert refused["state"] == "fail"
     assert "PCI-6221 00C16021 does at most 250000 Hz on one channel" in refused["found"]
     assert "lower the rate" in refused["remedy"]
-    recorded = solimon(doubles, "record", config, "--data-dir", tmp_path / "r")
-    assert recorded.returncode == 3
-    assert "does at most 250000 Hz on one channel; lower the rate to that" in recorded.stderr
+    with pytest.raises(RigError, match="does at most 250000 Hz on one channel; lower the rate to that"):
+        run(load_settings(config), tmp_path / "r")
     assert set_files(tmp_path / "r") == {}
     assert coil_pulses_s(doubles.control.record()) == []
 
@@ -300,7 +273,9 @@ def test_a_watchdog_covers_every_coil(
 
 
 def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDoubles, tmp_path: Path) -> None:
-    settings: Settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
+    settings: Settings = load_settings(
+        configuration(tmp_path, doubles, dry_run=True), overrides={"clock": {"kind": "simulated"}}
+    )
     folder = tmp_path / "rehearsal"
     strikes_before = doubles.control.record()["strikes"]
     assert run(settings, folder)
@@ -342,24 +317,7 @@ def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
     doubles: RunningDoubles, tmp_path: Path
 ) -> None:
     config = configuration(tmp_path, doubles, dry_run=True)
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "daq_service.cli",
-            "doctor",
-            str(config),
-            "--strike",
-            "B",
-            "--data-dir",
-            str(tmp_path / "data"),
-        ],
-        env=doubles.client_environment(),
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    done = solimon_here("doctor", str(config), "--strike", "B", "--data-dir", str(tmp_path / "data"), env={})
     assert done.returncode == 2
     assert "dry_run is true" in done.stderr
     assert doubles.control.record()["calls"] == []

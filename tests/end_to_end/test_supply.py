@@ -1,6 +1,7 @@
 """The corrosion drive of a running test, on a pseudo terminal: logged with every set, switched by order."""
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Clock
 from simulator.doubles.serial.instruments import SerialInstruments, Supply
 from simulator.doubles.serial.link import pseudo_terminals_missing
 
@@ -22,7 +24,34 @@ NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")
 
 SECOND_H = 1.0 / 3600.0
+STEP_NS, LOOK_NS, PAUSE_NS = 50_000_000, 1_000, 1_000_000_000
 Order = tuple[str, Mapping[str, Any]]
+
+
+class SteppedClock:
+    """Time that passes while the recorder waits, a step a look, without anybody waiting."""
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def start(self) -> Clock:
+        """Begin a run, after another one a while later."""
+        self._now_ns = max(time.time_ns(), self._now_ns + PAUSE_NS)
+        return self
+
+    def utc_ns(self) -> int:
+        self._now_ns += LOOK_NS
+        return self._now_ns
+
+    def mono_ns(self) -> int:
+        return self.utc_ns()
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        while self._now_ns < utc_ns:
+            if not idle():
+                return False
+            self._now_ns = max(self._now_ns, min(utc_ns, self._now_ns + STEP_NS))
+        return idle()
 
 
 @pytest.fixture
@@ -35,8 +64,8 @@ def instruments(tmp_path: Path) -> Iterator[SerialInstruments]:
 def settings_with(
     instruments: SerialInstruments, sets: int, *, off_at_end: bool = True, **tables: Mapping[str, Any]
 ) -> Settings:
-    """A set a second of real time on the twin, with the real supply's driver beside it."""
-    line = {"reply_timeout_s": 0.5}
+    """A set a second on the twin, with the real supply's driver beside it."""
+    line = {"reply_timeout_s": 60.0}  # the doubles answer at once, on a busy machine later
     return small_settings(
         clock={"kind": "wall"},
         schedule={
@@ -69,6 +98,7 @@ def run(
     orders: Mapping[int, Order] | None = None,
     act: Mapping[int, Callable[[], None]] | None = None,
     stop_after: int | None = None,
+    clock: SteppedClock | None = None,
 ) -> bool:
     """Record to the end; after the n-th set an order is given or something is done to the instruments."""
     prepare_data_folder(folder)
@@ -88,7 +118,15 @@ def run(
 
     stop = threading.Event()
     with own_data_folder(folder):
-        return record(settings, folder, open_rig, stop=stop, tell=tell)
+        return record(
+            settings,
+            folder,
+            open_rig,
+            stop=stop,
+            tell=tell,
+            listen_every_s=0.0,
+            wall_clock=(clock or SteppedClock()).start,
+        )
 
 
 def environment(folder: Path) -> list[dict[str, Any]]:
@@ -131,12 +169,12 @@ def test_a_person_switches_it_on_each_set_logs_it_and_the_end_switches_it_off(
 def test_a_restart_goes_on_counting_and_switches_nothing(
     instruments: SerialInstruments, tmp_path: Path
 ) -> None:
-    folder = tmp_path / "data"
+    folder, clock = tmp_path / "data", SteppedClock()
     settings = settings_with(instruments, 8, off_at_end=False)
-    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=3)
+    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=3, clock=clock)
     before = environment(folder)[-1]
     assert instruments.supply.on, "it was told to leave it as it is"
-    assert run(settings, folder)
+    assert run(settings, folder, clock=clock)
     assert switchings(instruments) == [(True, "command")]
     after = environment(folder)[-1]
     assert after.supply_state == "on"
@@ -172,7 +210,7 @@ def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
 
 
 def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tmp_path: Path) -> None:
-    folder = tmp_path / "data"
+    folder, clock = tmp_path / "data", SteppedClock()
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 1.5 * SECOND_H}}
     settings = settings_with(
         instruments,
@@ -181,11 +219,11 @@ def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tm
         twin={"thinning": thinning, "update_interval_s": 1.0},
         alarms={"hole_shots": 2},
     )
-    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4)
+    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4, clock=clock)
     assert switchings(instruments) == [(True, "command"), (False, "command")]
     # Somebody presses the key at the supply while no recorder runs.
     instruments.supply_link.do(lambda: instruments.supply.press_output_key(True))
-    assert run(settings, folder)
+    assert run(settings, folder, clock=clock)
     assert [on for on, _ in switchings(instruments)] == [True, False, True, False]
     assert not instruments.supply.on
     assert environment(folder)[-1].supply_tripped is not None

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import threading
 from contextlib import ExitStack
@@ -13,9 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.daqmx_brains import context, in_a_process, running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
+    TRANSPORTS,
     Forwarder,
     board,
     coil_pulses_s,
@@ -41,7 +42,6 @@ from hardware_drivers.errors import (
 )
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
-from simulator.doubles.doors.control import running_doubles
 from simulator.parameters.electronics import NoiseParameters
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
@@ -59,11 +59,11 @@ DESCRIPTION = replace(
 
 @pytest.fixture(scope="module")
 def doubles():
-    with running_doubles(DESCRIPTION) as running:
+    with running_brain(DESCRIPTION) as running:
         yield running
 
 
-@pytest.fixture(params=["library", "grpc"])
+@pytest.fixture(params=TRANSPORTS)
 def transport(request, doubles, monkeypatch):
     if reason := why_no(request.param):
         pytest.skip(reason)
@@ -78,6 +78,9 @@ def transport(request, doubles, monkeypatch):
     assert record["reservations"] == {}
     assert record["tasks"] == []
     assert all(0.0 < pulse_s <= QUICK_PULSE_S for pulse_s in coil_pulses_s(record))
+
+
+by_both = pytest.mark.parametrize("transport", ["library", "grpc"], indirect=True)
 
 
 @pytest.fixture
@@ -98,6 +101,7 @@ def assert_sound(parameters, acquired, which):
 # A shot --------------------------------------------------------------------------------------------
 
 
+@by_both
 def test_the_digitizer_starts_before_the_coil_and_nothing_is_created_within_a_turn(doubles, parameters):
     with open_daqmx(parameters) as rig:
         take(rig, doubles, key(0))
@@ -135,6 +139,7 @@ def test_each_turn_commits_once_and_ends_the_one_before(doubles, parameters):
     assert {task["state"] for task in live} == {"committed"}
 
 
+@by_both
 def test_a_record_says_what_it_was_taken_with(doubles, parameters, transport):
     with open_daqmx(parameters) as rig:
         settings = take(rig, doubles, key()).settings
@@ -236,6 +241,7 @@ def test_the_driver_has_a_cap_of_its_own(doubles, parameters):
     assert "CreateCOPulseChanTime" not in functions_of(doubles.control.record())
 
 
+@by_both
 def test_a_failed_opening_leaves_nothing_behind(doubles, parameters):
     """NI's Task asks for its name after creating it; refused that, its own constructor loses it."""
     doubles.control.inject("DAQmxGetTaskAttribute:Task.Name", "error", code=-50103)
@@ -298,7 +304,11 @@ def test_a_board_somebody_else_uses_is_busy_and_never_reset(doubles, parameters)
 # Losses and the ladder ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", [-88710, -200279, -200324, -201003, -50405])
+@pytest.mark.parametrize(
+    ("transport", "code"),
+    [*(("library", code) for code in (-88710, -200279, -200324, -201003, -50405)), ("grpc", -200324)],
+    indirect=["transport"],
+)
 def test_a_loss_is_recovered_by_fresh_tasks(doubles, parameters, code):
     with open_daqmx(parameters) as rig:
         take(rig, doubles, key(0))
@@ -309,6 +319,7 @@ def test_a_loss_is_recovered_by_fresh_tasks(doubles, parameters, code):
     assert "ResetDevice" not in functions_of(doubles.control.record())
 
 
+@by_both
 def test_the_ladder_is_climbed_rung_by_rung_and_left_after_a_sound_record(doubles, parameters):
     with open_daqmx(parameters) as rig:
         take(rig, doubles, key(0))
@@ -440,9 +451,10 @@ def test_make_safe_ends_a_pulse_at_once(doubles, parameters):
         doubles.control.clear_record()
 
 
+@by_both
 def test_a_coil_that_cannot_be_switched_off_is_told_and_ends_by_itself(monkeypatch, transport):
     """Neither stop nor abort nor clear goes through: only the board's own counter is left."""
-    with running_doubles(DESCRIPTION) as doubles:  # its own: the refused tasks stay in it
+    with running_brain(DESCRIPTION) as doubles:  # its own: the refused tasks stay in it
         if transport == "library":
             meet(doubles, monkeypatch)
         long = parameters_of(DESCRIPTION, doubles, transport=transport, pulse_s=0.3)
@@ -478,7 +490,7 @@ def arm_until_free(rig):
 
 def test_a_dry_run_starts_no_counter_and_records_the_noise(monkeypatch, transport):
     noisy = replace(DESCRIPTION, twin=replace(QUICK_TWIN, noise=NoiseParameters(rms_v=0.02, slow_rms_v=0.0)))
-    with running_doubles(noisy) as doubles:
+    with running_brain(noisy) as doubles:
         if transport == "library":
             meet(doubles, monkeypatch)
         parameters = parameters_of(noisy, doubles, transport=transport, dry_run=True)
@@ -500,7 +512,7 @@ def test_a_dry_run_starts_no_counter_and_records_the_noise(monkeypatch, transpor
 
 def test_self_calibration_is_followed_by_the_new_scaling(monkeypatch, transport):
     drifting = replace(quick_description(SIMULTANEOUS_16_BIT, positions="C"))
-    with running_doubles(drifting) as doubles:
+    with running_brain(drifting) as doubles:
         if transport == "library":
             meet(doubles, monkeypatch)
         parameters = parameters_of(drifting, doubles, transport=transport)
@@ -585,10 +597,8 @@ def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remo
 
     from hardware_drivers.daqmx.remote import Channel
 
-    context = multiprocessing.get_context("spawn")
-    started = context.Event()
-    victim = context.Process(target=arm_and_wait, args=(remote, started))
-    victim.start()
+    started = context().Event()
+    victim = in_a_process(arm_and_wait, remote, started)
     happened(started.wait, "the victim armed its digitizer")
     victim.kill()
     victim.join()
@@ -627,7 +637,7 @@ def test_a_killed_server_is_found_again_at_its_address():
     if reason := why_no("grpc"):
         pytest.skip(reason)
     with ExitStack() as stack:
-        first = stack.enter_context(running_doubles(DESCRIPTION))
+        first = stack.enter_context(running_brain(DESCRIPTION))
         forwarder = stack.enter_context(Forwarder(first.grpc))
         remote = replace(
             parameters_of(DESCRIPTION, first, transport="grpc", call_timeout_s=1.0),
@@ -642,7 +652,7 @@ def test_a_killed_server_is_found_again_at_its_address():
         for _ in range(3):
             with pytest.raises(ConnectionLostError, match="gRPC"):
                 rig.digitizer.arm(key(1))
-        second = stack.enter_context(running_doubles(DESCRIPTION))
+        second = stack.enter_context(running_brain(DESCRIPTION))
         forwarder.target = second.grpc
         assert_sound(remote, take(rig, second, key(2)), key(2))
 
@@ -651,7 +661,7 @@ def test_a_killed_driver_of_the_library_is_found_again(monkeypatch):
     if reason := why_no("library"):
         pytest.skip(reason)
     with ExitStack() as stack:
-        first = stack.enter_context(running_doubles(DESCRIPTION))
+        first = stack.enter_context(running_brain(DESCRIPTION))
         meet(first, monkeypatch)
         parameters = parameters_of(DESCRIPTION, first)
         rig = stack.enter_context(open_daqmx(parameters))
@@ -662,17 +672,15 @@ def test_a_killed_driver_of_the_library_is_found_again(monkeypatch):
             rig.striker.strike(key(1))
         with pytest.raises(ConnectionLostError, match="-50401"):
             rig.digitizer.arm(key(1))
-        second = stack.enter_context(running_doubles(DESCRIPTION))
+        second = stack.enter_context(running_brain(DESCRIPTION))
         meet(second, monkeypatch)
         assert_sound(parameters, take(rig, second, key(2)), key(2))
 
 
 def test_a_driver_that_is_not_installed_is_told_with_its_remedy():
     """In a process of its own: this one has found the double already."""
-    context = multiprocessing.get_context("spawn")
-    receiver, sender = context.Pipe(duplex=False)
-    child = context.Process(target=open_without_driver, args=(sender,))
-    child.start()
+    receiver, sender = context().Pipe(duplex=False)
+    child = in_a_process(open_without_driver, sender)
     kind, text = receiver.recv()
     child.join()
     assert kind == "ConfigurationError"
@@ -681,7 +689,6 @@ def test_a_driver_that_is_not_installed_is_told_with_its_remedy():
 
 def open_without_driver(sender):
     """Child: no library anywhere."""
-    os.environ.pop("LD_LIBRARY_PATH", None)
     parameters = parameters_of(DESCRIPTION, None)
     try:
         open_daqmx(parameters).__enter__()

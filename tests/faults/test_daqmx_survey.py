@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from support.daqmx_brains import running_brain
 from support.daqmx_rig import (
     QUICK_TWIN,
+    TRANSPORTS,
     board,
     functions_of,
     meet,
@@ -17,7 +19,6 @@ from support.daqmx_rig import (
 
 from hardware_drivers.daqmx.survey import survey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
-from simulator.doubles.doors.control import running_doubles
 from simulator.parameters.electronics import NoiseParameters
 
 NOISE_V = 0.02
@@ -30,11 +31,11 @@ SERIAL = SIMULTANEOUS_16_BIT.serial_number
 
 @pytest.fixture(scope="module")
 def doubles():
-    with running_doubles(DESCRIPTION) as running:
+    with running_brain(DESCRIPTION) as running:
         yield running
 
 
-@pytest.fixture(params=["library", "grpc"])
+@pytest.fixture(params=TRANSPORTS)
 def parameters(request, doubles, monkeypatch):
     if reason := why_no(request.param):
         pytest.skip(reason)

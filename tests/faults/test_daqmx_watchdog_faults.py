@@ -10,7 +10,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from support.daqmx_brains import running_brain
 from support.daqmx_rig import (
+    TRANSPORTS,
     board,
     coil_pulses_s,
     counts_of_the_twin,
@@ -32,7 +34,6 @@ from hardware_drivers.errors import (
 )
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_12_BIT, SIMULTANEOUS_16_BIT
-from simulator.doubles.doors.control import running_doubles
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
 S_SERIES = SIMULTANEOUS_12_BIT.serial_number
@@ -52,11 +53,11 @@ slowness either way still has the watchdog end within the pulse."""
 
 @pytest.fixture(scope="module")
 def doubles():
-    with running_doubles(DESCRIPTION) as running:
+    with running_brain(DESCRIPTION) as running:
         yield running
 
 
-@pytest.fixture(params=["library", "grpc"])
+@pytest.fixture(params=TRANSPORTS)
 def parameters(request, doubles, monkeypatch):
     if reason := why_no(request.param):
         pytest.skip(reason)
@@ -94,6 +95,7 @@ def causes(record):
     return [event["cause"] for event in record["lines"]]
 
 
+@pytest.mark.parametrize("parameters", ["library", "grpc"], indirect=True)
 def test_a_strike_leaves_the_watchdog_stopped_and_unexpired(doubles, parameters):
     with open_daqmx(parameters) as rig:
         for position in "CDE":

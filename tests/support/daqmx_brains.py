@@ -13,13 +13,15 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from multiprocessing import forkserver
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
+import pytest
+
 from simulator.doubles.chassis.description import Description, to_json
-from simulator.doubles.doors.control import DoublesControl
+from simulator.doubles.doors.control import DoublesControl, RunningDoubles
 from support.waiting import MachineTooSlowError, happened
 
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
@@ -33,17 +35,19 @@ def context() -> multiprocessing.context.BaseContext:
         paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
         os.environ["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         made.set_forkserver_preload(["support.daqmx_brains", "support.daqmx_warm"])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.delenv("LD_LIBRARY_PATH", raising=False)  # a child finds no driver unless it is told one
+            forkserver.ensure_running()
     return made
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RunningBrain:
-    """A double in a process of its own."""
+class RunningBrain(RunningDoubles):
+    """A double in a forked process."""
 
-    wire: str
-    grpc: str
-    control: DoublesControl
-    process: BaseProcess | None
+    def kill(self) -> None:
+        """End the process at once, as a crash of the driver would."""
+        self.process.kill()
+        self.process.join()
 
 
 class _Ends:

@@ -105,6 +105,13 @@ def why_no(transport: str) -> str:
     return why_no_grpc()
 
 
+TRANSPORTS = [
+    "library",
+    pytest.param("grpc", marks=[] if why_unavailable() else pytest.mark.slow),
+]
+"""By library, where it cannot be built by gRPC: what the driver does is the same by either."""
+
+
 def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the unmodified `nidaqmx` of this very process find the double of NI's library.
 
@@ -209,6 +216,9 @@ class Forwarder:
                 client.close()
                 continue
             self._ends += [client, server]
+            for end in (client, server):
+                # A frame that waits to be filled would cost 40 ms a call.
+                end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             for pair in ((client, server), (server, client)):
                 threading.Thread(target=self._pump, args=pair, daemon=True).start()
 

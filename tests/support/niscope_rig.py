@@ -61,14 +61,14 @@ def parameters(*, averages: int = 16, **wiring: Any) -> NiscopeParameters:
     return NiscopeParameters(probes={"A": ProbeWiring(**given)}, averages=averages)
 
 
-def preload() -> list[Any]:
-    """Load the doubles of NI's libraries into this very process; return their folders.
+def preload(library: str = "niScope") -> list[Any]:
+    """Load the double of one of NI's libraries into this very process; return its folder.
 
     The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
-    its soname whatever the path says, so both are loaded by their files first.
+    its soname whatever the path says, so they are loaded by their files first.
     """
-    folder = build_library("niScope")
-    for soname in (SONAMES["niScope"], "libnitclk.so.1"):
+    folder = build_library(library)
+    for soname in (SONAMES[library], *(["libnitclk.so.1"] if library == "niScope" else [])):
         ctypes.CDLL(str(folder / soname), mode=ctypes.RTLD_GLOBAL)
     return [folder]
 

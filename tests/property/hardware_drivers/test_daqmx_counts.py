@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.daqmx_brains import running_brain
 from support.daqmx_rig import board, counts_of_the_twin, meet, parameters_of, quick_description, take, why_no
 
 from hardware_drivers.daqmx import open_daqmx
@@ -17,7 +18,6 @@ from simulator.doubles.chassis.description import (
     SIMULTANEOUS_16_BIT,
     SIMULTANEOUS_18_BIT,
 )
-from simulator.doubles.doors.control import running_doubles
 
 BOARDS = {"16 bit": SIMULTANEOUS_16_BIT, "18 bit": SIMULTANEOUS_18_BIT, "12 bit": SIMULTANEOUS_12_BIT}
 
@@ -34,7 +34,7 @@ def opened(request, transport):
     """One rig open for all shots: within a turn nothing is created anew."""
     description = quick_description(board(request.param), positions="CD")
     with ExitStack() as stack:
-        doubles = stack.enter_context(running_doubles(description))
+        doubles = stack.enter_context(running_brain(description))
         patch = stack.enter_context(pytest.MonkeyPatch.context())
         if transport == "library":
             meet(doubles, patch)
