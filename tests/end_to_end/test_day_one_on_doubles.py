@@ -3,13 +3,13 @@
 import json
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Mapping
+from contextlib import redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
+from support.daqmx_brains import in_a_process, running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
@@ -18,8 +18,9 @@ from support.daqmx_rig import (
     parameters_of,
     quick_description,
 )
+from support.niscope_rig import preload
+from support.waiting import ended
 
-from simulator.doubles.doors.control import running_doubles
 from simulator.doubles.doors.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
@@ -27,27 +28,32 @@ ROOT = Path(__file__).parents[2]
 DESCRIPTION = replace(
     quick_description(board(), positions="BCD"), twin=replace(QUICK_TWIN, noise=NoiseParameters())
 )
-LIMIT_S = 120.0
 
 
-def day_one(environment: Mapping[str, str]) -> tuple[dict[str, int], str]:
+def run_pytest(environment: Mapping[str, str], printed: Path) -> None:
+    """Child: `pytest -m hardware` where this environment holds."""
+    for name in [name for name in os.environ if name.startswith("SOLIMON_TEST_")]:
+        del os.environ[name]
+    os.environ.update(environment)
+    os.chdir(ROOT)
+    if environment:
+        preload("nidaqmx")
+    # What was loaded before the fork has plain asserts; they are none of these tests'.
+    quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    with printed.open("w", encoding="utf-8") as file, redirect_stdout(file):
+        pytest.main(["-p", "no:cacheprovider", "-p", "no:xdist", *quiet, "-m", "hardware", "tests/hardware"])
+
+
+def day_one(environment: Mapping[str, str], folder: Path) -> tuple[dict[str, int], str]:
     """How many tests ended how, and what was printed."""
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-m", "hardware", "tests/hardware"],
-        env={**environment},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
-    counts = re.findall(r"(\d+) (passed|failed|skipped|error)", done.stdout.splitlines()[-1])
-    return {state: int(number) for number, state in counts}, done.stdout
+    ended(in_a_process(run_pytest, environment, folder / "printed.txt"), "the hardware tests' end")
+    printed = (folder / "printed.txt").read_text(encoding="utf-8")
+    counts = re.findall(r"(\d+) (passed|failed|skipped|error)", printed.splitlines()[-1])
+    return {state: int(number) for number, state in counts}, printed
 
 
-def test_without_a_rig_every_test_is_skipped_with_its_reason() -> None:
-    bare = {name: text for name, text in os.environ.items() if not name.startswith("SOLIMON_TEST_")}
-    counts, printed = day_one(bare)
+def test_without_a_rig_every_test_is_skipped_with_its_reason(tmp_path: Path) -> None:
+    counts, printed = day_one({}, tmp_path)
     assert set(counts) == {"skipped"}
     assert "SOLIMON_TEST_HARDWARE names no configuration of a real rig" in printed
 
@@ -55,7 +61,7 @@ def test_without_a_rig_every_test_is_skipped_with_its_reason() -> None:
 @pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "the library can be built")
 def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_once(tmp_path: Path) -> None:
     config = tmp_path / "laboratory.json"
-    with running_doubles(DESCRIPTION) as doubles:
+    with running_brain(DESCRIPTION) as doubles:
         values = {
             "clock": {"kind": "wall"},
             "positions": {name: {"method": "solitary_wave"} for name in DESCRIPTION.transducers},
@@ -63,7 +69,7 @@ def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_once(t
         }
         config.write_text(json.dumps(values), encoding="utf-8")
         rig = {"SOLIMON_TEST_HARDWARE": str(config), "SOLIMON_TEST_STRIKE": "yes"}
-        counts, printed = day_one({**doubles.client_environment(), **rig})
+        counts, printed = day_one({**doubles.client_environment(environment={}), **rig}, tmp_path)
         record = doubles.control.record()
     # Six need no wire; the other eight ask for the loopback.
     assert counts == {"passed": 6, "skipped": 8}, printed

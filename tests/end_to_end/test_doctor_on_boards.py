@@ -26,6 +26,7 @@ from support.daqmx_rig import (
     quick_description,
 )
 from support.small_experiment import run
+from support.stepped_clock import SteppedClock
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
@@ -273,12 +274,10 @@ def test_a_watchdog_covers_every_coil(
 
 
 def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDoubles, tmp_path: Path) -> None:
-    settings: Settings = load_settings(
-        configuration(tmp_path, doubles, dry_run=True), overrides={"clock": {"kind": "simulated"}}
-    )
+    settings: Settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
     folder = tmp_path / "rehearsal"
     strikes_before = doubles.control.record()["strikes"]
-    assert run(settings, folder)
+    assert run(settings, folder, wall_clock=SteppedClock().start)
     record = doubles.control.record()
     assert coil_pulses_s(record) == []
     assert not any(event["level"] for event in record["lines"])

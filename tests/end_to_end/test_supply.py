@@ -1,13 +1,13 @@
 """The corrosion drive of a running test, on a pseudo terminal: logged with every set, switched by order."""
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.small_experiment import small_settings
+from support.stepped_clock import SteppedClock
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
@@ -16,7 +16,6 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
-from hardware_drivers.instruments import Clock
 from simulator.doubles.serial.instruments import SerialInstruments, Supply
 from simulator.doubles.serial.link import pseudo_terminals_missing
 
@@ -24,34 +23,7 @@ NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")
 
 SECOND_H = 1.0 / 3600.0
-STEP_NS, LOOK_NS, PAUSE_NS = 50_000_000, 1_000, 1_000_000_000
 Order = tuple[str, Mapping[str, Any]]
-
-
-class SteppedClock:
-    """Time that passes while the recorder waits, a step a look, without anybody waiting."""
-
-    def __init__(self) -> None:
-        self._now_ns = 0
-
-    def start(self) -> Clock:
-        """Begin a run, after another one a while later."""
-        self._now_ns = max(time.time_ns(), self._now_ns + PAUSE_NS)
-        return self
-
-    def utc_ns(self) -> int:
-        self._now_ns += LOOK_NS
-        return self._now_ns
-
-    def mono_ns(self) -> int:
-        return self.utc_ns()
-
-    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        while self._now_ns < utc_ns:
-            if not idle():
-                return False
-            self._now_ns = max(self._now_ns, min(utc_ns, self._now_ns + STEP_NS))
-        return idle()
 
 
 @pytest.fixture

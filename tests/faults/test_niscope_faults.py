@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import support.niscope_rig as rig
-from support.daqmx_brains import in_a_process
+from support.daqmx_brains import in_a_process, running_brain
 from support.waiting import happened, until
 
 from hardware_drivers.errors import (
@@ -26,7 +26,6 @@ from hardware_drivers.errors import (
 from hardware_drivers.niscope.pulse_echo import open_niscope
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
 from simulator.doubles.brain import Brain
-from simulator.doubles.doors.control import running_doubles
 from simulator.doubles.doors.library import client_environment
 
 pytestmark = rig.needs_niscope
@@ -82,6 +81,8 @@ def cases(*wanted):
 ALL = cases(*PHASES)
 ids = [f"{phase}-{function.removeprefix('niScope_')}-{nth}" for phase, function, nth in ALL]
 each_call = pytest.mark.parametrize(("phase", "function", "nth"), ALL, ids=ids)
+FIRST_OF_PHASE = {phase: (phase, *rest) for phase, *rest in reversed(ALL)}
+"""The first call of each phase: enough by default of what the others only repeat."""
 
 
 def test_the_list_of_calls_covers_the_driver_s_life():
@@ -200,7 +201,11 @@ def test_a_lie_never_becomes_a_wrong_record(brain, phase, function, nth):
     assert works_again(brain)
 
 
-@each_call
+@pytest.mark.parametrize(
+    ("phase", "function", "nth"),
+    [pytest.param(*one, marks=() if one in FIRST_OF_PHASE.values() else pytest.mark.slow) for one in ALL],
+    ids=ids,
+)
 def test_a_process_that_dies_is_a_lost_connection_and_a_new_one_is_found(phase, function, nth):
     with dying_brain(DESCRIBED) as brain:
         error, after, _ = live(brain, phase, lambda: brain.faults.inject(function, "death", nth=nth))
@@ -257,7 +262,11 @@ def live_until_it_hangs(environment):
         unit.self_calibrate()
 
 
-HANGING = sorted({function for _, function, _ in ALL})
+NOT_SLOW = {"niScope_InitWithOptions", "niScope_FetchBinary16", "niScope_CalSelfCalibrate", "niScope_close"}
+HANGING = [
+    pytest.param(function, marks=() if function in NOT_SLOW else pytest.mark.slow)
+    for function in sorted({function for _, function, _ in ALL})
+]
 
 
 @pytest.mark.parametrize("function", HANGING)
@@ -274,10 +283,18 @@ def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, func
     assert works_again(brain)
 
 
-@pytest.mark.parametrize("code", [*CLASS_OF_CODE, *CLASS_OF_KERNEL_CODE, -1074135024], ids=str)
+CLASSES = {**CLASS_OF_CODE, **CLASS_OF_KERNEL_CODE, -1074135024: ConfigurationError}
+ONE_OF_EACH = {kind: code for code, kind in CLASSES.items()}.values()
+
+
+@pytest.mark.parametrize(
+    "code",
+    [pytest.param(code, marks=() if code in ONE_OF_EACH else pytest.mark.slow) for code in CLASSES],
+    ids=str,
+)
 @pytest.mark.parametrize("function", ["niScope_InitiateAcquisition", "niScope_FetchBinary16"])
 def test_each_code_has_its_class_and_a_way_back(brain, function, code):
-    kind = CLASS_OF_CODE.get(code) or CLASS_OF_KERNEL_CODE.get(code) or ConfigurationError
+    kind = CLASSES[code]
     with open_niscope(rig.parameters()) as unit:
         brain.clear_record()
         brain.faults.inject(function, "error", code=code)
@@ -305,7 +322,7 @@ def test_after_a_missed_trigger_the_board_is_idle_and_set_up(brain):
 def test_a_killed_process_is_a_lost_connection_and_its_successor_is_found():
     """The double as a process of its own, as the demonstration starts it."""
     folders = rig.preload()
-    with pytest.MonkeyPatch.context() as patch, running_doubles(DESCRIBED, warm_up=False) as first:
+    with pytest.MonkeyPatch.context() as patch, running_brain(DESCRIBED) as first:
         for name, text in client_environment(first.wire, *folders).items():
             patch.setenv(name, text)
         with open_niscope(rig.parameters()) as unit:

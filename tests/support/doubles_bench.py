@@ -20,11 +20,13 @@ from simulator.doubles.chassis.description import (
     Description,
     ProbeWiring,
     TransducerWiring,
+    default_description,
 )
-from simulator.doubles.doors.control import RunningDoubles, running_doubles
+from simulator.doubles.doors.control import RunningDoubles
 from simulator.doubles.doors.library import SONAMES, build_library, client_environment, why_unavailable
 from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, Status
 from simulator.parameters.experiment import TwinParameters
+from support.daqmx_brains import running_brain
 
 
 def one_board_description(twin: TwinParameters | None = None) -> Description:
@@ -163,7 +165,7 @@ def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def doubles(request: pytest.FixtureRequest) -> Iterator[RunningDoubles]:
     """One running double for a module; whoever breaks it starts its own."""
-    with running_doubles(getattr(request.module, "DESCRIPTION", None)) as running:
+    with running_brain(getattr(request.module, "DESCRIPTION", None) or default_description()) as running:
         yield running
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from multiprocessing.process import BaseProcess
 from subprocess import Popen, TimeoutExpired
 from typing import Any, TypeVar
 
@@ -43,9 +44,9 @@ def until(found: Callable[[], T | None], what: str) -> T:
     return answer
 
 
-def ended(running: threading.Thread | Popen[Any], what: str) -> None:
+def ended(running: threading.Thread | BaseProcess | Popen[Any], what: str) -> None:
     """Wait for the end of a thread or a process."""
-    if isinstance(running, threading.Thread):
+    if not isinstance(running, Popen):
         running.join(WAIT_S)
         still = running.is_alive()
     else:

@@ -588,7 +588,7 @@ def test_a_writer_that_crashed_leaves_an_unfinished_segment_whose_whole_records_
 
 
 def test_a_file_damaged_anywhere_gives_our_error_or_a_record(tmp_path):
-    path = write_set(tmp_path, 7, [make_shot("B", 0, 1, n_samples=150)])
+    path = write_set(tmp_path, 7, [make_shot("B", 0, 1, n_samples=100)])
     whole = path.read_bytes()
     random = np.random.default_rng(2)
     refused = 0

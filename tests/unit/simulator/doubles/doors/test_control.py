@@ -21,6 +21,8 @@ from simulator.doubles.vendor_api import wire
 from simulator.doubles.vendor_api.table import TABLE
 
 DESCRIPTION = one_board_description()
+POLL_S = 0.01
+"""The servers notice within this time that they shall end."""
 
 
 @pytest.fixture
@@ -29,7 +31,7 @@ def served():
     brain = Brain(DESCRIPTION)
     with WireServer(brain) as library, ControlServer(brain) as control:
         for server in (library, control):
-            threading.Thread(target=server.serve_forever, daemon=True).start()
+            threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True).start()
         with DoublesControl(control.address) as client:
             yield brain, library, client
         for server in (library, control):
@@ -168,12 +170,13 @@ def test_it_says_where_it_is_and_ends_with_its_standard_input(tmp_path):
         process.stdout.close()
 
 
-def test_a_killed_double_is_reported(doubles):
+def test_a_killed_double_is_reported(served):
+    *_, another = served
     with running_doubles(DESCRIPTION, warm_up=False) as running:
         running.kill()
         with pytest.raises(DoublesProcessError, match=r"gone|does not answer"):
             running.control.record()
-    assert doubles.control.record()["tasks"] == []
+    assert another.record()["tasks"] == []
 
 
 def test_a_double_that_does_not_start_says_so(monkeypatch):

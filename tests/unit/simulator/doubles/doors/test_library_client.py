@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.daqmx_brains import running_brain
 from support.doubles_bench import meet
 from support.waiting import WAIT_S, ended, happened, until
 
-from simulator.doubles.doors.control import RunningDoubles, running_doubles
+from simulator.doubles.chassis.description import default_description
+from simulator.doubles.doors.control import RunningDoubles
 from simulator.doubles.doors.library import SONAMES
 
 nidaqmx = pytest.importorskip("nidaqmx")
@@ -379,14 +381,15 @@ def test_without_a_brain_every_call_fails_at_once_and_a_new_brain_is_found(
     double_library,
     monkeypatch,
 ):
-    with running_doubles(warm_up=False) as second:
+    with running_brain(default_description()) as second:
         meet(second, double_library, monkeypatch)
         co = coil(name="lost")
         second.control.inject("DAQmxStartTask", "death")
         with pytest.raises(DaqError, match="went away during the call") as caught:
             co.start()
         assert caught.value.error_code == -50405
-        assert second.process.wait(WAIT_S) == 70
+        second.process.join(WAIT_S)
+        assert second.process.exitcode == 70
         with pytest.raises(DaqError, match="No NI-DAQmx double answers") as caught:
             co.start()
         assert caught.value.error_code == -50401
@@ -412,6 +415,9 @@ def test_the_page_s_example_runs(double_library, tmp_path, monkeypatch):
         encoding="utf-8",
     )
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        "simulator.doubles.doors.control.running_doubles", lambda: running_brain(default_description())
+    )
     # The page uses the user's cache; a test leaves it alone.
     monkeypatch.setattr(
         RunningDoubles.client_environment,
