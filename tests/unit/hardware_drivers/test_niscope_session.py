@@ -10,7 +10,7 @@ import pytest
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes
 from hardware_drivers.niscope.parameters import ProbeWiring
-from hardware_drivers.niscope.session import Setup, _calibration_date, fetch
+from hardware_drivers.niscope.session import Setup, _calibration_date, close_session, fetch
 
 RECORDS, SAMPLES = 4, 64
 GAIN_V = 2.0 / 65_536
@@ -130,3 +130,32 @@ def test_boards_without_time_stamps_report_zero(monkeypatch):
 
     monkeypatch.setattr(Session, "_waveform", unstamped)
     assert fetch(Session(), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
+
+
+def test_a_board_that_refuses_to_be_closed_is_closed_at_the_second_try():
+    class RefusedError(Exception):
+        pass
+
+    class Refusing:
+        """As NI's session: it forgets its handle before the driver refuses."""
+
+        handle, closed = 7, []
+
+        def __init__(self):
+            self._interpreter = self
+
+        def get_session_handle(self):
+            return self.handle
+
+        def set_session_handle(self, handle):
+            self.handle = handle
+
+        def close(self):
+            handle, self.handle = self.handle, 0
+            self.closed.append(handle)
+            if len(self.closed) == 1:
+                raise RefusedError
+
+    session = Refusing()
+    close_session(SimpleNamespace(errors=SimpleNamespace(Error=RefusedError)), session)
+    assert session.closed == [7, 7]

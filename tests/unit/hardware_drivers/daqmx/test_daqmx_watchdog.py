@@ -6,7 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from hardware_drivers.daqmx.coil import Coil
+from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
+from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 
@@ -52,3 +53,23 @@ def test_an_expired_one_is_cleared_and_the_strike_counts_as_missed():
     with pytest.raises(AcquisitionTimeoutError, match=r"expired .* watchdog\.timeout_s"):
         coil(notes, expired=True).pulse()
     assert notes[-3:] == ["watchdog.expired", "watchdog.clear_expiration", "watchdog.stop"]
+
+
+def test_it_pulls_the_wired_lines_low():
+    pytest.importorskip("nidaqmx")
+    guarded = []
+
+    class Watchdog:
+        def cfg_watchdog_do_expir_states(self, states):
+            guarded.extend((state.physical_channel, state.expiration_state.name) for state in states)
+
+        def control(self, mode):
+            assert guarded, "committed with its lines"
+
+    wired = DaqmxParameters(
+        transducers={"B": TransducerWiring(board_serial="01E18096")},
+        watchdog=WatchdogWiring(board_serial="01E18096", lines=("port2/line4", "port2/line5")),
+    )
+    connection = SimpleNamespace(watchdog=lambda device, role, timeout_s: Watchdog())
+    _commit_watchdog(connection, wired, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
+    assert guarded == [("Dev1/port2/line4", "LOW"), ("Dev1/port2/line5", "LOW")]

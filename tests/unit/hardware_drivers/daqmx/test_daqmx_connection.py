@@ -1,0 +1,33 @@
+"""What a refusal half-way through making a vendor's object leaves behind: nothing."""
+
+from __future__ import annotations
+
+import pytest
+
+from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
+from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.errors import ConnectionLostError
+
+pytest.importorskip("nidaqmx")
+
+
+def test_a_task_whose_making_fails_half_way_is_cleared():
+    notes = []
+
+    class HalfMade:
+        """As NI's Task: it creates first and asks for its name then, which is refused."""
+
+        def __init__(self, name, grpc_options):
+            notes.append("created")
+            raise RuntimeError("the driver refused the name")
+
+        def control(self, mode):
+            notes.append(mode.name)
+
+        def close(self):
+            notes.append("cleared")
+
+    connection = Connection(DaqmxParameters(transducers={"B": TransducerWiring(board_serial="01A2B3C4")}))
+    with pytest.raises(ConnectionLostError, match="refused the name"):
+        connection._create(HalfMade, "creating a task", "solimon")
+    assert notes == ["created", "TASK_ABORT", "cleared"]
