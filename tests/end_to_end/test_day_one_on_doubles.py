@@ -41,7 +41,20 @@ def run_pytest(environment: Mapping[str, str], printed: Path) -> None:
     # What was loaded before the fork has plain asserts; they are none of these tests'.
     quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     with printed.open("w", encoding="utf-8") as file, redirect_stdout(file):
-        pytest.main(["-p", "no:cacheprovider", "-p", "no:xdist", *quiet, "-m", "hardware", "tests/hardware"])
+        pytest.main(
+            [
+                "-p",
+                "no:cacheprovider",
+                "-p",
+                "no:xdist",
+                "-p",
+                "no:hypothesispytest",
+                *quiet,
+                "-m",
+                "hardware",
+                "tests/hardware",
+            ]
+        )
 
 
 def day_one(environment: Mapping[str, str], folder: Path) -> tuple[dict[str, int], str]:
