@@ -4,60 +4,47 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
+import pytest
 from support.small_experiment import SMALL
 
-VENDORS = ("nidaqmx", "serial", "niscope", "nitclk", "grpc", "nptdms")
-
-WITHOUT = """
-import json, sys
-for name in {missing!r}:
-    sys.modules[name] = None  # as if it were not installed
+PROGRAM = """
+import contextlib, io, json, sys
+import importlib.abc
 from daq_service.cli.main import main
-sys.argv = ["solimon", *{arguments!r}]
-try:
-    main()
-finally:
-    print(json.dumps(sorted(n for n in {watched!r} if sys.modules.get(n) is not None)))
+
+class Refuses(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        package = name.partition(".")[0]
+        if package in vendors and package in missing:
+            asked.append(package)
+            raise ModuleNotFoundError(f"No module named {package!r}", name=package)
+
+vendors = ("nidaqmx", "serial", "niscope", "nitclk", "grpc", "nptdms")
+sys.meta_path.insert(0, Refuses())
+for config, folder, missing in json.load(sys.stdin):
+    asked, said, code = [], io.StringIO(), 0
+    missing = vendors if missing is None else missing
+    sys.argv = ["solimon", "record", config, "--data-dir", folder]
+    with contextlib.redirect_stderr(said):
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    print(json.dumps([code, said.getvalue(), asked]))
 """
+"""Commands in one process, each as if some of the vendors' packages were not installed."""
 
 
-def solimon(
-    *arguments: str, missing: tuple[str, ...], search_path: str | None = None
-) -> subprocess.CompletedProcess[str]:
-    program = WITHOUT.format(missing=missing, arguments=arguments, watched=VENDORS)
-    environment = {**os.environ, **({} if search_path is None else {"PATH": search_path})}
-    return subprocess.run(
-        [sys.executable, "-c", program],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """What `solimon record` said, and which of the missing packages it asked for."""
 
-
-def written(folder: Path, **tables: Any) -> str:
-    path = folder / "test.json"
-    path.write_text(json.dumps({**SMALL, **tables}), encoding="utf-8")
-    return str(path)
-
-
-def test_a_simulated_test_runs_without_any_of_them_and_without_a_compiler(tmp_path: Path) -> None:
-    config = written(tmp_path, schedule={**SMALL["schedule"], "end_h": 1.0})
-    done = solimon(
-        "record", config, "--data-dir", str(tmp_path / "data"), missing=VENDORS, search_path=str(tmp_path)
-    )
-    assert done.returncode == 0, done.stderr
-
-
-def test_a_simulated_test_imports_none_of_them(tmp_path: Path) -> None:
-    config = written(tmp_path, schedule={**SMALL["schedule"], "end_h": 0.5})
-    done = solimon("record", config, "--data-dir", str(tmp_path / "data"), missing=())
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout.splitlines()[-1]) == []
+    code: int
+    stderr: str
+    asked: list[str]
 
 
 WIRED = {
@@ -69,37 +56,63 @@ WIRED = {
     }
     for index, name in enumerate("BCD")
 }
-ON_BOARDS: dict[str, Any] = {"clock": {"kind": "wall"}}
+PROBE = {"probes": {"A": {"resource": "PXI1Slot5"}}}
+OVER_GRPC = {"transport": "grpc", "grpc_address": "localhost:1", "transducers": WIRED}
+TDMS = {"source": "old.tdms", "format": "tdms"}
+BY_GRPC: dict[str, Any] = {"kind": "daqmx", "daqmx": OVER_GRPC, "niscope": PROBE}
+BY_LIBRARY: dict[str, Any] = {"kind": "daqmx", "daqmx": {"transducers": WIRED}, "niscope": PROBE}
+COMMANDS: dict[str, tuple[dict[str, Any], list[str] | None]] = {
+    # First, before anything of a vendor is imported. None: all of them are missing.
+    "simulated": ({"schedule": {**SMALL["schedule"], "end_h": 1.0}}, None),
+    "grpc": ({"rig": BY_GRPC, "clock": {"kind": "wall"}}, ["grpc"]),
+    "library": ({"rig": BY_LIBRARY, "clock": {"kind": "wall"}}, []),
+    "tdms": ({"rig": {"kind": "playback", "playback": TDMS}}, ["nptdms"]),
+}
 
 
-def test_a_missing_extra_is_named_with_its_remedy(tmp_path: Path) -> None:
-    rig = {
-        "kind": "daqmx",
-        "daqmx": {"transport": "grpc", "grpc_address": "localhost:1", "transducers": WIRED},
-        "niscope": {"probes": {"A": {"resource": "PXI1Slot5"}}},
-    }
-    config = written(tmp_path, rig=rig, **ON_BOARDS)
-    done = solimon("record", config, "--data-dir", str(tmp_path / "data"), missing=("grpc",))
-    assert done.returncode == 3
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
+    folder = tmp_path_factory.mktemp("recorded")
+    (folder / "old.tdms").touch()
+    (folder / "no-programs").mkdir()
+    asked = []
+    for name, (tables, missing) in COMMANDS.items():
+        config = folder / f"{name}.json"
+        config.write_text(json.dumps({**SMALL, **tables}), encoding="utf-8")
+        asked.append((str(config), str(folder / name), missing))
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        input=json.dumps(asked),
+        # No compiler, and no tool of binutils: ctypes finds no library, whatever is installed here.
+        env={**os.environ, "PATH": str(folder / "no-programs")},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told = map(json.loads, done.stdout.splitlines())
+    return {name: Recorded(*one) for name, one in zip(COMMANDS, told, strict=True)}
+
+
+def test_a_simulated_test_asks_for_none_of_them_and_for_no_compiler(recorded: dict[str, Recorded]) -> None:
+    assert recorded["simulated"] == Recorded(0, "", [])
+
+
+def test_a_missing_extra_is_named_with_its_remedy(recorded: dict[str, Recorded]) -> None:
+    done = recorded["grpc"]
+    assert (done.code, done.asked) == (3, ["grpc"])
     assert "solimon[grpc]" in done.stderr
 
 
-def test_a_missing_driver_is_named_with_its_remedy(tmp_path: Path) -> None:
-    rig = {"kind": "daqmx", "daqmx": {"transducers": WIRED}}
-    rig["niscope"] = {"probes": {"A": {"resource": "PXI1Slot5"}}}
-    config = written(tmp_path, rig=rig, **ON_BOARDS)
-    # No tool of binutils on the path: ctypes finds no library, whatever is installed here.
-    done = solimon(
-        "record", config, "--data-dir", str(tmp_path / "data"), missing=(), search_path=str(tmp_path)
-    )
-    assert done.returncode == 3
+def test_a_missing_driver_is_named_with_its_remedy(recorded: dict[str, Recorded]) -> None:
+    done = recorded["library"]
+    assert done.code == 3
     assert "NI-DAQmx" in done.stderr
     assert "install" in done.stderr
 
 
-def test_a_recording_of_labview_needs_its_extra(tmp_path: Path) -> None:
-    (tmp_path / "old.tdms").touch()
-    config = written(tmp_path, rig={"kind": "playback", "playback": {"source": "old.tdms", "format": "tdms"}})
-    done = solimon("record", config, "--data-dir", str(tmp_path / "data"), missing=("nptdms",))
-    assert done.returncode == 2
+def test_a_recording_of_labview_needs_its_extra(recorded: dict[str, Recorded]) -> None:
+    done = recorded["tdms"]
+    assert (done.code, done.asked) == (2, ["nptdms"])
     assert "solimon[tdms]" in done.stderr
