@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.command_line import solimon_here
 from support.small_experiment import SETS, run, small_settings
 from support.stored_files import read_waveform, set_files
 
@@ -79,6 +80,23 @@ def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFact
     result, finished = made(out, [with_two_solid_depths(item) for item in ITEMS], executor, small)
     assert finished
     return out, result
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make figures, and no picture of them: a picture takes a third of a second, and `whole` has them all."""
+    monkeypatch.setattr("daq_service.cli.reproduce.run.rendered", lambda figure: {"png": b"", "svg": b""})
+
+
+def assert_same_as_before(out: Path, result: dict[str, Any], whole: tuple[Path, dict[str, Any]]) -> int:
+    """Compare every file, byte by byte, and every row with the paper; the number of files."""
+    old, before = whole
+    files = [name for told in result["items"].values() for name in told["files"]]
+    for name in files:
+        assert (out / name).read_bytes() == (old / name).read_bytes(), name
+    rows = {(row["item"], row["quantity"]): row for row in before["comparison"]}
+    assert all(row == rows[row["item"], row["quantity"]] for row in result["comparison"])
+    return len(files)
 
 
 def columns(path: Path) -> dict[str, list[str]]:
@@ -282,7 +300,9 @@ def test_every_deviation_has_a_cause(whole):
     assert silent == []
 
 
-def test_only_makes_what_it_names_without_a_test(executor: Executor, tmp_path: Path):
+def test_only_makes_what_it_names_without_a_test_and_the_same_bytes_again(
+    whole, executor: Executor, tmp_path: Path
+):
     result, finished = made(tmp_path / "out", chosen_items("table2,fig10"), executor)
     assert finished
     assert list(result["items"]) == ["fig10", "table2"]
@@ -295,23 +315,11 @@ def test_only_makes_what_it_names_without_a_test(executor: Executor, tmp_path: P
         "reproduction.json",
         "table2.csv",
     ]
+    assert assert_same_as_before(tmp_path / "out", result, whole) == 4
     with pytest.raises(UsageError, match=r"fig99.*choose from .*fig12"):
         chosen_items("fig99")
     with pytest.raises(UsageError, match="nothing"):
         chosen_items(",")
-
-
-def test_the_same_test_gives_the_same_bytes(whole, small: Path, executor: Executor, tmp_path: Path):
-    out, result = whole
-    again, _ = made(tmp_path / "again", chosen_items("fig7,fig10,fig14"), executor, small)
-    compared = 0
-    for name in again["items"]:
-        for file in again["items"][name]["files"]:
-            assert (tmp_path / "again" / file).read_bytes() == (out / file).read_bytes(), file
-            compared += 1
-    assert compared == 11
-    before = {(row["item"], row["quantity"]): row for row in result["comparison"]}
-    assert all(row == before[row["item"], row["quantity"]] for row in again["comparison"])
 
 
 def test_other_positions_and_no_probe(executor: Executor, tmp_path: Path):
@@ -338,6 +346,7 @@ def test_other_positions_and_no_probe(executor: Executor, tmp_path: Path):
     assert "not available: the test has no position with method pulse_echo" in report
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
     data = tmp_path / "data"
     shutil.copytree(small, data)
@@ -355,7 +364,7 @@ def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tm
     assert result["items"]["fig8"]["not_available"] is None
 
 
-def test_a_running_test_is_read_as_far_as_it_is(small: Path, executor: Executor, tmp_path: Path):
+def test_a_running_test_is_read_as_far_as_it_is(whole, small: Path, executor: Executor, tmp_path: Path):
     """The recorder holds the lock and an open transaction's log; reading takes neither."""
     data = tmp_path / "data"
     shutil.copytree(small, data)
@@ -367,6 +376,7 @@ def test_a_running_test_is_read_as_far_as_it_is(small: Path, executor: Executor,
         writer.execute("ROLLBACK")
         writer.close()
     assert result["test"].startswith(f"Localized corrosion of a steel plate: {SETS} sets")
+    assert assert_same_as_before(tmp_path / "out", result, whole) == 4, "the same test gives the same bytes"
 
 
 @pytest.mark.parametrize("kind", ["empty", "missing", "schema"])
@@ -400,6 +410,7 @@ def test_a_foreign_output_folder_is_refused_and_an_own_one_reused(executor: Exec
     assert (own / "table2.csv").read_text(encoding="utf-8").startswith("case,drop_height_m")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_interruption_leaves_what_is_finished(executor: Executor, tmp_path: Path):
     stop = threading.Event()
 
@@ -446,22 +457,18 @@ COMMAND = [sys.executable, "-m", "daq_service.cli", "reproduce"]
 LIMIT_S = 120.0
 
 
-def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *arguments],
-        env={**os.environ, **QUICK},
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
-
-
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     out = tmp_path / "out"
-    done = command("--out", str(out), "--only", "table1", "--seed", "5", "--json")
+    # Of the life of a process.
+    monkeypatch.setattr("daq_service.cli.reproduce.experiment.log_to", lambda path: None)
+
+    def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return solimon_here("reproduce", "--out", str(out), *arguments, env=QUICK)
+
+    done = command("--only", "table1", "--seed", "5", "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["seed"] == 5
@@ -471,15 +478,13 @@ def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(
     assert result["data_dir"] == str(out / "data")
     assert "set 6 of 6" in done.stderr
     assert len(set_files(out / "data")) == 6
-    again = command("--out", str(out), "--only", "fig8", "--seed", "5")
+    again = command("--only", "fig8", "--seed", "5")
     assert again.returncode == 0, again.stderr
     assert "test: hour" not in again.stderr, "every set is taken already"
     assert "seed 5, configuration" in again.stdout
     assert set(columns(out / "fig08.csv")["position"]) == {"B", "C", "D"}
-    for name, value in QUICK.items():
-        monkeypatch.setenv(name, value)
-    with pytest.raises(StorageError, match="belongs to the experiment"):
-        reproduce(out=out, data_dir=None, only="fig8", seed=6, as_json=False)
+    other = command("--only", "fig8", "--seed", "6")
+    assert (other.returncode, "belongs to the experiment" in other.stderr) == (4, True)
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,9 @@ def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
         assert found["chain.tilt_rad"] == row.values[-1]
 
 
-@pytest.mark.parametrize(("executor", "workers"), [("threads", 2), ("processes", 2)])
+@pytest.mark.parametrize(
+    ("executor", "workers"), [("threads", 2), pytest.param("processes", 2, marks=pytest.mark.slow)]
+)
 def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers: int) -> None:
     plan = planned(*MIXED)
     alone = swept(plan, workers=1)
