@@ -151,6 +151,11 @@ def answers(folder: Path) -> list[tuple[str, str, str]]:
         return found
 
 
+def only(names: str, settings: Settings) -> Settings:
+    """Of these positions: each costs its part of a test's time."""
+    return settings.model_copy(update={"positions": {name: settings.positions[name] for name in names}})
+
+
 def two_hours(**tables: Any) -> Settings:
     return small_settings(schedule={"end_h": 2.0}, **tables)
 
@@ -159,7 +164,7 @@ def two_hours(**tables: Any) -> Settings:
 
 
 def test_a_missed_strike_is_repeated_and_the_set_is_done(tmp_path: Path) -> None:
-    assert run(two_hours(), tmp_path, rig=disturbed_rig(first_attempt("B", 2, 1, missed)))
+    assert run(only("BC", two_hours()), tmp_path, rig=disturbed_rig(first_attempt("B", 2, 1, missed)))
     row = sets_of(tmp_path, "B")[2]
     assert (row.state, row.cause) == ("done", None)
     assert (row.n_taken, row.n_valid, row.n_missed, row.n_restrikes) == (3, 3, 1, 1)
@@ -182,7 +187,7 @@ def test_a_missed_strike_is_repeated_and_the_set_is_done(tmp_path: Path) -> None
 
 
 def test_a_clipped_shot_is_stored_and_superseded_by_its_repetition(tmp_path: Path) -> None:
-    settings = two_hours()
+    settings = only("C", two_hours())
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, clipped)))
     row = sets_of(tmp_path, "C")[1]
     assert (row.state, row.n_taken, row.n_valid, row.n_restrikes) == ("done", 4, 3, 1)
@@ -209,7 +214,7 @@ def test_a_clipped_shot_is_stored_and_superseded_by_its_repetition(tmp_path: Pat
 
 def test_a_sets_feature_is_the_mean_of_its_accepted_shots(tmp_path: Path) -> None:
     """A noisy shot is no invalid one: only its outcome keeps it out of the mean."""
-    assert run(two_hours(), tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, noisy)))
+    assert run(only("C", two_hours()), tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, noisy)))
     with open_catalogue(tmp_path) as catalogue:
         shots = catalogue.rows(ShotRow, position="C", set_index=1)
         rows = catalogue.rows(FeatureRow, position="C", scope="shot", set_index=1)
@@ -236,7 +241,7 @@ def test_of_two_poor_attempts_the_better_one_counts(tmp_path: Path) -> None:
             return acquired
         return clipped(acquired) if key.attempt else noisy(acquired)
 
-    settings = two_hours()
+    settings = only("B", two_hours())
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     shots = shots_of(tmp_path, "B", 0)
     assert [(shot.attempt, shot.outcome) for shot in shots[:2]] == [(0, "accepted"), (1, "superseded")]
@@ -248,6 +253,7 @@ def test_of_two_poor_attempts_the_better_one_counts(tmp_path: Path) -> None:
     assert not expected.clipped
 
 
+@pytest.mark.slow
 def test_the_budget_of_a_set_is_kept_for_each_transducer(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         tried.append(key)
@@ -267,6 +273,7 @@ def test_the_budget_of_a_set_is_kept_for_each_transducer(tmp_path: Path) -> None
     assert sets_of(tmp_path, "D")[1].n_restrikes == 0
 
 
+@pytest.mark.slow
 def test_without_a_budget_nothing_is_struck_twice(tmp_path: Path) -> None:
     settings = two_hours(quality={"restrikes_per_set": 0})
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("B", 2, 1, missed)))
@@ -275,7 +282,7 @@ def test_without_a_budget_nothing_is_struck_twice(tmp_path: Path) -> None:
 
 
 def test_a_flag_that_is_not_configured_is_not_repeated(tmp_path: Path) -> None:
-    settings = two_hours(quality={"restrike_flags": ["missed"]})
+    settings = only("C", two_hours(quality={"restrike_flags": ["missed"]}))
     assert run(settings, tmp_path, rig=disturbed_rig(first_attempt("C", 1, 2, clipped)))
     row = sets_of(tmp_path, "C")[1]
     assert (row.n_taken, row.n_valid, row.n_restrikes) == (3, 2, 0)
@@ -304,15 +311,15 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
             raise _KilledError
         return commit_set(self, commit)
 
-    assert run(two_hours(), tmp_path / "whole", rig=disturbed_rig(disturb))
+    assert run(only("ABC", two_hours()), tmp_path / "whole", rig=disturbed_rig(disturb))
     whole = rows_of(tmp_path / "whole")
     assert {row.kind for row in whole["alarms"]} == {"rig_unavailable"}
     commit_set = RecorderCatalogue.commit_set
     with monkeypatch.context() as patch:
         patch.setattr(RecorderCatalogue, "commit_set", killing)
         with pytest.raises(_KilledError):
-            run(two_hours(), tmp_path / "killed", rig=disturbed_rig(disturb))
-    assert run(two_hours(), tmp_path / "killed")
+            run(only("ABC", two_hours()), tmp_path / "killed", rig=disturbed_rig(disturb))
+    assert run(only("ABC", two_hours()), tmp_path / "killed")
     assert rows_of(tmp_path / "killed") == whole
 
 
@@ -321,36 +328,47 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
 SILENT = {"no_data_sets": 2, "retire_after_sets": 4}
 
 
-def test_a_silent_transducer_raises_no_data_and_then_retires(tmp_path: Path) -> None:
-    settings = small_settings(schedule={"end_h": 4.0}, quality=SILENT)
-    assert run(settings, tmp_path, rig=disturbed_rig(silent("B", from_set=1)))
-    states = [row.state for row in sets_of(tmp_path, "B")]
+SILENT_FROM_SET_1 = silent("B", from_set=1)
+
+
+def with_a_silent_one() -> Settings:
+    return only("BD", small_settings(schedule={"end_h": 4.0}, quality=SILENT))
+
+
+@pytest.fixture(scope="module")
+def silent_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a test whose B falls silent, recorded in one go."""
+    folder = tmp_path_factory.mktemp("silent")
+    assert run(with_a_silent_one(), folder, rig=disturbed_rig(SILENT_FROM_SET_1))
+    return folder
+
+
+def test_a_silent_transducer_raises_no_data_and_then_retires(silent_one: Path) -> None:
+    states = [row.state for row in sets_of(silent_one, "B")]
     assert states == ["done"] + ["missed"] * 4 + ["retired"] * 3
-    assert {row.state for name in "ACD" for row in sets_of(tmp_path, name)} == {"done"}
-    alarms = alarms_of(tmp_path)
+    assert {row.state for row in sets_of(silent_one, "D")} == {"done"}
+    alarms = alarms_of(silent_one)
     assert set(alarms) == {("B", "no_data"), ("B", "retired")}
     assert alarms["B", "no_data"].raised_set_index == 2, "the second silent set"
     assert alarms["B", "retired"].raised_set_index == 4, "the fourth silent set"
     assert alarms["B", "retired"].severity == "high"
     assert "strikes no more" in alarms["B", "retired"].message
-    assert sets_of(tmp_path, "B")[-1].cause == alarms["B", "retired"].message
+    assert sets_of(silent_one, "B")[-1].cause == alarms["B", "retired"].message
 
 
-@pytest.mark.parametrize("last", [1, 2, 3, 4])
-def test_a_restart_between_silent_sets_changes_no_row(tmp_path: Path, last: int) -> None:
-    settings = small_settings(schedule={"end_h": 4.0}, quality=SILENT)
-    quiet = silent("B", from_set=1)
-    assert run(settings, tmp_path / "whole", rig=disturbed_rig(quiet))
+@pytest.mark.parametrize("last", [2, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
+def test_a_restart_between_silent_sets_changes_no_row(silent_one: Path, tmp_path: Path, last: int) -> None:
     stop = threading.Event()
 
     def stopping(key: ShotKey, acquired: Acquired) -> Acquired:
         if key == ShotKey(position="D", set_index=last, shot_index=2):
             stop.set()
-        return quiet(key, acquired)
+        return SILENT_FROM_SET_1(key, acquired)
 
-    assert not run(settings, tmp_path / "stopped", rig=disturbed_rig(stopping), stop=stop)
-    assert run(settings, tmp_path / "stopped", rig=disturbed_rig(quiet))
-    assert rows_of(tmp_path / "stopped") == rows_of(tmp_path / "whole")
+    settings = with_a_silent_one()
+    assert not run(settings, tmp_path, rig=disturbed_rig(stopping), stop=stop)
+    assert run(settings, tmp_path, rig=disturbed_rig(SILENT_FROM_SET_1))
+    assert rows_of(tmp_path) == rows_of(silent_one)
 
 
 def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
@@ -359,7 +377,7 @@ def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
             raise AcquisitionTimeoutError(NO_TRIGGER)
         return acquired
 
-    settings = small_settings(schedule={"end_h": 3.0}, quality=SILENT)
+    settings = only("BD", small_settings(schedule={"end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert [row.state for row in sets_of(tmp_path, "B")] == [
         "missed",
@@ -372,12 +390,12 @@ def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
     assert ("B", "retired") not in alarms_of(tmp_path)
 
 
-@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
     tmp_path: Path, restart: bool
 ) -> None:
     """Retired by sets 0 to 3, put back right after, silent again: four more sets, not one."""
-    settings = small_settings(schedule={"end_h": 5.0}, quality=SILENT)
+    settings = only("BD", small_settings(schedule={"end_h": 5.0}, quality=SILENT))
     stop = threading.Event()
     quiet = silent("B")
 
@@ -401,11 +419,11 @@ def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
     assert (second.state, second.raised_set_index) == ("unacknowledged", 7)
 
 
-@pytest.mark.parametrize("restart", [False, True])
+@pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
     """The chain had lost contact: put right after set 6, and silent again at once."""
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
-    settings = small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0})
+    settings = only("BD", small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}))
     orders: list[Order] = [(3.9, "reinstate", {"position": "B", "note": "contact was open"})]
     if restart:
         orders.append((3.9, "stop", {}))
@@ -419,6 +437,7 @@ def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restar
     assert (first.state, second.raised_set_index) == ("normal", 8)
 
 
+@pytest.mark.slow
 def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None:
     orders: list[Order] = [
         (0.9, "retire", {"position": "C", "note": "sensor taken off"}),
@@ -463,14 +482,14 @@ def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: P
 
 def test_a_transducer_retired_after_its_shots_keeps_them(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
-    assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
+    assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
     assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
 def test_a_transducer_reinstated_during_a_set_begins_with_the_next_one(tmp_path: Path) -> None:
     orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
-    assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
+    assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
     assert "B" not in {place.position for place in read_set(set_files(tmp_path)[1]).positions}
 
@@ -482,6 +501,7 @@ def struck(folder: Path) -> list[ShotKey]:
     return [shot.key for path in set_files(folder).values() for shot in read_set(path).shots]
 
 
+@pytest.mark.slow
 def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "hold", {"note": "door open"}), (1.9, "release", {})]
     settings = small_settings(schedule={"end_h": 2.5})
@@ -503,7 +523,7 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
 def test_a_hold_outlives_a_restart_and_ends_by_a_release(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    settings = small_settings(schedule={"end_h": 3.0})
+    settings = only("B", small_settings(schedule={"end_h": 3.0}))
     stop_at_2: list[Order] = [
         (0.9, "hold", {"note": "hands in the rig"}),
         (0.9, "hold", {"note": "again"}),
@@ -534,7 +554,7 @@ def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> Non
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
         orders += [(hour + 4 / 3600, "hold", {}), (hour + 0.4, "release", {})]
-    settings = small_settings(schedule={"end_h": 2.5}, quality=SILENT)
+    settings = only("B", small_settings(schedule={"end_h": 2.5}, quality=SILENT))
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.n_taken for row in sets_of(tmp_path, "B")] == [1, 1, 1, 1, 3]
     assert alarms_of(tmp_path) == {}
@@ -596,7 +616,7 @@ def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
 
 def test_a_rig_that_is_gone_for_long_retires_nobody(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 5), "B", 4, ConnectionLostError)
-    settings = small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT)
+    settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4 + ["done"]
     assert set(alarms_of(tmp_path)) == {(None, "rig_unavailable")}
@@ -623,8 +643,7 @@ def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
             raise ConnectionLostError("board 01A2B3C4 is gone")
         return acquired
 
-    settings = small_settings(schedule=FOUR_SHOTS)
-    settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
+    settings = only("B", small_settings(schedule=FOUR_SHOTS))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert sorted(set_files(tmp_path)) == [0, 2, 3, 4]
     row = sets_of(tmp_path, "B")[1]
@@ -638,8 +657,7 @@ TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
 def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Path) -> None:
     """Too few strikes to give the set up, but not one was answered."""
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
-    settings = small_settings(schedule=TWO_SHOTS)
-    settings = settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
+    settings = only("AB", small_settings(schedule=TWO_SHOTS))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
     assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
@@ -668,7 +686,7 @@ def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) ->
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
     rig = ordering_rig(tmp_path, [(1.5, "hold", {})], disturb, late=late)
-    assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=rig)
+    assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
     assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
 
@@ -676,8 +694,7 @@ def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) ->
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
     """The gate grants a repetition, and a hold comes before it: it was never made."""
     orders: list[Order] = [(1.0 + 4 / 3600, "hold", {"note": "door open"})]
-    settings = two_hours()
-    settings = settings.model_copy(update={"positions": {"B": settings.positions["B"]}})
+    settings = only("B", two_hours())
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, silent("B", from_set=1)))
     row = sets_of(tmp_path, "B")[1]
     assert (row.state, row.n_missed, row.n_restrikes) == ("missed", 1, 0)
