@@ -97,6 +97,8 @@ class Supervisor:
         Command line before a plan's arguments.
     restart_delays_s
         Wait before each restart of a child that keeps failing.
+    leave_within_s
+        What children that are told to leave have before they are killed.
     start, read_beat, mono_ns
         How a program is started, the heartbeat of a folder read, the machine's monotonic time told.
     """
@@ -110,6 +112,7 @@ class Supervisor:
         give_up: bool = False,
         program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
+        leave_within_s: float = LEAVE_WITHIN_S,
         start: Starter = start_process,
         read_beat: Callable[[Path], Beat | None] = read_heartbeat,
         mono_ns: Callable[[], int] = time.monotonic_ns,
@@ -121,6 +124,7 @@ class Supervisor:
         self._readers: list[threading.Thread] = []
         self._program = program
         self._restart_delays_s = restart_delays_s
+        self._leave_within_s = leave_within_s
         self._start_process = start
         self._read_beat = read_beat
         self._mono_ns = mono_ns
@@ -248,7 +252,7 @@ class Supervisor:
         """Close every pipe at once, then wait; whoever stays is killed."""
         for child in self._children:
             self._close_pipe(child)
-        deadline_ns = self._mono_ns() + round(LEAVE_WITHIN_S * NS_PER_S)
+        deadline_ns = self._mono_ns() + round(self._leave_within_s * NS_PER_S)
 
         def left_s(at_least: float) -> float:
             return max(at_least, (deadline_ns - self._mono_ns()) / NS_PER_S)
@@ -259,7 +263,7 @@ class Supervisor:
             try:
                 child.process.wait(left_s(0.0))
             except subprocess.TimeoutExpired:
-                log.error("%s did not leave within %g s; killed", child.plan.name, LEAVE_WITHIN_S)
+                log.error("%s did not leave within %g s; killed", child.plan.name, self._leave_within_s)
                 child.process.kill()
                 child.process.wait()
         for reader in self._readers:

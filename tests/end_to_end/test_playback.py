@@ -11,19 +11,28 @@ import numpy as np
 import pytest
 from support.archived_sets import assert_same_records
 from support.labview_files import raw_properties, waveform_properties, write
-from support.small_experiment import disturbed_rig, rows_of, run, small_settings
+from support.small_experiment import disturbed_rig, rows_of, run
+from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
 from daq_service.clock import parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PulseEchoRecord
 
-END_H, SHORT_H = 10.0, 3.0
-"""Beyond the baseline of 9 h there are verdicts; what concerns single shots is seen in less."""
+END_H, SHORT_H = 8.0, 1.5
+"""Beyond the baseline of 7.5 h there are verdicts; what concerns single shots is seen in less."""
 FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines", "alarms")
+
+
+def small_settings(**tables: Any) -> Settings:
+    """Settings of a probe and two transducers."""
+    settings = half_a_day(baseline={"hours": 7.5}, **tables)
+    kept = {name: place for name, place in settings.positions.items() if name != "D"}
+    return settings.model_copy(update={"positions": kept})
 
 
 def played_back(source: Path, end_h: float = END_H, **tables: Any):
@@ -122,9 +131,9 @@ def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path
     assert all("the recording has no attempt" in cause for cause in causes)
 
 
-def labview_copy(recording: Path, folder: Path, *, raw: bool) -> Path:
-    """The recording as a LabVIEW program would have written it: a file a set, volts or codes."""
-    for set_index, path in set_files(recording).items():
+def labview_copy(recording: Path, folder: Path, *, raw: bool, sets: int = 1000) -> Path:
+    """The recording's first sets as a LabVIEW program would have written them: a file a set."""
+    for set_index, path in list(set_files(recording).items())[:sets]:
         channels = []
         for record in read_set(path).records:
             waveform, utc_ns = record.waveform, record.stamp.utc_ns
@@ -174,8 +183,8 @@ def test_labview_s_codes_give_the_same_features_and_alarms(recording, tmp_path):
 
 
 def test_labview_s_volts_give_the_same_features_within_their_quantisation(recording, tmp_path):
-    source = labview_copy(recording, tmp_path / "labview", raw=False)
-    assert run(played_back(source, playback=LABVIEW), tmp_path / "played")
+    source = labview_copy(recording, tmp_path / "labview", raw=False, sets=3)
+    assert run(played_back(source, SHORT_H, playback=LABVIEW), tmp_path / "played")
     rows, originals = rows_of(tmp_path / "played"), rows_of(recording)
     for name, column, allowed in [
         # Codes of 4.7e-9 V move an extremum of some volts and its time by about 1e-9 of themselves;
@@ -186,7 +195,8 @@ def test_labview_s_volts_give_the_same_features_within_their_quantisation(record
         ("thickness", "thickness_m", 1e-9),
     ]:
         found = np.array([getattr(row, column) for row in rows[name]], dtype=float)
-        wanted = np.array([getattr(row, column) for row in originals[name]], dtype=float)
+        first = [row for row in originals[name] if row.set_index < 3]
+        wanted = np.array([getattr(row, column) for row in first], dtype=float)
         assert np.isfinite(wanted).any()
         assert np.array_equal(np.isfinite(found), np.isfinite(wanted))
         assert np.nanmax(np.abs(found - wanted)) <= allowed, (name, column)
@@ -194,7 +204,7 @@ def test_labview_s_volts_give_the_same_features_within_their_quantisation(record
 
 def test_a_recording_of_other_positions_is_refused_at_the_start(recording, tmp_path):
     only_e = {"E": {"method": "solitary_wave"}}
-    with pytest.raises(UsageError, match=r"does not fit the configuration: .*position 'E'; it has: B, C, D"):
+    with pytest.raises(UsageError, match=r"does not fit the configuration: .*position 'E'; it has: B, C"):
         run(played_back(recording, positions=only_e), tmp_path)
 
 

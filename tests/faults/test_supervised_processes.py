@@ -36,6 +36,7 @@ def supervise(
     stop: threading.Event | None = None,
     on_message: Callable[[str, Any], None] | None = None,
     stay: bool = False,
+    **times: float,
 ) -> tuple[int, list[Any]]:
     """Run one child whose program is ``script``; exit code and the messages of the child."""
     program = folder / "child.py"
@@ -54,6 +55,7 @@ def supervise(
         give_up=True,
         program=[sys.executable, str(program)],
         restart_delays_s=(0.0, 0.0, 0.0),
+        **times,
     )
     code = supervisor.run(stop or threading.Event(), stay=stay)
     return code, messages
@@ -117,7 +119,9 @@ tell("ready", process=os.getpid())
 while True:
     time.sleep(60)
 """
-    code, messages = supervise(tmp_path, script, stop=stop, on_message=lambda name, message: stop.set())
+    code, messages = supervise(
+        tmp_path, script, stop=stop, on_message=lambda name, message: stop.set(), leave_within_s=0.1
+    )
     assert code == 0
     if os.name != "nt":
         with pytest.raises(ProcessLookupError):
