@@ -1,6 +1,7 @@
 """The line on a rig in memory: what is taken, stored, missed, taken over, and what ends it."""
 
 import threading
+from dataclasses import replace
 
 import pytest
 from support.memory_archive import MemoryArchive
@@ -128,6 +129,20 @@ def test_a_poor_shot_is_struck_again_within_the_budget_and_the_better_one_counts
     assert [shot.outcome for shot in shots] == ["superseded", "accepted"] * 2 + ["accepted"] * 2
     row = line.rows("sets", "C")[0]
     assert (row.n_taken, row.n_restrikes, row.n_valid, row.state) == (6, 2, 2, "done")
+
+
+def test_a_shot_whose_repetition_counts_is_not_averaged_in(line):
+    def script(key):
+        noisy = replace(healthy(key, shift=1.0), flags=("noisy",), quality="suspect")
+        first = ShotKey(position="C", set_index=0, shot_index=0)
+        return noisy if key == first else healthy(key)
+
+    line.script = script
+    line.run()
+    shots = [ShotKey(position="C", set_index=0, shot_index=shot) for shot in range(4)]
+    (row,) = [row for row in line.rows("features", "C") if row.set_index == 0 and row.sequence is None]
+    mean = sum(healthy(key).amplitude_ratio for key in shots) / 4
+    assert row.amplitude_ratio == pytest.approx(mean, rel=1e-12)  # a mean in another order: rounding only
 
 
 def test_a_missed_strike_makes_a_set_partial_and_says_how_many(line):

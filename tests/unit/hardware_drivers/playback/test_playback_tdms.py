@@ -573,6 +573,15 @@ def test_a_file_cut_anywhere_is_refused_unless_it_ends_with_a_whole_record(tmp_p
     assert "set_000007.tdms is cut short" in found[len(first) + 40]
 
 
+def test_an_index_file_beside_it_is_not_believed(tmp_path):
+    path = write_set(tmp_path, 7, [make_shot("B", 2, 42)])
+    index = path.read_bytes().replace(b"TDSm", b"TDSh")
+    write_set(tmp_path, 7, [SHOT])
+    path.with_name(f"{path.name}_index").write_bytes(index)
+    with open_tdms(tmp_path) as shots:
+        assert shots.keys == [KEY]
+
+
 def test_a_writer_that_crashed_leaves_an_unfinished_segment_whose_whole_records_count(tmp_path):
     shots = [make_shot("B", index, index, n_samples=150) for index in (0, 1)]
     first = write_set(tmp_path, 7, shots[:1]).read_bytes()

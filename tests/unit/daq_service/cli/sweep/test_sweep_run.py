@@ -6,10 +6,11 @@ import hashlib
 import json
 import math
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,11 @@ import h5py
 import numpy as np
 import pytest
 from pyarrow import parquet
+from support.waiting import ended
 
 from daq_service.cli.sweep import outputs as outputs_module
 from daq_service.cli.sweep import run as run_module
+from daq_service.cli.sweep import shot as shot_module
 from daq_service.cli.sweep.execution import ROWS_PER_TASK, tasks_of
 from daq_service.cli.sweep.plan import Plan, make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
@@ -119,6 +122,26 @@ def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers
     one_bit = np.nextafter(0.003, 1.0)
     other = planned(*MIXED[:2], f"chain.drop_height_m={one_bit!s},5e-3")
     assert swept(other).facts["content_hash"] != alone.facts["content_hash"]
+
+
+def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Parent:
+        def join(self) -> None:
+            told.append("the parent has ended")
+
+    told: list[object] = []
+    monkeypatch.setattr("multiprocessing.parent_process", Parent)
+    monkeypatch.setattr(os, "_exit", told.append)
+    monkeypatch.setattr(shot_module, "one_blas_thread", nullcontext)
+    before, threads = signal.getsignal(signal.SIGINT), set(threading.enumerate())
+    try:
+        shot_module.start_worker()
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+        for watcher in set(threading.enumerate()) - threads:
+            ended(watcher, "the end of the worker's watch over its parent")
+    assert told == ["the parent has ended", 1]
 
 
 def test_an_interrupted_sweep_goes_on_without_computing_a_row_again(
