@@ -45,8 +45,8 @@ def open_page(browser):
     """Opens pages; at the end none of them may have complained."""
     contexts, complaints = [], []
 
-    def open_(url, *, viewport=DESK, color_scheme="light", forgiven=None):
-        context = browser.new_context(viewport=viewport, color_scheme=color_scheme)
+    def open_(url, *, viewport=DESK, forgiven=None):
+        context = browser.new_context(viewport=viewport)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(1000 * DEADLINE_S)

@@ -1,5 +1,7 @@
 """The dashboard in a headless browser: what it draws is what the API says, without a reload."""
 
+import shutil
+
 import numpy as np
 import pytest
 from support.browser_pages import PHONE, expect
@@ -14,15 +16,32 @@ from daq_service.web.app import create_app
 pytestmark = pytest.mark.browser
 
 N_SETS = 60
+SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
+
+
+@pytest.fixture(scope="module")
+def history(tmp_path_factory):
+    """A folder that tests only read."""
+    folder = FilledFolder(tmp_path_factory.mktemp("history"), SETTINGS)
+    for index in range(N_SETS):
+        folder.add_set(index, stored=False, shown=index == N_SETS - 1)
+    folder.close()
+    return folder.folder
 
 
 @pytest.fixture
-def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
-    for index in range(N_SETS):
-        folder.add_set(index, stored=False, shown=index == N_SETS - 1)
+def filled(history, tmp_path):
+    """A copy of it that a recorder goes on with."""
+    shutil.copytree(history, tmp_path, dirs_exist_ok=True)
+    folder = FilledFolder(tmp_path, SETTINGS, begun=True)
     yield folder
     folder.close()
+
+
+@pytest.fixture(scope="module")
+def historian(history):
+    with served(SETTINGS, history) as running:
+        yield running
 
 
 @pytest.fixture
@@ -61,20 +80,15 @@ def assert_drawn_is_the_api(page, service, position="B"):
     assert charts["thickness"]["y"]["thickness_mm"] == [value * 1e3 for value in wall["thickness_m"]]
 
 
-def test_history_is_drawn_as_the_api_has_it(service, open_page):
-    page = open_page(service.url)
+def test_history_is_drawn_as_the_api_has_it(historian, open_page):
+    page = open_page(historian.url)
     wait_for_sets(page, N_SETS)
-    assert_drawn_is_the_api(page, service)
+    assert_drawn_is_the_api(page, historian)
     expect(page.locator("#experiment")).to_have_text("Localized corrosion of a steel plate")
     expect(page.locator("#rig")).to_have_text("physics twin")
     expect(page.locator("#hour")).to_have_text("Hour 30.0")
     expect(page.locator("#connection")).to_have_text("Live")
-
-
-def test_fit_is_the_apis_parabola(service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
-    with service.client() as api:
+    with historian.client() as api:
         fit = api.get("/api/v1/fits/B?field=tof_pp_s").json()
     chart = shown(page)["tof"]
     expected = 1e6 * np.polynomial.polynomial.polyval(np.array(chart["x"]), fit["coefficients"])
@@ -242,25 +256,21 @@ def test_supply_and_climate_appear_with_their_quality_and_age(filled, service, o
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
 
 
-def test_positions_are_chosen_by_keyboard(service, open_page):
-    page = open_page(service.url)
+def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(historian, open_page):
+    page = open_page(historian.url)
     wait_for_sets(page, N_SETS)
     page.locator('.tile[data-position="B"]').focus()
     page.keyboard.press("ArrowRight")
     expect(page.locator('.tile[data-position="C"]')).to_have_attribute("aria-checked", "true")
     expect(page.locator("#tof")).to_contain_text("Position C")
     expect(page.locator("#waveform-title")).to_have_text("Live waveform · C")
-    assert_drawn_is_the_api(page, service, "C")
+    assert_drawn_is_the_api(page, historian, "C")
     page.keyboard.press("ArrowLeft")
     page.keyboard.press("ArrowLeft")
     expect(page.locator("#waveform-title")).to_have_text("Live waveform · A")
     # An ultrasonic position has no solitary-wave trend: the charts stay with the last one that has.
     expect(page.locator("#tof")).to_contain_text("Position B")
 
-
-def test_chart_is_read_by_keyboard_and_as_a_table(service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
     page.locator("#tof .plot").focus()
     page.keyboard.press("Home")
     expect(page.locator("#tof .readout")).to_contain_text("hour 0.5")
@@ -269,26 +279,27 @@ def test_chart_is_read_by_keyboard_and_as_a_table(service, open_page):
     page.get_by_role("button", name="Table of: Time of flight").click()
     rows = page.locator("#tof tbody tr")
     expect(rows).to_have_count(N_SETS)
-    with service.client() as api:
+    with historian.client() as api:
         last = api.get("/api/v1/trends/B").json()["columns"]["tof_pp_s"][-1]
     expect(rows.first).to_contain_text(f"{1e6 * last:.3f}")
 
 
-@pytest.mark.parametrize("color_scheme", ["light", "dark"])
-def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page, color_scheme):
+def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page):
     filled.add_environment(N_SETS - 1)
     filled.retire("C", N_SETS)
     filled.say("hold", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
-    page = open_page(service.url, viewport=PHONE, color_scheme=color_scheme)
-    wait_for_sets(page, N_SETS)
-    for name in ("held", "retired", "environment"):
-        expect(page.locator(f"#{name}")).to_be_visible()
-    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-    for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
-        box = page.locator(f"#{name} canvas").bounding_box()
-        assert box["width"] > 250
-        assert box["x"] >= 0
-        assert box["x"] + box["width"] <= PHONE["width"]
+    page = open_page(service.url, viewport=PHONE)
+    for color_scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=color_scheme)
+        wait_for_sets(page, N_SETS)
+        for name in ("held", "retired", "environment"):
+            expect(page.locator(f"#{name}")).to_be_visible()
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
+            box = page.locator(f"#{name} canvas").bounding_box()
+            assert box["width"] > 250
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= PHONE["width"]
 
 
 def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):

@@ -46,23 +46,27 @@ def depth(position: str, hour: float) -> float:
 class FilledFolder:
     """Adds sets as a recorder would: file first, then rows and events in one transaction."""
 
-    def __init__(self, folder: Path, settings: Settings, *, shots_per_set: int = 1) -> None:
+    def __init__(
+        self, folder: Path, settings: Settings, *, shots_per_set: int = 1, begun: bool = False
+    ) -> None:
         self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
         self.epoch_ns = parse_utc(settings.clock.epoch)
         self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
         self.catalogue = open_catalogue(folder, writer=True)
-        self.catalogue.create_experiment(
-            name=settings.name,
-            configuration_hash=settings.configuration_hash(),
-            configuration=settings.model_dump(mode="json"),
-            epoch_utc_ns=self.epoch_ns,
-            clock=settings.clock.kind,
-            solimon_version="0",
-        )
+        if not begun:
+            self.catalogue.create_experiment(
+                name=settings.name,
+                configuration_hash=settings.configuration_hash(),
+                configuration=settings.model_dump(mode="json"),
+                epoch_utc_ns=self.epoch_ns,
+                clock=settings.clock.kind,
+                solimon_version="0",
+            )
         self.archive = FolderArchive(folder)
         self.live = LivePicture(folder, settings.rig.kind)
         self.beat()
-        self.say("recorder_started", 0)
+        if not begun:
+            self.say("recorder_started", 0)
 
     def close(self) -> None:
         self.catalogue.close()
