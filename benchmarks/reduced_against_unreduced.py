@@ -26,12 +26,12 @@ from dataclasses import dataclass
 # Two threads of a small banded solve only wait for each other.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from simulator.chain.spheres import Chain, build_chain
+from simulator.numerics.machine_code import compiled
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import AffinePlate, build_plate
@@ -67,7 +67,7 @@ class Comparison:
         return self.unreduced_s / self.reduced_s
 
 
-@numba.njit(nogil=True)
+@compiled(nogil=True)
 def advance_chain(
     mass: FloatArray,
     stiffness: FloatArray,

@@ -232,7 +232,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
 
 ArchiveAndCatalogue.TestCase.settings = settings(
-    max_examples=10,
+    max_examples=6,
     stateful_step_count=15,
     # The same runs every time: the default suite tells a changed program from a lucky draw.
     derandomize=True,

@@ -6,7 +6,7 @@ Only the catalogue is the real one.
 
 from __future__ import annotations
 
-import shutil
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -243,7 +243,7 @@ class Line:
         """Open the catalogue of this folder; a new one is a copy of one that was migrated before."""
         target = self.folder / "catalogue.sqlite"
         if not target.exists():
-            shutil.copyfile(_empty_catalogue(self.folder.parent), target)
+            target.write_bytes(_empty_catalogue())
         with open_catalogue(self.folder, writer=writer) as catalogue:
             yield catalogue
 
@@ -261,10 +261,9 @@ class Line:
 
 
 @cache
-def _empty_catalogue(folder: Path) -> Path:
-    """A catalogue without rows in a folder of its own."""
-    place = folder / "empty-catalogue"
-    place.mkdir(exist_ok=True)
-    with open_catalogue(place, writer=True):
-        pass
-    return place / "catalogue.sqlite"
+def _empty_catalogue() -> bytes:
+    """A catalogue without rows."""
+    with tempfile.TemporaryDirectory() as place:
+        with open_catalogue(Path(place), writer=True):
+            pass
+        return (Path(place) / "catalogue.sqlite").read_bytes()

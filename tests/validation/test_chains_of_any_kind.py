@@ -144,16 +144,25 @@ def test_restitution_of_each_law_of_damping(law, gamma):
     assert impulse / (mu * speed) - 1.0 == pytest.approx(restitution, abs=1e-4)
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"spheres": MIXED},
+CHANGES = {
+    "tsuji": ("uniform", {}),
+    "linear": ("mixed", {"spheres": MIXED}),
+    "hunt_crossley": (
+        "precompressed, sensor below the striker",
         {"precompression_n": 40.0, "spheres_above": 1, "spheres_below": 3},
-        {"spheres_above": 3, "spheres_below": 0},
+    ),
+    "kuwabara_kono": ("sensor on the wall", {"spheres_above": 3, "spheres_below": 0}),
+}
+"""Each with the law of damping that the default run takes; the slow run takes the other ones, too."""
+
+
+@pytest.mark.parametrize(
+    ("law", "changes"),
+    [
+        pytest.param(law, changes, id=f"{name}-{law}", marks=[pytest.mark.slow] * (law != default))
+        for default, (name, changes) in CHANGES.items()
+        for law in LAWS
     ],
-    ids=["uniform", "mixed", "precompressed, sensor below the striker", "sensor on the wall"],
 )
 def test_agrees_with_an_integration_of_the_bare_law(law, changes):
     chain = ChainParameters(sensor="sphere", damping_n_s_per_m=20.0, damping_law=law, **changes)

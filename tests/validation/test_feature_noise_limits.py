@@ -8,7 +8,7 @@ from support.synthetic_records import Scene, cos4
 
 from analysis.waves.features import ALL_FEATURE_NAMES, extract_from_volts
 
-N_RECORDS = 800
+N_RECORDS = 400
 SCENE = Scene(noise_fraction=0.01)
 
 

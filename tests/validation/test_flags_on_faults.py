@@ -6,6 +6,7 @@ rate; where all or none were found, all or none must be.
 """
 
 import sys
+from functools import cache
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
@@ -24,7 +25,7 @@ def shoot():
     sys.modules[spec.name] = benchmark
     spec.loader.exec_module(benchmark)
     model = benchmark.coarse_model()
-    return lambda name: list(benchmark.faulty_shots(model, name, shots=N_SHOTS, seed=1))
+    return cache(lambda name: list(benchmark.faulty_shots(model, name, shots=N_SHOTS, seed=1)))
 
 
 def assert_rate(found, rate):

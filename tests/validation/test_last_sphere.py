@@ -88,7 +88,9 @@ class OneDepth:
         self.modes = lambda depth_fraction: modes
 
 
-@pytest.mark.parametrize(("depth", "shift_us"), [(0.0, -0.35), (0.8, -0.12)])
+@pytest.mark.parametrize(
+    ("depth", "shift_us"), [(0.0, -0.35), pytest.param(0.8, -0.12, marks=pytest.mark.slow)]
+)
 def test_what_the_rigid_mass_neglects(depth, shift_us):
     """The sphere's own yielding in series with the plate's: its change of the reflected wave."""
     extra = extra_compliance_m_per_n(CONTACT_RADIUS_M)

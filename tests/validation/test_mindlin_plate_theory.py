@@ -142,12 +142,12 @@ def test_first_symmetric_mode_of_the_papers_plate():
     mindlin = mindlin_frequency_hz(PAPER, 1, 1)
     assert 0.999 * thin < mindlin < thin  # shear and rotary inertia soften it a little
     errors = []
-    for elements in (48, 96, 192):
+    for elements in (24, 48, 96):
         plate = build_plate(replace(PAPER, elements_per_edge=elements), PATCH)
         errors.append(lowest_frequencies_hz(plate, 1)[0] / mindlin - 1.0)
     # The graded mesh is coarse at the edges; 96 elements leave less than a part in a thousand.
     assert 0.0 < errors[2] < errors[1] < errors[0]
-    assert errors[1] < 1e-3
+    assert errors[2] < 1e-3
     # Order two; the element at the contact stays, so that a doubled number is not quite half the size.
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.5)
 
@@ -159,9 +159,9 @@ def test_centre_compliance_lies_above_the_thin_plates_and_grows_with_refinement(
     shear = SHEAR_CORRECTION * 6.35e-3 * shear_modulus_pa(200e9, 0.3)
     values = [
         compliance(build_plate(replace(PAPER, elements_per_edge=160, contact_element_m=element), PATCH))
-        for element in (1e-3, 1e-4, 1e-5)
+        for element in (1e-3, 1e-4)
     ]
-    assert thin < values[0] < values[1] < values[2] < 1.02 * thin
+    assert thin < values[0] < values[1] < 1.02 * thin
     # Elements of a finer contact grow faster on the same number: some per cent of the logarithm.
     decade = np.log(10.0) / (2 * np.pi * shear)
     np.testing.assert_allclose(np.diff(values), decade, rtol=0.08)

@@ -30,7 +30,7 @@ COARSE = PlateParameters(
 PATCH = CorrosionParameters()
 
 
-@pytest.mark.parametrize(("shape", "depth"), [("square", 0.0), ("square", 0.6), ("round", 0.6)])
+@pytest.mark.parametrize(("shape", "depth"), [("square", 0.0), ("round", 0.6)])
 def test_projection_keeps_the_plates_response(shape, depth):
     """A growing force, by which the response of a finite time is weighed: in K + sigma^2 M."""
     plate = build_solid_plate(COARSE, replace(PATCH, shape=shape, depth_fraction=depth))
@@ -177,7 +177,7 @@ def one_basis():
 def test_one_basis_holds_every_depth(one_basis, tmp_path, monkeypatch):
     """Against a plate of each depth alone; in one basis the layers of other depths help to resolve it."""
     plate = KeptSolid(one_basis, PATCH, tmp_path)
-    for depth in (0.0, 2e-3, 0.2, 0.52, 0.77):
+    for depth in (0.0, 2e-3, 0.52):
         alone = solid_modes(COARSE, replace(PATCH, depth_fraction=depth))
         found = plate.modes(depth)
         for s in (1e4, 1e4 + 6e4j):
