@@ -29,6 +29,7 @@ from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H
+from support.empty_catalogue import empty_catalogue
 from support.synthetic_records import Scene
 
 N_BASELINE = 48
@@ -52,6 +53,8 @@ class FilledFolder:
         self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
         self.epoch_ns = parse_utc(settings.clock.epoch)
         self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
+        if not begun:
+            (folder / "catalogue.sqlite").write_bytes(empty_catalogue())
         self.catalogue = open_catalogue(folder, writer=True)
         if not begun:
             self.catalogue.create_experiment(

@@ -6,7 +6,6 @@ Only the catalogue is the real one.
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -38,6 +37,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Echo, Rig
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform
+from support.empty_catalogue import empty_catalogue
 from support.memory_archive import MemoryArchive, Shelf
 
 MEMORY: dict[str, Any] = {
@@ -243,7 +243,7 @@ class Line:
         """Open the catalogue of this folder; a new one is a copy of one that was migrated before."""
         target = self.folder / "catalogue.sqlite"
         if not target.exists():
-            target.write_bytes(_empty_catalogue())
+            target.write_bytes(empty_catalogue())
         with open_catalogue(self.folder, writer=writer) as catalogue:
             yield catalogue
 
@@ -258,12 +258,3 @@ class Line:
         with self.catalogue() as catalogue:
             rows = catalogue.rows(TABLES[table], position=position)
         return [replace(row, created_utc_ns=0) for row in rows] if table == "baselines" else rows
-
-
-@cache
-def _empty_catalogue() -> bytes:
-    """A catalogue without rows."""
-    with tempfile.TemporaryDirectory() as place:
-        with open_catalogue(Path(place), writer=True):
-            pass
-        return (Path(place) / "catalogue.sqlite").read_bytes()

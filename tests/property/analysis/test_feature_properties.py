@@ -40,7 +40,7 @@ def same(left, right, names, rel=1e-6):
 
 
 @given(scene=SCENES, gain=st.floats(0.01, 100.0), offset_v=st.floats(-5.0, 5.0))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_gain_scales_volts_and_nothing_else(scene, gain, offset_v):
     plain = shot_of(scene.volts(1), scene)
     scaled = shot_of(gain * scene.volts(1) + offset_v, scene)
@@ -54,7 +54,7 @@ def test_gain_scales_volts_and_nothing_else(scene, gain, offset_v):
 
 
 @given(scene=SCENES, blocks=st.integers(-15, 15))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_trigger_time_moves_the_times_and_nothing_else(scene, blocks):
     volts = scene.volts(2)
     plain = shot_of(volts, scene)
@@ -67,7 +67,7 @@ def test_trigger_time_moves_the_times_and_nothing_else(scene, blocks):
 
 
 @given(scene=SCENES, samples=st.integers(0, 400))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_a_later_wave_has_the_same_features(scene, samples):
     clean = scene.with_(noise_fraction=0.0, isw_time_s=30e-6)
     plain = shot_of(clean.volts(), clean)
@@ -82,7 +82,7 @@ def test_a_later_wave_has_the_same_features(scene, samples):
 
 
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(1e-3, 1e3), kind=st.sampled_from(["white", "walk"]))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_any_record_is_answered_consistently(seed, scale, kind):
     values = scale * np.random.default_rng(seed).standard_normal(13_000)
     shot = extract_from_volts(np.cumsum(values) if kind == "walk" else values, 1e7, 1000)
@@ -97,7 +97,7 @@ VECTORS = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 @given(random=VECTORS, n=st.integers(15, 80), p=st.integers(1, 6))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_distance_does_not_depend_on_units_or_combination(random, n, p):
     x, new = random.standard_normal((n, p)), 3.0 * random.standard_normal((7, p))
     # Well-conditioned map of condition number below 100 times units over six decades.
@@ -114,7 +114,7 @@ def test_distance_does_not_depend_on_units_or_combination(random, n, p):
 
 
 @given(random=VECTORS, n=st.integers(15, 80), p=st.integers(1, 6))
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=30)
 def test_contributions_are_not_negative_and_sum_to_equation_16(random, n, p):
     x = random.standard_normal((n, p)) @ random.standard_normal((p, p))
     names = [f"feature {k}" for k in range(p)]

@@ -223,8 +223,8 @@ def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
     intact = everything(stored)
     path = tmp_path / "flipped.h5"
     found = 0
-    # A bit of every 1000 bytes on average: headers, indexes, chunks and gaps are all met.
-    for offset in np.random.default_rng(3).integers(0, len(whole), len(whole) // 1000):
+    # A bit of every 2000 bytes on average: headers, indexes, chunks and gaps are all met.
+    for offset in np.random.default_rng(3).integers(0, len(whole), len(whole) // 2000):
         path.write_bytes(whole)
         flip(path, int(offset))
         try:
@@ -235,7 +235,7 @@ def test_no_flipped_bit_anywhere_is_taken_for_data(tmp_path, stored):
             found += 1
             continue
         assert everything(path) == intact, f"offset {offset}"
-    assert found > 10
+    assert found > 5
 
 
 def everything(path):

@@ -64,7 +64,7 @@ def test_stop_ends_all_streams_whatever_they_wait_for(filled):
 
     with served(filled.settings, filled.folder) as service:
         connected = threading.Semaphore(0)
-        readers = [threading.Thread(target=read, args=(f"{service.url}api/v1/stream",)) for _ in range(20)]
+        readers = [threading.Thread(target=read, args=(f"{service.url}api/v1/stream",)) for _ in range(8)]
         for reader in readers:
             reader.start()
         for _ in readers:

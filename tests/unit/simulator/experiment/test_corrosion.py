@@ -9,7 +9,7 @@ from simulator.experiment.corrosion import held_hour_h, wall_history
 from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
-HOURS = np.arange(0.0, 350.0, 1.0 / 6.0)
+HOURS = np.arange(0.0, 350.0, 0.5)
 NS_PER_S = 1_000_000_000
 
 
