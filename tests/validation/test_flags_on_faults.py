@@ -1,6 +1,6 @@
 """What the shot flags find of the twin's seeded faults, judged by the stored truth.
 
-The rates are those that `benchmarks/flags_on_faults.py` prints: 2,000 shots of seed 901. Here 200 shots of
+The rates are those that `benchmarks/flags_on_faults.py` prints: 2,000 shots of seed 901. Here 120 shots of
 seed 1 are drawn, and a count must lie in the interval that holds all but 1e-4 of the binomial counts of its
 rate; where all or none were found, all or none must be.
 """
@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "flags_on_faults.py"
-N_SHOTS = 200
+N_SHOTS = 120
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_slow_faults_have_no_flag_of_their_own(shoot, name, baseline_rate):
 
 def test_features_move_as_the_slow_faults_physics_says(shoot):
     sound, aged, worn = shoot("none"), shoot("PZT ageing, half"), shoot("bead wear, radius x 2")
-    # The same strikes at half the gain: amplitude halves to the noise of 200 means, 25 mV / 10 each at
+    # The same strikes at half the gain: amplitude halves to the noise of the means, 25 mV / 10 each at
     # most; width and times stay within theirs, well below a microsecond.
     assert mean(aged, "isw_amplitude_v") == pytest.approx(0.5 * mean(sound, "isw_amplitude_v"), abs=2.5e-3)
     assert mean(aged, "isw_fwhm_s") == pytest.approx(mean(sound, "isw_fwhm_s"), abs=0.2e-6)
