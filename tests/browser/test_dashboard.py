@@ -96,11 +96,42 @@ def test_history_is_drawn_as_the_api_has_it(historian, open_page):
     np.testing.assert_allclose(chart["y"]["fit"], expected, rtol=1e-12)
 
 
-def test_new_sets_appear_without_a_reload(filled, service, open_page):
+def see_the_supply_and_climate(filled, page):
+    """With their quality and age."""
+    strip = page.locator("#environment")
+    expect(strip).to_be_hidden()
+    filled.add_environment(N_SETS - 1)
+    for text in ("10.00 V", "5.00 mA", "540.0 C", "21.5 °C", "read 95 s before", "Set 59, hour 30.0"):
+        expect(strip).to_contain_text(text)
+    expect(strip.locator('[data-quality="good"]')).to_contain_text("Supply")
+    climate = strip.locator('[data-quality="stale"]')
+    expect(climate).to_contain_text("Stale")
+    expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
+
+
+def see_the_live_record(filled, page):
+    filled.show_set(5)
+    sequence = 100 * 5 + 2  # position B's shot of set 5
+    expect(page.locator("#waveform")).to_have_attribute("data-sequence", str(sequence))
+    shown_record = page.evaluate("window.solimonDashboard.waveform")
+    waveform = next(record for record in filled.records(5) if record.sequence == sequence).waveform
+    # Two evaluations of the same linear polynomial: rounding only.
+    np.testing.assert_allclose(shown_record["volts"], waveform.volts(), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(shown_record["micros"], 1e6 * waveform.time_s(), rtol=1e-12, atol=1e-9)
+    assert shown_record["drawn"]
+    readouts = page.locator("#waveform .readouts")
+    expect(readouts).to_contain_text("ISW")
+    psw_us = 1e6 * shown_record["header"]["marks"]["psw_time_s"]
+    expect(readouts).to_contain_text(f"{psw_us:.1f} µs")
+
+
+def test_what_is_new_appears_without_a_reload(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
-    before = page.locator("#waveform").get_attribute("data-sequence")
     page.evaluate("window.sameDocument = true")
+    see_the_supply_and_climate(filled, page)
+    see_the_live_record(filled, page)
+    before = page.locator("#waveform").get_attribute("data-sequence")
     for index in range(N_SETS, N_SETS + 5):
         filled.add_set(index, stored=False, shown=True)
     wait_for_sets(page, N_SETS + 5)
@@ -132,24 +163,6 @@ def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
         filled.catalogue.commit_set(SetCommit(verdicts=verdicts, events=[event]))
         expect(page.locator("#distance")).to_have_attribute("data-points", "3")
     filled.close()
-
-
-def test_waveform_is_the_live_record(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
-    filled.show_set(5)
-    sequence = 100 * 5 + 2  # position B's shot of set 5
-    expect(page.locator("#waveform")).to_have_attribute("data-sequence", str(sequence))
-    shown_record = page.evaluate("window.solimonDashboard.waveform")
-    waveform = next(record for record in filled.records(5) if record.sequence == sequence).waveform
-    # Two evaluations of the same linear polynomial: rounding only.
-    np.testing.assert_allclose(shown_record["volts"], waveform.volts(), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(shown_record["micros"], 1e6 * waveform.time_s(), rtol=1e-12, atol=1e-9)
-    assert shown_record["drawn"]
-    readouts = page.locator("#waveform .readouts")
-    expect(readouts).to_contain_text("ISW")
-    psw_us = 1e6 * shown_record["header"]["marks"]["psw_time_s"]
-    expect(readouts).to_contain_text(f"{psw_us:.1f} µs")
 
 
 def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service, open_page):
@@ -187,10 +200,22 @@ def answer(filled, kind, arguments, state="done", result=""):
     filled.catalogue.finish_command(command.id, state, result)
 
 
-def test_hold_asks_for_a_reason_and_stays_in_sight_until_the_release(filled, service, open_page):
+def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_until_the_release(
+    filled, service, open_page
+):
     page = open_page(service.url)
     banner = page.locator("#held")
     expect(banner).to_be_hidden()
+    page.locator("#hold").click()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.locator("#hold-dialog")).to_be_hidden()
+    assert filled.catalogue.pending_commands() == []
+    page.locator("#hold").click()
+    page.get_by_role("button", name="Hold now").click()
+    expect(page.locator("#hold")).to_have_text("Sent")
+    answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
+    expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
+    expect(page.locator("#hold")).to_have_text("Hold")
     page.get_by_role("button", name="Hold", exact=True).click()
     expect(page.get_by_label("Reason")).to_be_focused()
     page.keyboard.type("hands in the rig")
@@ -212,20 +237,6 @@ def test_hold_asks_for_a_reason_and_stays_in_sight_until_the_release(filled, ser
     expect(page.locator("#hold")).to_have_text("Hold")
 
 
-def test_a_hold_may_be_thought_better_of_and_a_refusal_is_said(filled, service, open_page):
-    page = open_page(service.url)
-    page.locator("#hold").click()
-    page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("#hold-dialog")).to_be_hidden()
-    assert filled.catalogue.pending_commands() == []
-    page.locator("#hold").click()
-    page.get_by_role("button", name="Hold now").click()
-    expect(page.locator("#hold")).to_have_text("Sent")
-    answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
-    expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
-    expect(page.locator("#hold")).to_have_text("Hold")
-
-
 def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
@@ -240,20 +251,6 @@ def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, se
     filled.reinstate("C")
     expect(page.locator("#retired")).to_be_hidden()
     expect(tile).to_have_attribute("data-state", "normal")
-
-
-def test_supply_and_climate_appear_with_their_quality_and_age(filled, service, open_page):
-    page = open_page(service.url)
-    wait_for_sets(page, N_SETS)
-    strip = page.locator("#environment")
-    expect(strip).to_be_hidden()
-    filled.add_environment(N_SETS - 1)
-    for text in ("10.00 V", "5.00 mA", "540.0 C", "21.5 °C", "read 95 s before", "Set 59, hour 30.0"):
-        expect(strip).to_contain_text(text)
-    expect(strip.locator('[data-quality="good"]')).to_contain_text("Supply")
-    climate = strip.locator('[data-quality="stale"]')
-    expect(climate).to_contain_text("Stale")
-    expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
 
 
 def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(historian, open_page):
