@@ -111,7 +111,7 @@ def test_where_the_echo_keeps_its_amplitude_the_roughness_is_read_from_it(bias):
 def test_roughness_grows_with_the_depth_and_so_does_the_interval(bias):
     widths = []
     for thickness_m in (6.0e-3, 5.5e-3, 5.0e-3, 4.5e-3):
-        found = list(bias.readings(bias.STRAIGHT, thickness_m, 30))
+        found = list(bias.readings(bias.STRAIGHT, thickness_m, 15))
         widths.append(np.median([reading.high_m - reading.low_m for reading in found]))
     assert widths == sorted(widths)
     assert widths[-1] > 5.0 * widths[0]
