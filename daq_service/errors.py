@@ -8,19 +8,20 @@
     ├── StorageError    exit 4   the data folder cannot be written, read or trusted
     └── BusyError       exit 5   another recorder, process or port owner is in the way
 
-``0`` is success and ``130`` an interruption by the operator.
+``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself.
 """
 
 from __future__ import annotations
 
 EXIT_OK = 0
+EXIT_FAULT = 1
 EXIT_INTERRUPTED = 130
 
 
 class SolimonError(Exception):
     """An error whose message is written for the operator: value, limit, remedy."""
 
-    exit_code = 1
+    exit_code = EXIT_FAULT
 
 
 class UsageError(SolimonError):

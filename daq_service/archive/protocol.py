@@ -91,3 +91,17 @@ class Archive(SetReader, Protocol):
             JSON cannot hold the provenance.
         """
         ...
+
+    def set_aside(self, reference: SetReference) -> None:
+        """Take a set that cannot be read out of the way, for a person to look at; nothing is deleted.
+
+        Raises
+        ------
+        ArchiveWriteError
+            It stays where it is.
+        """
+        ...
+
+    def quarantined(self) -> list[str]:
+        """Name everything that was set aside and is still there."""
+        ...

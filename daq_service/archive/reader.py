@@ -26,6 +26,7 @@ from daq_service.archive.records import (
     referenced_sets,
     waveform_crc32,
 )
+from daq_service.shared_file import patiently
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
@@ -329,7 +330,7 @@ def _opened(path: Path) -> Iterator[h5py.Group]:
     """Entry of a set's file; errors below are translated."""
     try:
         # No lock: a complete file never changes.
-        with h5py.File(path, "r", locking=False) as file:
+        with patiently(lambda: h5py.File(path, "r", locking=False)) as file:
             version = _text(file.attrs.get("solimon_format_version", ""))
             if not version.startswith(_READABLE_FORMAT):
                 raise CorruptArchiveError(

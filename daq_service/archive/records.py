@@ -15,6 +15,7 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Wavefor
 from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
+QUARANTINE_FOLDER = "quarantine"
 TEMPORARY_SUFFIX = ".tmp"
 SetReference = NewType("SetReference", str)
 """What the catalogue's ``sets.file`` says: ``sets/`` and the set's name, in every archive."""

@@ -7,11 +7,11 @@ import errno
 import time
 from pathlib import Path
 
-from daq_service.archive.durable_file import remove_quietly, sync_folder, write_durably
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
+    QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
     SetRecord,
@@ -21,6 +21,7 @@ from daq_service.archive.records import (
     set_reference,
     waveform_crc32,
 )
+from daq_service.shared_file import patiently, read_shared, remove_quietly, sync_folder, write_durably
 
 _REMEDY = {
     errno.ENOSPC: "free some space",
@@ -55,8 +56,8 @@ class FolderArchive(FolderSetReader):
             sync_folder(folder)
             with contextlib.suppress(PermissionError):
                 # A new data folder's own name; the folder above may belong to others.
-                sync_folder(folder.absolute().parent)
-            unfinished = list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}"))
+                sync_folder(folder.absolute().parent, patience_s=0.0)
+            unfinished = patiently(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
         except OSError as error:
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
@@ -86,11 +87,31 @@ class FolderArchive(FolderSetReader):
             ),
         )
 
+    def set_aside(self, reference: SetReference) -> None:
+        """Move a set that cannot be read out of the way, for a person to look at; nothing is deleted."""
+        source, folder = self.folder / reference, self.folder / QUARANTINE_FOLDER
+        try:
+            folder.mkdir(exist_ok=True)
+            target = folder / source.name
+            while target.exists():  # a second one of this name: nothing is overwritten
+                target = target.with_name(f"again_{target.name}")
+            patiently(lambda: source.replace(target))
+            for changed in (folder, source.parent, self.folder):
+                sync_folder(changed)
+        except OSError as error:
+            raise _refused(source, error) from error
+        self._stored = self.sets()
+
+    def quarantined(self) -> list[str]:
+        """Name everything that was set aside and is still there."""
+        names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
+        return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
+
     def _check_free(self, reference: SetReference, set_index: int, image: bytes) -> None:
         """Nothing of this set is stored yet, or the very same bytes are."""
         path = self.folder / reference
         stored = self._stored.get(set_index, reference if path.exists() else None)
-        if stored is not None and (stored != reference or path.read_bytes() != image):
+        if stored is not None and (stored != reference or read_shared(path) != image):
             raise ConflictingSetError(
                 f"set {set_index} is stored already in {self.folder / stored} and differs; "
                 "nothing stored is overwritten: take that file over with read_set, or move it out of "

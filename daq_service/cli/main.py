@@ -1,11 +1,13 @@
 """The command ``solimon``: parses, then hands over; everything heavy is imported inside a command.
 
-Exit codes: 0 done, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130 interrupted.
+Exit codes: 0 done, 1 a fault of solimon itself, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130
+interrupted.
 """
 
 from __future__ import annotations
 
 import sys
+import traceback
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any
 
 import click
 
-from daq_service.errors import EXIT_INTERRUPTED, SolimonError
+from daq_service.errors import EXIT_FAULT, EXIT_INTERRUPTED, SolimonError
 
 FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
@@ -263,6 +265,16 @@ def main() -> None:
         _end("interrupted", EXIT_INTERRUPTED)
     except SolimonError as error:
         _end(str(error), error.exit_code)
+    except Exception as error:  # noqa: BLE001 - the end of the line: whatever it is has a code and one line
+        _end(f"unforeseen, please report it: {_where(error)}{type(error).__name__}: {error}", EXIT_FAULT)
+
+
+def _where(error: Exception) -> str:
+    """Name the last line of ours that met it; a running test's log has the whole traceback."""
+    root = Path(__file__).parents[2]
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frames if Path(frame.filename).is_relative_to(root)]
+    return f"{Path(ours[-1].filename).relative_to(root)}, line {ours[-1].lineno}: " if ours else ""
 
 
 def _end(message: str, code: int) -> None:

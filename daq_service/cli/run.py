@@ -6,6 +6,7 @@ import gc
 import logging
 import logging.handlers
 import sys
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ import click
 from daq_service.catalogue import check_owner
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
 from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
-from daq_service.processes.data_folder import data_folder, own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import data_folder, own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -94,8 +95,8 @@ def record_alone(
     prepare_data_folder(folder)
     with stop_on_signals() as stop, own_data_folder(folder):
         log_to(folder / "logs" / "recorder.log")
-        if supervised:
-            leave_when_pipe_closes(stop)
+        sweep(folder)
+        left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             finished = record(
                 settings,
@@ -105,6 +106,7 @@ def record_alone(
                 restarted_because=restarted_because,
                 tell=tell_supervisor if supervised else _tell_person,
                 linger=linger,
+                left_alone=left_alone,
             )
         except SolimonError as error:
             log.error("%s", error)

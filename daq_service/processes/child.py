@@ -23,14 +23,15 @@ LOG_BYTES, LOG_FILES = 5_000_000, 5
 
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """Give an event that Ctrl-C and SIGTERM set."""
+    """Give an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set."""
     stop = threading.Event()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         del number, frame
         stop.set()
 
-    numbers = [signal.SIGINT] + ([signal.SIGTERM] if hasattr(signal, "SIGTERM") else [])
+    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
     before = {number: signal.signal(number, on_signal) for number in numbers}
     try:
         yield stop
@@ -39,12 +40,50 @@ def stop_on_signals() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+class LogFile(logging.handlers.RotatingFileHandler):
+    """A rotated log that ends nothing: a line that the disk does not take is counted and told later.
+
+    Windows renames no file that somebody reads: then the log grows on until it can be rotated.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(
+            path,
+            maxBytes=LOG_BYTES,
+            backupCount=LOG_FILES - 1,
+            encoding="utf-8",
+            delay=True,
+            errors="replace",
+        )
+        self.lost = 0
+
+    def doRollover(self) -> None:  # noqa: N802 - logging's name
+        """Rotate, or go on with the present file."""
+        try:
+            super().doRollover()
+        except OSError:
+            self.stream = self._open()
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        """Count a line that was not written; logging itself would print a traceback for each."""
+        del record
+        self.lost += 1
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a line, and before it how many were lost since the last one."""
+        lost, self.lost = self.lost, 0
+        if lost:
+            told = {"name": __name__, "levelno": logging.WARNING, "levelname": "WARNING"}
+            super().emit(logging.makeLogRecord({**told, "msg": f"{lost} lines could not be written here"}))
+        if self.lost:
+            self.lost = lost + 1
+        else:
+            super().emit(record)
+
+
 def log_to(path: Path) -> None:
-    """Rotated log file, and a file of its own for crashes below Python."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handler = logging.handlers.RotatingFileHandler(
-        path, maxBytes=LOG_BYTES, backupCount=LOG_FILES - 1, encoding="utf-8"
-    )
+    """Rotated log file, and a file of its own for crashes below Python; a log that cannot be is a warning."""
+    handler = LogFile(path)
     handler.setFormatter(
         logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)s %(name)s: %(message)s", "%Y-%m-%dT%H:%M:%S")
     )
@@ -54,27 +93,50 @@ def log_to(path: Path) -> None:
     # Alembic and numba tell every step at this level.
     for talkative in ("alembic", "numba"):
         logging.getLogger(talkative).setLevel(logging.WARNING)
-    faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
+    try:
+        path.parent.mkdir(exist_ok=True)
+        faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
+    except OSError as error:
+        print(
+            f"solimon: no log in {path.parent}: {error.strerror}; the test goes on without", file=sys.stderr
+        )
 
 
-def leave_when_pipe_closes(stop: threading.Event) -> None:
-    """In a child: set ``stop`` once the supervisor's pipe (standard input) closes."""
+FAREWELL = b"."
+"""What a supervisor sends before it closes a child's pipe: an end without it means that it was killed."""
+
+
+def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
+    """In a child: set ``stop`` once the supervisor's pipe (standard input) closes.
+
+    Returns
+    -------
+    threading.Event
+        Set before ``stop`` where the supervisor is gone without a word.
+    """
     pipe = sys.stdin.fileno()
+    left_alone = threading.Event()
 
     def watch() -> None:
-        # Nothing is ever sent: the read returns at the end of the pipe. Below Python's buffer, whose
-        # lock a thread waiting in it would take into the interpreter's shutdown.
-        while os.read(pipe, 1):
-            pass
+        # Below Python's buffer, whose lock a thread waiting in it would take into the interpreter's shutdown.
+        if os.read(pipe, 1) != FAREWELL:
+            left_alone.set()
         stop.set()
 
     threading.Thread(target=watch, name="supervisor-pipe", daemon=True).start()
+    return left_alone
 
 
 def tell_supervisor(event: str, **values: object) -> None:
-    """In a child: one JSON line to the supervisor; a supervisor that is gone is no error here."""
+    """In a child: one JSON line to the supervisor.
+
+    A supervisor that is gone is no error here, nor one that stands still: a line that its full pipe does
+    not take is dropped (the kernel takes one of this length whole or not at all).
+    """
+    pipe = sys.stdout.fileno()
+    if hasattr(os, "set_blocking") and sys.platform != "win32":
+        os.set_blocking(pipe, False)
     try:
-        sys.stdout.write(json.dumps({"event": event, **values}) + "\n")
-        sys.stdout.flush()
+        os.write(pipe, json.dumps({"event": event, **values}).encode() + b"\n")
     except OSError as error:
-        log.info("nobody reads %s: %s", event, error)
+        log.log(logging.DEBUG if event == "beat" else logging.INFO, "nobody reads %s: %s", event, error)

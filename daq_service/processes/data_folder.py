@@ -1,16 +1,18 @@
 """The data folder: made, tested for writing, and owned by one recorder at a time.
 
 The owner holds an OS lock on ``recorder.lock`` for as long as its process lives: a crash frees it,
-nobody has to clean up. The file's text only tells a person who owns it.
+nobody has to clean up. The lock alone says whether a recorder runs. The file's text only tells a person who
+owns it.
 """
 
 from __future__ import annotations
 
-import contextlib
+import logging
 import os
 import sys
 import uuid
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import IO
@@ -18,6 +20,9 @@ from typing import IO
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.errors import BusyError, StorageError
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import HINT_SUFFIX, patiently, remove_quietly, write_durably
+
+log = logging.getLogger(__name__)
 
 if sys.platform == "win32":
     import msvcrt
@@ -26,12 +31,29 @@ if sys.platform == "win32":
         """Lock an open file for this process, at its present offset; OSError if somebody holds it."""
         msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
 
+    def is_locked(file: IO[bytes]) -> bool:
+        """Tell whether somebody else holds it; another who asks holds it for an instant."""
+        try:
+            patiently(lambda: try_lock(file), patience_s=0.1)
+        except OSError:
+            return True
+        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
+        return False
+
 else:
     import fcntl
 
     def try_lock(file: IO[bytes]) -> None:
         """Lock an open file for this process; OSError if somebody holds it."""
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def is_locked(file: IO[bytes]) -> bool:
+        """Tell whether somebody else holds it; those who ask do not hinder each other."""
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        return False
 
 
 _OWNER_OFFSET = 1
@@ -42,8 +64,19 @@ CONFIGURATION_FILE = "configuration.json"
 """What a test that nobody wrote a configuration for was run with."""
 
 OWN_NAMES = frozenset(
-    {"catalogue.sqlite", CONFIGURATION_FILE, "heartbeat.json", "recorder.lock", "sets", "live", "logs"}
+    {
+        "catalogue.sqlite",
+        CONFIGURATION_FILE,
+        "heartbeat.json",
+        "recorder.lock",
+        "sets",
+        "live",
+        "logs",
+        "quarantine",
+    }
 )
+LOCK_FILE = "recorder.lock"
+WRITE_TEST = ".write-test-"
 
 
 def new_folder(purpose: str) -> Path:
@@ -77,12 +110,13 @@ def prepare_data_folder(folder: Path) -> None:
             "choose a local disk with --data-dir"
         )
     _refuse_foreign_files(folder)
-    probe = folder / f".write-test-{uuid.uuid4().hex}"
+    probe = folder / f"{WRITE_TEST}{uuid.uuid4().hex}"
     try:
-        probe.write_bytes(b"solimon")
-        probe.unlink()
-        for name in ("sets", "live", "logs"):
-            (folder / name).mkdir(exist_ok=True)
+        patiently(lambda: probe.write_bytes(b"solimon"))
+        remove_quietly(probe)
+        (folder / "sets").mkdir(exist_ok=True)
+        for name in ("live", "logs"):
+            _make_for_hints(folder / name)
     except OSError as error:
         raise StorageError(
             f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
@@ -90,9 +124,24 @@ def prepare_data_folder(folder: Path) -> None:
         ) from error
 
 
+def _make_for_hints(folder: Path) -> None:
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        log.warning("%s cannot be made: %s; the test goes on without", folder, error)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what killed writers left; for the owner alone, beside whom nobody writes hints."""
+    for place in (folder, folder / "live"):
+        for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
+            for path in place.glob(pattern):
+                remove_quietly(path)
+
+
 def _refuse_foreign_files(folder: Path) -> None:
     """Refuse a folder that is somebody's documents: only an empty one, or one of ours, is used."""
-    names = {path.name for path in folder.iterdir()}
+    names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
     if names and not names & OWN_NAMES:
         raise StorageError(
             f"{folder} is not empty and is no data folder of solimon (it holds {min(names)!r}); "
@@ -100,7 +149,7 @@ def _refuse_foreign_files(folder: Path) -> None:
         )
 
 
-@contextlib.contextmanager
+@contextmanager
 def own_data_folder(folder: Path) -> Iterator[None]:
     """Hold the recorder's lock.
 
@@ -109,25 +158,47 @@ def own_data_folder(folder: Path) -> Iterator[None]:
     BusyError
         Another recorder holds it.
     """
-    path = folder / "recorder.lock"
-    with path.open("a+b") as file:
+    path = folder / LOCK_FILE
+    with ExitStack() as stack:
+        try:
+            file = stack.enter_context(patiently(lambda: path.open("a+b")))
+        except OSError as error:
+            raise StorageError(
+                f"{path} cannot be opened: {error.strerror}; remove it if it is no file of solimon, or give "
+                "this user the right to write it"
+            ) from error
         file.seek(0)
         try:
-            try_lock(file)
+            # Whoever asks whether somebody records holds it for an instant (`is_owned`).
+            patiently(lambda: try_lock(file), refusals=(BlockingIOError, PermissionError))
         except OSError as error:
             raise BusyError(
                 f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "
                 "folder with --data-dir"
             ) from error
-        file.truncate(0)
-        file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())
-        file.flush()
+        with suppress(OSError):  # a full disk: the lock counts, not the text
+            file.truncate(0)
+            file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())
+            file.flush()
         yield
 
 
-def _owner(path: Path) -> str:
+def is_owned(folder: Path) -> bool | None:
+    """Tell whether a recorder runs on a folder; None where its lock cannot be looked at."""
     try:
-        with path.open("rb") as file:
+        with (folder / LOCK_FILE).open("rb") as file:
+            return is_locked(file)
+    except FileNotFoundError:
+        return False
+    except OSError as error:
+        log.debug("the lock of %s cannot be looked at: %s", folder, error)
+        return None
+
+
+def _owner(path: Path) -> str:
+    # On Windows the locked byte cannot be read by others, so what stands behind it is read alone.
+    try:
+        with path.open("rb", buffering=0) as file:
             file.seek(_OWNER_OFFSET)
             return file.read(200).decode("ascii", "replace") or "process unknown"
     except OSError as error:
@@ -145,7 +216,9 @@ def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) 
 def write_configuration(settings: Settings, folder: Path) -> Path:
     """Write the file that the children read, and `solimon run` later; pace and end may change."""
     config = folder / CONFIGURATION_FILE
-    partial = config.with_suffix(".tmp")
-    partial.write_text(settings.model_dump_json(indent=1), encoding="utf-8")
-    partial.replace(config)
+    content = settings.model_dump_json(indent=1).encode()
+    try:
+        write_durably(config, content, temporary=config.with_suffix(HINT_SUFFIX))
+    except OSError as error:
+        raise StorageError(f"{config} cannot be written: {error.strerror}; free or mend the disk") from error
     return config

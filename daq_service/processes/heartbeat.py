@@ -1,8 +1,10 @@
-"""The recorder's sign of life, advanced by the recording line itself and read by its supervisor.
+"""The recorder's sign of life, advanced by the recording line itself and read by whoever looks after it.
 
-One small file, replaced by rename at most twice a second and where something else begins. Its age is
-measured on the machine's monotonic clock, so a step of UTC neither kills nor hides a recorder; that clock
-begins anew with each boot, so the file names the boot.
+One small file of a fixed size, written over in place at most twice a second and where something else begins:
+a full disk takes it, no rename meets a reader, and a look that falls into a write fails its checksum. It is a
+hint; the supervisor hears the same on its pipe. Its age is measured on the machine's monotonic clock, so a
+step of UTC neither kills nor hides a recorder; that clock begins anew with each boot, so the file names the
+boot.
 """
 
 from __future__ import annotations
@@ -11,17 +13,25 @@ import json
 import logging
 import os
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from daq_service.clock import boot_name
+from daq_service.shared_file import O_BINARY, read_hint
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
 FILE_NAME = "heartbeat.json"
+FILE_BYTES = 4096
+LONGEST_DOING = 500
+"""Characters, which take six bytes each at most."""
+LOOKS = 3
+"""Two writes lie half a second or a hundredfold of their time apart: one of so many looks meets none."""
 SHORTEST_INTERVAL_NS = 500_000_000
 
 NEWS_AFTER_COSTS = 100
@@ -47,12 +57,14 @@ class Beat:
 
 
 class Heartbeat:
-    """Writes the file.
+    """Tells it, in the file and to whoever listens.
 
     Parameters
     ----------
     deadline_s
         Longest time between two beats of a healthy recorder: its longest bounded call and a margin.
+    tell
+        Called with the name of the event, ``beat``, and the values of a `Beat`.
     """
 
     def __init__(
@@ -60,11 +72,13 @@ class Heartbeat:
         folder: Path,
         *,
         deadline_s: float,
+        tell: Callable[..., None] = lambda event, **values: None,
         mono_ns: Callable[[], int] = time.monotonic_ns,
         boot: Callable[[], str | None] = boot_name,
     ) -> None:
         self._path = folder / FILE_NAME
         self._deadline_s = deadline_s
+        self._tell = tell
         self._mono_ns = mono_ns
         self._boot = boot()
         self._last_ns: int | None = None
@@ -74,6 +88,7 @@ class Heartbeat:
 
     def beat(self, doing: str) -> None:
         """Say that the line moves, and what it is doing."""
+        doing = doing[:LONGEST_DOING]
         now = self._mono_ns()
         news = doing != self._last_doing
         last_ns = self._last_news_ns if news else self._last_ns
@@ -83,41 +98,80 @@ class Heartbeat:
         beat = Beat(
             process=os.getpid(), mono_ns=now, deadline_s=self._deadline_s, doing=doing, boot=self._boot
         )
-        partial = self._path.with_suffix(".tmp")
-        partial.write_text(json.dumps(asdict(beat)), encoding="utf-8")
+        self._tell("beat", **asdict(beat))
         try:
-            partial.replace(self._path)
-        except PermissionError:
-            return  # Windows replaces no file that somebody reads; the next beat is near
+            _write_over(self._path, encoded(beat))
+        except OSError as error:
+            _warn_once(self._path, f"cannot be written ({error}); the supervisor hears it all the same")
         self._last_ns, self._last_doing = now, doing
         self._last_news_ns = now if news else self._last_news_ns
         self._last_cost_ns = self._mono_ns() - now
 
 
-def read_heartbeat(folder: Path) -> Beat | None:
-    """Latest beat; None where no recorder ever ran, or where the file is no heartbeat (with a warning)."""
-    path = folder / FILE_NAME
+def encoded(beat: Beat) -> bytes:
+    """Return the bytes of the file."""
+    values = asdict(beat)
+    return json.dumps({**values, "crc32": _crc32(values)}).encode().ljust(FILE_BYTES)
+
+
+def _crc32(values: Mapping[str, Any]) -> int:
+    return zlib.crc32(json.dumps(values).encode())
+
+
+def _write_over(path: Path, content: bytes) -> None:
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        return Beat(
-            process=int(values["process"]),
-            mono_ns=int(values["mono_ns"]),
-            deadline_s=float(values["deadline_s"]),
-            doing=str(values["doing"]),
-            boot=values.get("boot"),
-        )
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
-        # A power cut may leave it empty or torn; whoever looks goes on as if there were none.
-        _warn_once(path, f"{type(error).__name__}: {error}")
-        return None
+        os.write(descriptor, content)
+    finally:
+        os.close(descriptor)
+
+
+def read_heartbeat(folder: Path) -> Beat | None:
+    """Latest beat; None where there is none, or where the file is no heartbeat (with a warning)."""
+    path = folder / FILE_NAME
+    why = ""
+    for _ in range(LOOKS):
+        content = read_hint(path)
+        if content is None:
+            return None
+        try:
+            return _decoded(content)
+        except (ValueError, TypeError, LookupError, AttributeError, OverflowError) as error:
+            # A power cut may leave it empty or torn; whoever looks goes on as if there were none.
+            why = f"{type(error).__name__}: {error}"
+    _warn_once(path, f"is no heartbeat and counts as none: {why}")
+    return None
+
+
+def _decoded(content: bytes) -> Beat:
+    values = json.loads(content)
+    crc32 = values.pop("crc32", None)  # an older version wrote none
+    if crc32 is not None and crc32 != _crc32(values):
+        raise ValueError("its checksum is wrong")
+    return beat_of(values)
+
+
+def beat_of(values: Mapping[str, Any]) -> Beat:
+    """Make a beat of its values, checked.
+
+    Raises
+    ------
+    ValueError, TypeError, LookupError, OverflowError
+        They are none.
+    """
+    return Beat(
+        process=int(values["process"]),
+        mono_ns=int(values["mono_ns"]),
+        deadline_s=float(values["deadline_s"]),
+        doing=str(values["doing"]),
+        boot=values.get("boot"),
+    )
 
 
 @lru_cache(maxsize=8)
-def _warn_once(path: Path, why: str) -> None:
-    """Once for each reason: the file is looked at many times a second."""
-    log.warning("%s is no heartbeat and counts as none: %s", path, why)
+def _warn_once(path: Path, what: str) -> None:
+    """Once for each reason: the file is written and looked at many times a second."""
+    log.warning("%s %s", path, what)
 
 
 def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq_service.clock import boot_name
+from daq_service.processes.data_folder import is_owned
 from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
 
 Word = Literal["running", "finished", "stopped", "silent", "absent"]
@@ -16,6 +17,7 @@ Word = Literal["running", "finished", "stopped", "silent", "absent"]
 FAREWELLS: dict[str, tuple[Word, str]] = {
     "schedule_done": ("finished", "finished: every planned set has its row"),
     "recorder_stopped": ("stopped", "stopped by its operator; start it again to go on"),
+    "recorder_left_alone": ("stopped", "stopped because its supervisor was gone; start it again to go on"),
 }
 TELLING = ("recorder_started", *FAREWELLS)
 """Events of the service that tell how a recorder is."""
@@ -28,8 +30,8 @@ class RecorderState:
     Attributes
     ----------
     word
-        "finished" or "stopped" where it said so itself, else "running", "silent" (past its deadline, or of an
-        earlier boot) or "absent" (never ran).
+        "finished" or "stopped" where it said so itself, else "running", "silent" (past its deadline, or gone
+        without a word) or "absent" (never ran).
     description
         The same for a person, with what it is doing.
     listens
@@ -48,22 +50,28 @@ class RecorderState:
 
 
 def recorder_state(
-    beat: Beat | None, kinds: Sequence[str], *, boot: str | None, mono_ns: int
+    beat: Beat | None, kinds: Sequence[str], *, owned: bool | None, boot: str | None, mono_ns: int
 ) -> RecorderState:
-    """Judge by what the recorder told last, and by its heartbeat.
+    """Judge by what the recorder told last, by the folder's lock, and by its heartbeat.
+
+    The lock alone says whether one runs; the heartbeat, a hint, what it is doing and whether it moves.
 
     Parameters
     ----------
     kinds
         Kinds of the newest events, oldest first; those that are not `TELLING` say nothing.
+    owned
+        Somebody holds the folder's lock; None where nobody can tell: then the heartbeat decides.
     boot, mono_ns
         This boot and its monotonic time.
     """
     told = next((kind for kind in reversed(kinds) if kind in TELLING), "")
     age = None if beat is None else age_s(beat, boot=boot, mono_ns=mono_ns)
-    in_time = beat is not None and age is not None and age <= beat.deadline_s
-    word: Word = "absent" if beat is None else "running" if in_time else "silent"
-    word, description = FAREWELLS.get(told) or (word, _description(beat, age))
+    late = beat is not None and age is not None and age > beat.deadline_s
+    runs = owned if owned is not None else beat is not None and age is not None and not late
+    in_time = runs and not late
+    word: Word = "running" if in_time else "absent" if beat is None and not runs else "silent"
+    word, description = FAREWELLS.get(told) or (word, _description(beat, age, runs=runs, late=late))
     return RecorderState(
         word=word,
         description=description,
@@ -73,16 +81,22 @@ def recorder_state(
     )
 
 
-def _description(beat: Beat | None, age: float | None) -> str:
+def _description(beat: Beat | None, age: float | None, *, runs: bool, late: bool) -> str:
     if beat is None:
-        return "never started here"
+        return "running; its heartbeat cannot be read" if runs else "never started here"
+    if runs and not late:
+        return "running, starting" if age is None else f"running, {beat.doing}"
     if age is None:
         return f"not running: this computer was started again since it was last seen {beat.doing}"
-    if age > beat.deadline_s:
-        return f"not running: last sign of life {age:.0f} s ago while {beat.doing}"
-    return f"running, {beat.doing}"
+    return f"not {'answering' if runs else 'running'}: last sign of life {age:.0f} s ago while {beat.doing}"
 
 
 def look_at_recorder(folder: Path, kinds: Sequence[str]) -> RecorderState:
     """State at this moment on this machine; ``kinds`` as in `recorder_state`."""
-    return recorder_state(read_heartbeat(folder), kinds, boot=boot_name(), mono_ns=time.monotonic_ns())
+    return recorder_state(
+        read_heartbeat(folder),
+        kinds,
+        owned=is_owned(folder),
+        boot=boot_name(),
+        mono_ns=time.monotonic_ns(),
+    )

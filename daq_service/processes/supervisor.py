@@ -13,18 +13,21 @@ from __future__ import annotations
 import json
 import logging
 import os
+import queue
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from daq_service.clock import boot_name
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
-from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
+from daq_service.processes.child import FAREWELL
+from daq_service.processes.heartbeat import Beat, age_s, beat_of, read_heartbeat
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -76,7 +79,10 @@ class _Child:
     process: subprocess.Popen[bytes] | None = None
     started_ns: int = 0
     start_at_ns: int = 0
+    told: Beat | None = None
+    """Newest beat on its pipe."""
     beat: Beat | None = None
+    """Newest beat at all."""
     quick_failures: int = 0
     cause: str = ""
     finished: bool = False
@@ -90,7 +96,8 @@ class Supervisor:
     Parameters
     ----------
     on_message
-        Called with each JSON line a child prints: ``(child name, message)``.
+        Called with each JSON line a child prints but its beats: ``(child name, message)``. It may wait for a
+        person (a console in which text is selected): children are not kept waiting by that.
     give_up
         True: end when a child has used up all restart delays, instead of trying for ever.
     program
@@ -122,6 +129,7 @@ class Supervisor:
         self._on_message = on_message
         self._give_up = give_up
         self._readers: list[threading.Thread] = []
+        self._unheard: queue.SimpleQueue[tuple[str, Message]] = queue.SimpleQueue()
         self._program = program
         self._restart_delays_s = restart_delays_s
         self._leave_within_s = leave_within_s
@@ -138,6 +146,7 @@ class Supervisor:
                     code = self._look_after(child, stop)
                     if code is not None:
                         return code
+                self._pass_messages_on()
                 recorders = [child for child in self._children if child.plan.watched]
                 if recorders and all(child.finished for child in recorders) and not stay:
                     return max(child.exit_code for child in recorders)
@@ -145,6 +154,11 @@ class Supervisor:
             return EXIT_OK
         finally:
             self._take_down()
+            self._pass_messages_on()
+
+    def _pass_messages_on(self) -> None:
+        while not self._unheard.empty():
+            self._on_message(*self._unheard.get())
 
     def _look_after(self, child: _Child, stop: threading.Event) -> int | None:
         """Start, restart or kill one child as it needs; an exit code ends the supervision."""
@@ -168,7 +182,7 @@ class Supervisor:
             child.finished = True
             child.exit_code = code
             if code == EXIT_INTERRUPTED and not stop.is_set():
-                self._on_message(child.plan.name, {"event": "stopped"})
+                self._unheard.put((child.plan.name, {"event": "stopped"}))
             return None
         if code in FINAL_CODES:
             return code
@@ -190,7 +204,7 @@ class Supervisor:
 
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
-        child.started_ns, child.beat, child.cause = self._mono_ns(), None, ""
+        child.started_ns, child.told, child.beat, child.cause = self._mono_ns(), None, None, ""
         child.process = self._start_process(
             [*self._program, *arguments, *child.extra], child.plan.environment
         )
@@ -209,26 +223,32 @@ class Supervisor:
             for line in lines:
                 try:
                     message = json.loads(line)
-                except ValueError:
+                    event = message["event"]
+                    if event == "beat":
+                        child.told = beat_of(message)
+                        continue
+                except (ValueError, TypeError, LookupError, OverflowError):
                     log.warning("%s printed a line that is no message: %r", child.plan.name, line[:200])
                     continue
-                if message.get("event") == "listening" and not child.extra:
+                if event == "listening" and not child.extra:
                     # A restarted web service must answer where the browsers already are.
                     child.extra = ["--port", str(message["port"])]
-                self._on_message(child.plan.name, message)
+                self._unheard.put((child.plan.name, message))
 
     def _overdue(self, child: _Child) -> str:
         """Why a child that runs must be killed; empty while its heartbeat is in time."""
-        found, now_ns = self._read_beat(self._folder), self._mono_ns()
+        heard = (child.told, self._read_beat(self._folder))
+        now_ns = self._mono_ns()
         # A folder has one recorder: what it wrote since the start is this child's. Process numbers come
         # again, and a launcher (Windows, virtual environments) has another one than its Python. A file that
-        # cannot be read for a moment takes nothing from the beat before it.
-        if (
-            found is not None
-            and found.mono_ns >= child.started_ns
-            and age_s(found, boot=self._boot, mono_ns=now_ns) is not None
-        ):
-            child.beat = found
+        # cannot be read or written takes nothing from what was heard before.
+        for found in heard:
+            if (
+                found is not None
+                and found.mono_ns >= (child.started_ns if child.beat is None else child.beat.mono_ns)
+                and age_s(found, boot=self._boot, mono_ns=now_ns) is not None
+            ):
+                child.beat = found
         if child.beat is None:
             late = now_ns - child.started_ns > STARTING_GRACE_S * NS_PER_S
             return f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start" if late else ""
@@ -243,10 +263,9 @@ class Supervisor:
     @staticmethod
     def _close_pipe(child: _Child) -> None:
         if child.process is not None and child.process.stdin is not None:
-            try:
+            with suppress(OSError, ValueError):  # the child is gone, or its pipe is closed already
+                child.process.stdin.write(FAREWELL)
                 child.process.stdin.close()
-            except OSError as error:
-                log.debug("closing the pipe of %s: %s", child.plan.name, error)
 
     def _take_down(self) -> None:
         """Close every pipe at once, then wait; whoever stays is killed."""

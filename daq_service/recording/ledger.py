@@ -112,6 +112,13 @@ class Ledger:
                 )
         return rig_condition(due, record.trouble, unanswered)
 
+    def tell(self, condition: Condition, moment: Moment) -> None:
+        """Store what becomes of an alarm that belongs to no set."""
+        transaction = Transaction()
+        self._carry_alarm(condition, moment, transaction)
+        if transaction.alarms:
+            self.commit(transaction)
+
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         change = update(self.alarms.get((condition.position, condition.kind)), condition, moment)
         if change is not None:

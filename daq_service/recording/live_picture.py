@@ -13,10 +13,12 @@ import math
 import struct
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
+from daq_service.shared_file import write_hint
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -44,11 +46,13 @@ class LivePicture:
         self, folder: Path, rig_kind: str, *, mono_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
         self._folder = folder / "live"
-        self._folder.mkdir(exist_ok=True)
+        with suppress(OSError):  # the first picture tells
+            self._folder.mkdir(exist_ok=True)
         self._rig_kind = rig_kind
         self._mono_ns = mono_ns
         self._written_ns: dict[str, int] = {}
         self._cost_ns = 0
+        self._refused: int | None = None
 
     def due(self, position: str) -> bool:
         """Say whether the last picture of the position is old enough for another."""
@@ -81,14 +85,12 @@ class LivePicture:
             "written_wall_utc_ns": time.time_ns(),
             "rig": self._rig_kind,
         }
-        target = self._folder / f"{key.position}.bin"
-        partial = target.with_suffix(".tmp")
-        try:
-            partial.write_bytes(encode(header, waveform))
-            partial.replace(target)
-        except OSError as error:
-            # Also Windows, while a reader has the old picture open. The next one comes soon.
+        error = write_hint(self._folder / f"{key.position}.bin", encode(header, waveform))
+        refused = None if error is None else error.errno
+        if error is not None and refused != self._refused:
+            # Once for a full disk, not ten times a second. Windows refuses while somebody reads the old one.
             log.warning("no live picture of %s: %s", key.position, error)
+        self._refused = refused
         self._written_ns[key.position] = now_ns = self._mono_ns()
         self._cost_ns = now_ns - begun_ns
 

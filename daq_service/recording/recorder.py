@@ -23,7 +23,9 @@ from daq_service.acquisition.taken_set import (
     features_of,
     features_of_a_rehearsal,
 )
-from daq_service.archive import Archive, PositionRecord, SetRecord
+from daq_service.alarms.data_trouble import damage_condition
+from daq_service.alarms.states import Moment
+from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord, SetReference
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
 from daq_service.errors import RigError
@@ -70,6 +72,7 @@ class Recorder:
         stop: threading.Event,
         tell: Teller,
         features_of: FeaturesOf = features_of,
+        left_alone: threading.Event | None = None,
         listen_every_s: float = LISTEN_EVERY_S,
     ) -> None:
         self._settings = settings
@@ -79,6 +82,7 @@ class Recorder:
         self._heartbeat = heartbeat
         self._stop = stop
         self._tell = tell
+        self._left_alone = left_alone or threading.Event()
         self._doing = "starting"
         self._calibrated_ns: int | None = None
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
@@ -93,6 +97,7 @@ class Recorder:
         self._cost = Cost()
         done = catalogue.committed_sets()
         self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
+        self._damaged: dict[int, str] = {}
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
         test = RunningTest(
             clock=rig.clock,
@@ -117,6 +122,7 @@ class Recorder:
             "versions": self._provenance["versions"],
         }
         self._say("recorder_started", started)
+        self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 continue
@@ -129,7 +135,8 @@ class Recorder:
         finished = not self._stop.is_set()
         supply = "" if self._ledger.drive is None else self._ledger.drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
-        self._say("schedule_done" if finished else "recorder_stopped", farewell)
+        stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
+        self._say("schedule_done" if finished else stopped, farewell)
         return finished
 
     def linger(self) -> None:
@@ -288,7 +295,11 @@ class Recorder:
         file = self._orphans.get(due.set_index)
         if file is None:
             return False
-        record = self._archive.read_set(file)
+        try:
+            record = self._archive.read_set(file)
+        except CorruptArchiveError as error:
+            self._set_aside(due, file, error)
+            return False
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         self._ledger.judge(due, record, file, features)
         self._next_sequence = self._catalogue.next_sequence()
@@ -296,6 +307,13 @@ class Recorder:
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
         self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
         return True
+
+    def _set_aside(self, due: DueSet, file: SetReference, error: CorruptArchiveError) -> None:
+        """One damaged file must not block the start: the set is due again, or missed with this cause."""
+        self._archive.set_aside(file)
+        log.error("set %d is set aside: %s", due.set_index, error)
+        self._damaged[due.set_index] = f"its file was damaged and is set aside ({error})"
+        self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
 
     def _miss(self, due: DueSet, following: DueSet | None, cause: str) -> bool:
         """Write gap rows for a set whose time is over: the next one is due already."""
@@ -306,7 +324,7 @@ class Recorder:
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:
-        causes = dict.fromkeys(self._settings.positions, cause)
+        causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
         self._ledger.nothing_taken(due, causes, utc_ns=self._rig.clock.utc_ns())
 
     # Operator and supervisor ---------------------------------------------------------------------
@@ -327,6 +345,9 @@ class Recorder:
     def _idle_in_a_set(self) -> bool:
         """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
         return self._idle() and not self._orders.held
+
+    def _moment(self) -> Moment:
+        return Moment(utc_ns=self._rig.clock.utc_ns(), due_h=self._hour(), set_index=None)
 
     def _hour(self) -> float:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H

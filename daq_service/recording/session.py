@@ -43,6 +43,7 @@ def record(
     tell: Teller,
     restarted_because: str = "",
     linger: bool = False,
+    left_alone: threading.Event | None = None,
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[], Clock] = WallClock,
@@ -52,9 +53,11 @@ def record(
     Parameters
     ----------
     tell
-        Called with the name of an event and its values: ``progress``, ``finished``.
+        Called with the name of an event and its values: ``beat``, ``progress``, ``finished``.
     linger
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
+    left_alone
+        Set where ``stop`` is, because the supervisor is gone.
     listen_every_s
         Shortest time between two looks for orders.
     waits_for_rig_s
@@ -77,7 +80,8 @@ def record(
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
         clock = _clock(settings.clock, _resume_utc_ns(catalogue, epoch_ns), wall_clock)
-        heartbeat = Heartbeat(folder, deadline_s=longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
+        deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
+        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.committed_sets()),
@@ -98,6 +102,7 @@ def record(
             heartbeat=heartbeat,
             stop=stop,
             tell=tell,
+            left_alone=left_alone,
             listen_every_s=listen_every_s,
         )
         finished = recorder.run(not_running_because=cause)

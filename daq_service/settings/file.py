@@ -19,6 +19,7 @@ from pydantic.json_schema import GenerateJsonSchema
 from daq_service.errors import UsageError
 from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import read_shared
 
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
 """Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
@@ -48,7 +49,7 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
     """
     path = config_file("simulated.toml") if path is None else path
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_shared(path).decode()
         values = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except OSError as error:
         raise UsageError(f"cannot read the configuration {path}: {error.strerror}") from error

@@ -10,6 +10,7 @@ from pathlib import Path
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
+from daq_service.shared_file import read_shared
 from daq_service.web.answers.problem import not_found
 
 router = APIRouter(include_in_schema=False)
@@ -39,7 +40,7 @@ def assets() -> dict[str, Asset]:
     found = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
-            content = path.read_bytes()
+            content = read_shared(path)
             etag = f'"{hashlib.sha256(content).hexdigest()[:20]}"'
             found[path.relative_to(FOLDER).as_posix()] = Asset(content, MEDIA_TYPES[path.suffix], etag)
     return found

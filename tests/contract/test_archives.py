@@ -6,7 +6,8 @@ from archive_contract import ArchiveContract
 from support.archived_sets import make_set
 from support.memory_archive import MemoryArchive
 
-from daq_service.archive import FolderArchive, FolderSetReader, durable_file
+from daq_service import shared_file
+from daq_service.archive import FolderArchive, FolderSetReader
 
 
 class TestFolderArchive(ArchiveContract):
@@ -48,7 +49,7 @@ class TestFolderArchive(ArchiveContract):
                 raise KeyboardInterrupt
 
             with monkeypatch.context() as patch:
-                patch.setattr(durable_file.os, "replace", killed)
+                patch.setattr(shared_file.os, "replace", killed)
                 with pytest.raises(KeyboardInterrupt):
                     archive.store_set(record)
 

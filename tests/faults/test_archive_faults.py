@@ -1,6 +1,6 @@
 """Whatever the disk does and whenever the process ends: a set is there whole, or not at all.
 
-Every call to the operating system goes through the names of `os` in `durable_file`; the tests put
+Every call to the operating system goes through the names of `os` in `shared_file`; the tests put
 a `Disk` there that counts the calls, refuses one of them, or ends the process between two.
 """
 
@@ -15,7 +15,8 @@ import pytest
 from support.archived_sets import SET_INDEX, assert_same_set, make_set
 from support.stored_files import read_set, set_files
 
-from daq_service.archive import ArchiveWriteError, FolderArchive, durable_file
+from daq_service import shared_file
+from daq_service.archive import ArchiveWriteError, FolderArchive
 
 CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync", "close"]
 
@@ -25,7 +26,7 @@ class Killed(BaseException):
 
 
 class Disk:
-    """`os` as `durable_file` sees it.
+    """`os` as `shared_file` sees it.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def archive(tmp_path):
 
 
 def put(monkeypatch, disk: Disk) -> Disk:
-    monkeypatch.setattr(durable_file, "os", disk)
+    monkeypatch.setattr(shared_file, "os", disk)
     return disk
 
 
@@ -270,5 +271,5 @@ def test_a_parent_folder_of_others_need_not_be_readable(monkeypatch, tmp_path):
 def test_windows_cannot_sync_a_folder_and_is_not_asked_to(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk())
     monkeypatch.setattr(sys, "platform", "win32")
-    durable_file.sync_folder(tmp_path)
+    shared_file.sync_folder(tmp_path)
     assert disk.calls == []

@@ -3,7 +3,9 @@
 import json
 import os
 import signal
+import subprocess
 import sys
+import textwrap
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from daq_service.processes.child import tell_supervisor
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 
@@ -83,19 +86,28 @@ if starts(sys.argv[1]) == 1:
     assert messages[1]["cause"] == "was killed by signal 9"
 
 
-def test_a_hung_recorder_is_killed_at_its_deadline_and_started_again(tmp_path: Path) -> None:
+BY_FILE = f"""
+with open(os.path.join(os.path.dirname(sys.argv[1]), {FILE_NAME!r}), "w") as file:
+    json.dump(beat, file)
+"""
+BY_PIPE = """
+tell("beat", **beat)
+"""
+
+
+@pytest.mark.parametrize("way", [BY_FILE, BY_PIPE], ids=["by its file", "by its pipe"])
+def test_a_hung_recorder_is_killed_at_its_deadline_and_started_again(tmp_path: Path, way: str) -> None:
     script = f"""
 tell("started", cause=sys.argv[2])
 if starts(sys.argv[1]) == 1:
     beat = {{"process": os.getpid(), "mono_ns": time.monotonic_ns()}}
     beat |= {{"deadline_s": 0.2, "doing": "reading the digitizer"}}
-    with open({str(tmp_path / "beat.tmp")!r}, "w") as file:
-        json.dump(beat, file)
-    os.replace({str(tmp_path / "beat.tmp")!r}, {str(tmp_path / FILE_NAME)!r})
+    {textwrap.indent(way, "    ").strip()}
     wait_for_pipe()
 """
     code, messages = supervise(tmp_path, script)
     assert code == 0
+    assert [message["event"] for message in messages] == ["started", "started"]
     assert "hung while reading the digitizer" in messages[1]["cause"]
     assert "past its deadline of 0.2 s" in messages[1]["cause"]
 
@@ -157,8 +169,22 @@ def test_a_line_that_is_no_message_is_logged_and_skipped(
     assert "no message" in caplog.text
 
 
-def test_messages_are_one_json_line(capsys: pytest.CaptureFixture[str]) -> None:
-    from daq_service.processes.child import tell_supervisor
-
+def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
     tell_supervisor("listening", url="http://127.0.0.1:1/")
-    assert json.loads(capsys.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}
+    assert json.loads(capfd.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes that refuse instead of waiting")
+def test_a_supervisor_that_stands_still_keeps_nobody_waiting() -> None:
+    """Stopped by a debugger, say: the pipe is full after some hundred lines."""
+    script = """
+from daq_service.processes.child import tell_supervisor
+for _ in range(3000):
+    tell_supervisor("beat", doing="waiting for set 17")
+"""
+    with subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE) as child:
+        assert child.wait(60.0) == 0
+        assert child.stdout is not None
+        lines = child.stdout.read().splitlines()
+    assert 100 < len(lines) < 3000
+    assert {json.loads(line)["doing"] for line in lines} == {"waiting for set 17"}

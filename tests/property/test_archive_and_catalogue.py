@@ -20,12 +20,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.memory_archive import MemoryArchive, bits
 
+from daq_service import shared_file
 from daq_service.archive import (
     ConflictingSetError,
     FolderArchive,
     FolderSetReader,
     SetReference,
-    durable_file,
 )
 from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
 from daq_service.catalogue.errors import CatalogueError
@@ -127,9 +127,9 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
     @rule(index=sets, call=st.sampled_from(["os.open", "os.fsync", "os.replace", "sync_folder"]))
     def crash_while_storing(self, index, call):
         """End the process before a call: only after the rename is the set there, though not acknowledged."""
-        killed = mock.patch.object(durable_file, call.removeprefix("os."), side_effect=Killed)
+        killed = mock.patch.object(shared_file, call.removeprefix("os."), side_effect=Killed)
         if call.startswith("os."):
-            killed = mock.patch.object(durable_file.os, call.removeprefix("os."), side_effect=Killed)
+            killed = mock.patch.object(shared_file.os, call.removeprefix("os."), side_effect=Killed)
         with killed, pytest.raises(Killed):
             self.archive.store_set(RECORDS[index])
         if call == "sync_folder":

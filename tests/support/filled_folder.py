@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import parse_utc
 from daq_service.judgement.transaction import shot_row
+from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
@@ -67,11 +69,18 @@ class FilledFolder:
             )
         self.archive = FolderArchive(folder)
         self.live = LivePicture(folder, settings.rig.kind)
+        self._ownership = ExitStack()
+        self._ownership.enter_context(own_data_folder(folder))
         self.beat()
         if not begun:
             self.say("recorder_started", 0)
 
+    def recorder_ends(self) -> None:
+        """Free the folder's lock, as the end of the recorder's process does."""
+        self._ownership.close()
+
     def close(self) -> None:
+        self._ownership.close()
         self.catalogue.close()
 
     def beat(self, doing: str = "waiting") -> None:

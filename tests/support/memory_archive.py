@@ -32,6 +32,7 @@ class Shelf:
 
     sets: dict[SetReference, SetRecord] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
+    quarantine: dict[SetReference, SetRecord] = field(default_factory=dict)
 
 
 class MemoryArchive:
@@ -62,6 +63,12 @@ class MemoryArchive:
         self.shelf.sets[reference] = record
         crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
         return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
+
+    def set_aside(self, reference: SetReference) -> None:
+        self.shelf.quarantine[reference] = self.shelf.sets.pop(reference)
+
+    def quarantined(self) -> list[str]:
+        return list(self.shelf.quarantine)
 
     def sets(self) -> dict[int, SetReference]:
         return dict(sorted((record.set_index, file) for file, record in self.shelf.sets.items()))

@@ -18,6 +18,7 @@ from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import patiently
 
 SLOW_WRITE_S = 1.0
 """A small file that takes longer to become durable means a disk that will hold sets up."""
@@ -104,7 +105,7 @@ def _writable(folder: Path) -> Check:
             file.write(b"solimon")
             file.flush()
             os.fsync(file.fileno())
-        probe.unlink()
+        patiently(probe.unlink)
     except OSError as error:
         found = f"{place} cannot be written: {error.strerror}"
         return _cannot(name, found, "correct its permissions or choose another folder with --data-dir")

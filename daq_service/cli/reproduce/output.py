@@ -12,6 +12,7 @@ from typing import Any
 
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
+from daq_service.shared_file import patiently
 
 RECORD = "reproduction.json"
 """Tells that the folder is ours, and at the end what is in it."""
@@ -47,7 +48,7 @@ def write_whole(path: Path, content: bytes) -> None:
     partial = path.with_name(f".{path.name}.tmp")
     try:
         partial.write_bytes(content)
-        partial.replace(path)
+        patiently(lambda: partial.replace(path))
     except OSError as error:
         raise StorageError(
             f"cannot write {path}: {error.strerror}; free the disk or choose another --out"

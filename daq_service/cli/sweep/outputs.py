@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from daq_service.archive.durable_file import write_durably
 from daq_service.archive.sweep_table import hdf5_image
 from daq_service.cli.sweep.table import Column, SweepTable, facts_text
 from daq_service.errors import StorageError, UsageError
+from daq_service.shared_file import write_durably
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (".csv", *HDF5_SUFFIXES, ".parquet")

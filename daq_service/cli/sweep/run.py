@@ -20,6 +20,7 @@ from daq_service.cli.sweep.shot import INVALID, RESULTS, Outcome
 from daq_service.cli.sweep.table import SweepTable, make_table
 from daq_service.cli.sweep.work_file import WorkFile, belongs_to, open_work_file, work_path
 from daq_service.errors import StorageError, UsageError
+from daq_service.shared_file import patiently
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +127,7 @@ def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcom
 
 def _drop(path: Path) -> None:
     try:
-        path.unlink()
+        patiently(path.unlink)
     except OSError as error:
         raise StorageError(
             f"the results are written, but {path} cannot be removed: {error.strerror}; remove it by hand"

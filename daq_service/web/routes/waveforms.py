@@ -16,12 +16,13 @@ from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.judgement.methods import METHODS
+from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import Context, ContextOf, SocketContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX
-from daq_service.web.streams.live_pictures import Picture, decode_header
+from daq_service.web.streams.live_pictures import Picture, decode_header, unreadable_picture
 
 router = APIRouter(tags=["waveforms"])
 OCTET_STREAM = "application/octet-stream"
@@ -41,11 +42,13 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live picture: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
     path = context.data_folder / "live" / f"{context.known(position)}.bin"
     try:
-        content = path.read_bytes()
+        content = read_shared(path)
     except FileNotFoundError:
         raise not_found(
             f"Position {position} has no live picture yet.", "The recorder writes one with its next record."
         ) from None
+    except OSError as error:
+        raise unreadable_picture(str(error)) from None
     header = decode_header(content)
     return Response(
         content,

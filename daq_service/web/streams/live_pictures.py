@@ -89,11 +89,16 @@ def decode_header(content: bytes) -> dict[str, Any]:
         if not isinstance(header, dict) or len(content) < 4 + length:
             raise ValueError("the header is cut off")
     except (struct.error, ValueError) as error:
-        raise Problem(
-            503,
-            "storage-unavailable",
-            "The live picture cannot be read",
-            f"The newest live picture is damaged: {error}.",
-            "The recorder replaces it with its next record; stored records are not concerned.",
-        ) from None
+        raise unreadable_picture(f"it is damaged, {error}") from None
     return header
+
+
+def unreadable_picture(why: str) -> Problem:
+    """Return the answer where a picture is there and cannot be shown."""
+    return Problem(
+        503,
+        "storage-unavailable",
+        "The live picture cannot be read",
+        f"The newest live picture cannot be read: {why}.",
+        "The recorder replaces it with its next record; stored records are not concerned.",
+    )

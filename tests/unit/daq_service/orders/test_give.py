@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.errors import BusyError, UsageError
 from daq_service.orders.give import give_order
+from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import FILE_NAME, Heartbeat
 
 
 class Recorder:
     """Answers what waits each time the person looks again."""
 
-    def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
+    def __init__(self, folder: Path, catalogue: RecorderCatalogue, ownership: ExitStack) -> None:
+        self.ownership = ownership
         self.folder, self.catalogue = folder, catalogue
         self.answer = ("done", "")
         self.seen: list[tuple[str, str, dict[str, Any]]] = []
@@ -37,8 +40,9 @@ class Recorder:
 
 @pytest.fixture
 def recorder(tmp_path: Path) -> Iterator[Recorder]:
-    with begun_catalogue(tmp_path) as catalogue:
-        yield Recorder(tmp_path, catalogue)
+    with begun_catalogue(tmp_path) as catalogue, ExitStack() as ownership:
+        ownership.enter_context(own_data_folder(tmp_path))
+        yield Recorder(tmp_path, catalogue, ownership)
 
 
 def test_an_order_is_written_and_its_answer_printed(
@@ -98,7 +102,12 @@ def test_an_order_without_an_answer_stays(recorder: Recorder, capsys: pytest.Cap
     assert [kind for kind, _, _ in recorder.seen] == ["release"]
 
 
-def silence(recorder: Recorder) -> None:
+def killed(recorder: Recorder) -> None:
+    recorder.ownership.close()
+
+
+def killed_and_its_heartbeat_lost(recorder: Recorder) -> None:
+    recorder.ownership.close()
     (recorder.folder / FILE_NAME).unlink()
 
 
@@ -107,11 +116,14 @@ def overdue(recorder: Recorder) -> None:
 
 
 def reboot(recorder: Recorder) -> None:
+    recorder.ownership.close()
     beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
+    del beat["crc32"]
     (recorder.folder / FILE_NAME).write_text(json.dumps(beat | {"boot": "another"}), encoding="utf-8")
 
 
 def power_cut(recorder: Recorder) -> None:
+    recorder.ownership.close()
     (recorder.folder / FILE_NAME).write_text("", encoding="utf-8")
 
 
@@ -121,11 +133,12 @@ def stopped(recorder: Recorder) -> None:
 
 def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> None:
     beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
+    del beat["crc32"]
     text = json.dumps(beat | {"mono_ns": mono_ns(beat)})
     (recorder.folder / FILE_NAME).write_text(text, encoding="utf-8")
 
 
-@pytest.mark.parametrize("end", [silence, overdue, reboot, power_cut, stopped])
+@pytest.mark.parametrize("end", [killed, killed_and_its_heartbeat_lost, overdue, reboot, power_cut, stopped])
 def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable[[Recorder], None]) -> None:
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):

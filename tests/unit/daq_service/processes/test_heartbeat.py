@@ -3,7 +3,16 @@ from pathlib import Path
 import pytest
 
 from daq_service.clock import boot_name
-from daq_service.processes.heartbeat import FILE_NAME, Heartbeat, age_s, read_heartbeat
+from daq_service.processes.heartbeat import (
+    FILE_NAME,
+    Beat,
+    Heartbeat,
+    age_s,
+    beat_of,
+    encoded,
+    read_heartbeat,
+)
+from hardware_drivers.nanoseconds import NS_PER_S
 
 
 class FakeMonotonic:
@@ -103,10 +112,21 @@ def test_what_is_no_heartbeat_counts_as_none_and_is_told_once(
     assert warning.exc_info is None
 
 
-def test_a_file_that_cannot_be_read_counts_as_none(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_file_that_can_be_neither_read_nor_written_is_told_once_and_ends_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     (tmp_path / FILE_NAME).mkdir()
+    clock, told = FakeMonotonic(), []
+    heartbeat = Heartbeat(
+        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: told.append(beat_of(values))
+    )
+    for number in range(3):
+        heartbeat.beat(f"set {number}")
+        clock.now_ns += NS_PER_S
     assert read_heartbeat(tmp_path) is None
-    assert "counts as none" in caplog.text
+    (warning,) = caplog.records
+    assert "cannot be written" in warning.getMessage()
+    assert [beat.doing for beat in told] == ["set 0", "set 1", "set 2"]
 
 
 def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
@@ -119,19 +139,35 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
     assert age_s(beat, boot="ours", mono_ns=4) is None
 
 
-def test_a_beat_whose_file_somebody_reads_is_written_at_the_next_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Windows refuses to replace an open file."""
+def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
+    """No rename meets a reader (Windows), and a full disk has the place already."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
-
-    def refuse(path: Path, target: Path) -> None:
-        raise PermissionError(13, "in use", str(path))
-
-    with monkeypatch.context() as reading:
-        reading.setattr(Path, "replace", refuse)
+    heartbeat.beat("\N{SNOWMAN}" * 10_000)
+    path = tmp_path / FILE_NAME
+    before = path.stat()
+    with path.open("rb"):
+        clock.now_ns += NS_PER_S
         heartbeat.beat("waiting")
-    assert read_heartbeat(tmp_path) is None
-    heartbeat.beat("waiting")
-    assert read_heartbeat(tmp_path) is not None
+    assert (path.stat().st_ino, path.stat().st_size) == (before.st_ino, before.st_size)
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert beat.doing == "waiting"
+
+
+def test_a_look_that_falls_into_a_write_looks_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every mixture of two beats, up to each byte the newer one, is refused; then the whole one is read."""
+    old, new = (
+        encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))
+        for mono_ns, doing in ((1_999_999_999, "taking set 9"), (2_000_000_000, "taking set 10"))
+    )
+    torn = {new[:size] + old[size:] for size in range(len(new))} - {old, new}
+    assert len(torn) > 10
+    for mixture in torn:
+        looks = [mixture, new]
+        monkeypatch.setattr(
+            "daq_service.processes.heartbeat.read_hint", lambda path, looks=looks: looks.pop(0)
+        )
+        beat = read_heartbeat(tmp_path)
+        assert beat is not None
+        assert (beat.mono_ns, beat.doing) == (2_000_000_000, "taking set 10")

@@ -33,26 +33,39 @@ def beat(age_s: float, *, boot: str | None = BOOT) -> Beat:
 REBOOTED = "not running: this computer was started again since it was last seen waiting"
 
 
+LATE = "last sign of life 66 s ago while waiting"
+
+
 @pytest.mark.parametrize(
-    ("found", "word", "description"),
+    ("owned", "found", "word", "description"),
     [
-        (None, "absent", "never started here"),
-        (beat(65.0), "running", "running, waiting"),
-        (beat(66.0), "silent", "not running: last sign of life 66 s ago while waiting"),
-        (beat(1.0, boot="another boot"), "silent", REBOOTED),
-        (beat(-1.0, boot="another boot"), "silent", REBOOTED),
+        # The lock alone says who runs, the heartbeat whether it moves.
+        (True, beat(65.0), "running", "running, waiting"),
+        (True, beat(66.0), "silent", f"not answering: {LATE}"),
+        (True, None, "running", "running; its heartbeat cannot be read"),
+        (True, beat(1.0, boot="another boot"), "running", "running, starting"),
+        (False, None, "absent", "never started here"),
+        (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
+        (False, beat(66.0), "silent", f"not running: {LATE}"),
+        (False, beat(1.0, boot="another boot"), "silent", REBOOTED),
+        # Nobody can tell who holds the lock: the heartbeat decides.
+        (None, None, "absent", "never started here"),
+        (None, beat(65.0), "running", "running, waiting"),
+        (None, beat(66.0), "silent", f"not running: {LATE}"),
+        (None, beat(1.0, boot="another boot"), "silent", REBOOTED),
+        (None, beat(-1.0, boot="another boot"), "silent", REBOOTED),
         # An older version, or a system that names no boot: only a time ahead tells.
-        (beat(1.0, boot=None), "running", "running, waiting"),
-        (beat(-1.0, boot=None), "silent", REBOOTED),
+        (None, beat(1.0, boot=None), "running", "running, waiting"),
+        (None, beat(-1.0, boot=None), "silent", REBOOTED),
     ],
 )
 @pytest.mark.parametrize(
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
-def test_a_recorder_that_said_nothing_is_judged_by_its_heartbeat(
-    found: Beat | None, word: Word, description: str, kinds: list[str]
+def test_a_recorder_that_said_nothing_is_judged_by_lock_and_heartbeat(
+    owned: bool | None, found: Beat | None, word: Word, description: str, kinds: list[str]
 ) -> None:
-    state = recorder_state(found, kinds, boot=BOOT, mono_ns=NOW_NS)
+    state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
     assert (state.word, state.description) == (word, description)
     assert state.listens == (word == "running")
     assert state.beat is found
@@ -64,20 +77,26 @@ def test_a_recorder_that_said_nothing_is_judged_by_its_heartbeat(
         (["recorder_started", "set_done", "schedule_done"], "finished", True),
         (["schedule_done", "alarm_acknowledged", "hold"], "finished", True),
         (["recorder_started", "recorder_stopped"], "stopped", False),
+        (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
 )
 def test_a_recorder_says_itself_how_it_ended_and_may_still_listen(
     kinds: list[str], word: Word, listens: bool
 ) -> None:
-    state = recorder_state(beat(1.0), kinds, boot=BOOT, mono_ns=NOW_NS)
+    state = recorder_state(beat(1.0), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.word, state.listens) == (word, listens)
     assert state.description.startswith(word)
-    assert not recorder_state(beat(66.0), kinds, boot=BOOT, mono_ns=NOW_NS).listens
+    assert ("its supervisor was gone" in state.description) == (kinds[-1] == "recorder_left_alone")
+    assert not recorder_state(beat(66.0), kinds, owned=True, boot=BOOT, mono_ns=NOW_NS).listens
+    assert not recorder_state(beat(1.0), kinds, owned=False, boot=BOOT, mono_ns=NOW_NS).listens
 
 
 def test_the_age_of_a_beat_is_told_only_within_its_boot() -> None:
-    assert recorder_state(beat(3.0), [], boot=BOOT, mono_ns=NOW_NS).beat_age_s == 3.0
-    assert recorder_state(beat(3.0, boot="another boot"), [], boot=BOOT, mono_ns=NOW_NS).beat_age_s is None
+    def age(found: Beat) -> float | None:
+        return recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
+
+    assert age(beat(3.0)) == 3.0
+    assert age(beat(3.0, boot="another boot")) is None
 
 
 @pytest.fixture

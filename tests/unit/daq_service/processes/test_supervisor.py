@@ -5,6 +5,7 @@ import json
 import subprocess
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -198,6 +199,17 @@ def test_a_recorder_is_killed_at_its_deadline() -> None:
     assert hung.killed_s == pytest.approx(25.0, abs=0.101)  # the next look after the deadline
     assert world.causes()[1].startswith("hung while taking set 3: heartbeat 0.")
     assert world.causes()[1].endswith("s past its deadline of 5 s")
+
+
+def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
+    """A disk that takes nothing must not cost the recorder its life."""
+    alive = Life()
+    world = World(alive, Life(0))
+    beat = beat_at(world, STARTING_GRACE_S / 2, deadline_s=100.0)
+    alive.stdout = io.BytesIO(json.dumps({"event": "beat", **asdict(beat)}).encode() + b"\n")
+    world.run()
+    assert alive.killed_s == pytest.approx(STARTING_GRACE_S / 2 + 100.0, abs=0.101)
+    assert world.messages == []
 
 
 def test_a_recorder_that_beats_is_left_alone() -> None:

@@ -253,6 +253,7 @@ def test_transducers_tell_their_state(api):
 def test_data_of_a_recorder_that_is_gone_are_stale(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False)
+    filled.recorder_ends()
     (tmp_path / FILE_NAME).unlink()
     with served(filled.settings, tmp_path) as service, service.client() as api:
         answer = get(api, "/api/v1/transducers")

@@ -1,0 +1,155 @@
+"""Files that the processes of a test share: one writes, any number read, beside virus scanners and indexers.
+
+Two kinds. What is *durable* is whole or absent after a power cut: `write_durably`. A *hint* (heartbeat, live
+picture, log) may be empty, torn or gone, and whoever wants it goes on without: `write_hint`, `read_hint`.
+
+Windows neither opens, renames nor removes a file that another process holds in certain ways (sharing
+violation, a PermissionError); a moment later it does. What must not fail for that is called `patiently`.
+Where rights are missing for good, the same error costs `PATIENCE_S` before it is told.
+
+Calls that may fail go through `os` by name, where the fault tests interpose. Never is a file written by
+HDF5 itself: a full disk would end the process.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+PATIENCE_S = 2.0
+"""A virus scanner holds a new file for some tenths of a second."""
+LONGEST_PAUSE_S = 0.05
+HINT_SUFFIX = ".tmp"
+
+O_BINARY = getattr(os, "O_BINARY", 0)
+
+
+def patiently(
+    call: Callable[[], T],
+    *,
+    refusals: tuple[type[OSError], ...] = (PermissionError,),
+    patience_s: float = PATIENCE_S,
+    pause: Callable[[float], None] = time.sleep,
+) -> T:
+    """Call again while the answer is a refusal, with growing pauses; the last one is raised."""
+    deadline = time.monotonic() + patience_s
+    pause_s = 0.001
+    while True:
+        try:
+            return call()
+        except refusals:
+            if time.monotonic() >= deadline:
+                raise
+        pause(pause_s)
+        pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+
+
+def read_shared(path: Path) -> bytes:
+    """Read a file that another process may be replacing.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, also after a while.
+    """
+    return patiently(path.read_bytes)
+
+
+def read_hint(path: Path) -> bytes | None:
+    """Read what may be absent, or held by somebody at this moment: None then, come again."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        log.debug("%s cannot be read now: %s", path, error)
+        return None
+
+
+def write_hint(path: Path, content: bytes) -> OSError | None:
+    """Replace a file by rename, without waiting for anything; return what kept it from being replaced."""
+    partial = path.with_suffix(HINT_SUFFIX)
+    try:
+        partial.write_bytes(content)
+        os.replace(partial, path)  # noqa: PTH105 - the seam is os
+    except OSError as error:
+        return error
+    return None
+
+
+def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float, float, float]:
+    """Write a temporary file, sync it, rename it, sync its folder.
+
+    On an error nothing new is left, as far as the disk still allows it; a ``path`` that existed
+    stays, old or new.
+
+    Returns
+    -------
+    tuple of float
+        Seconds spent on writing, on fsync, and on rename and fsync of the folder.
+
+    Raises
+    ------
+    OSError
+        ``content`` is not durable. A failed fsync is never repeated on the same file, since the
+        second one may succeed although the data are gone: call again, which writes a new file.
+    """
+    start = time.perf_counter()
+    existed = path.exists()
+    renamed = False
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY
+        descriptor = patiently(lambda: os.open(temporary, flags, 0o644))
+        try:
+            _write_all(descriptor, content)
+            written = time.perf_counter()
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        synced = time.perf_counter()
+        patiently(lambda: os.replace(temporary, path))  # noqa: PTH105 - the seam is os
+        renamed = True
+        sync_folder(path.parent)
+    except OSError:
+        if not renamed:
+            remove_quietly(temporary)
+        elif not existed:
+            remove_quietly(path)
+        raise
+    return written - start, synced - written, time.perf_counter() - synced
+
+
+def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:
+    """Make the names in a folder durable; Windows has no such call and keeps names in its own journal."""
+    if sys.platform == "win32":
+        return
+    descriptor = patiently(lambda: os.open(folder, os.O_RDONLY), patience_s=patience_s)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def remove_quietly(path: Path) -> None:
+    """Remove a file that must not stay; a disk that refuses even this is logged."""
+    try:
+        patiently(lambda: os.unlink(path))  # noqa: PTH108 - the seam is os
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        log.warning("cannot remove the unfinished %s: %s", path, error)
+
+
+def _write_all(descriptor: int, content: bytes) -> None:
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(descriptor, rest) :]
