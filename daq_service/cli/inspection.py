@@ -16,7 +16,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.clock import format_utc, parse_utc
-from daq_service.processes.data_folder import data_folder
+from daq_service.processes.data_folder import data_folder, settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
@@ -125,8 +125,7 @@ def _records(settings: Settings) -> tuple[_Record, _Record]:
 
 def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Carry out ``status``."""
-    settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    _, folder = settings_and_folder(config, data_dir)
     facts = describe_status(folder)
     if as_json:
         click.echo(json.dumps(facts))

@@ -18,9 +18,8 @@ import click
 from daq_service.catalogue import check_owner
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
 from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
-from daq_service.processes.data_folder import data_folder, own_data_folder, prepare_data_folder, sweep
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_and_folder, sweep
 from daq_service.processes.supervisor import ChildPlan, Supervisor
-from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 
 if TYPE_CHECKING:
@@ -33,8 +32,7 @@ STOPPED = "the recorder was told to stop and strikes no more; start again with t
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
     """Record and serve under a supervisor."""
-    settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
 
@@ -90,8 +88,7 @@ def record_alone(
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
     from daq_service.recording.session import record
 
-    settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     with stop_on_signals() as stop, own_data_folder(folder):
         log_to(folder / "logs" / "recorder.log")
@@ -141,8 +138,7 @@ def serve_alone(
     from daq_service.web.app import create_app
     from daq_service.web.server import serve
 
-    settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     log_to(folder / "logs" / "web.log")
     if restarted_because:

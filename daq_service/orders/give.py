@@ -18,9 +18,8 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.orders.kinds import read_order
-from daq_service.processes.data_folder import data_folder
+from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
-from daq_service.settings.file import load_settings
 
 ANSWER_WITHIN_S = 30.0
 """A recorder looks several times a second, but not while it waits for a record or stores a set."""
@@ -65,7 +64,7 @@ def give_order(
     author = (author or _user())[:LONGEST_AUTHOR]
     given = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
     read_order(kind, author, given)  # refused here, no recorder need look at it
-    folder = data_folder(load_settings(config), config, data_dir)
+    _, folder = settings_and_folder(config, data_dir)
     with open_catalogue(folder) as catalogue:
         _check_somebody_listens(folder, catalogue)
         order_id = catalogue.add_command(author, kind, given)

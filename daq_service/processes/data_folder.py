@@ -17,8 +17,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import IO
 
+from pydantic import ValidationError
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.network_folder import network_filesystem
-from daq_service.errors import BusyError, StorageError
+from daq_service.errors import BusyError, StorageError, UsageError
+from daq_service.settings.file import load_settings
+from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import HINT_SUFFIX, patiently, remove_quietly, write_durably
 
@@ -211,6 +217,37 @@ def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) 
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
     return base / settings.storage.folder
+
+
+def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
+    """Read the configuration and say which data folder it means.
+
+    The file that a folder keeps for itself is a hint: where it is torn, foreign or gone, the folder's
+    catalogue knows the configuration that its test began with.
+
+    Raises
+    ------
+    UsageError
+        The configuration is refused, with the reason.
+    """
+    try:
+        settings = load_settings(config)
+    except UsageError as error:
+        kept = None if config is None or config.name != CONFIGURATION_FILE else _kept_settings(config.parent)
+        if kept is None:
+            raise
+        log.warning("going on with the configuration that the catalogue keeps: %s", error)
+        settings = kept
+    return settings, data_folder(settings, config, data_dir)
+
+
+def _kept_settings(folder: Path) -> Settings | None:
+    try:
+        with open_catalogue(folder) as catalogue:
+            return Settings(**renamed(catalogue.experiment_row().configuration))
+    except (CatalogueError, ValidationError) as error:
+        log.debug("the catalogue of %s has no configuration for this version: %s", folder, error)
+        return None
 
 
 def write_configuration(settings: Settings, folder: Path) -> Path:

@@ -188,6 +188,18 @@ class ArchiveContract:
         # Attempt 42 was superseded: the shot can still be read.
         assert_same_waveform(reader.read_waveform(stored.file, "B", 1), whole.shots[2].waveform)
 
+    def test_a_set_that_is_set_aside_is_no_set_and_still_there(self, archive, reader, reopened):
+        stored = archive.store_set(make_set())
+        assert archive.quarantined() == []
+        archive.set_aside(stored.file)
+        assert dict(reader.sets()) == dict(archive.sets()) == {}
+        (name,) = reopened().quarantined()
+        assert stored.file.rpartition("/")[2] in name
+        again = archive.store_set(replace(make_set(), due_h=4.5))  # it may be taken once more
+        assert archive.read_set(again.file).due_h == 4.5
+        archive.set_aside(again.file)
+        assert len(archive.quarantined()) == 2, "nothing there is overwritten"
+
     def test_a_damaged_record_cannot_be_read_alone(self, archive, reader, damage):
         stored = archive.store_set(make_set())
         damage(stored.file, 41)

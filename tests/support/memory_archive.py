@@ -32,7 +32,7 @@ class Shelf:
 
     sets: dict[SetReference, SetRecord] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
-    quarantine: dict[SetReference, SetRecord] = field(default_factory=dict)
+    quarantine: list[tuple[SetReference, SetRecord]] = field(default_factory=list)
 
 
 class MemoryArchive:
@@ -65,10 +65,10 @@ class MemoryArchive:
         return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
 
     def set_aside(self, reference: SetReference) -> None:
-        self.shelf.quarantine[reference] = self.shelf.sets.pop(reference)
+        self.shelf.quarantine.append((reference, self.shelf.sets.pop(reference)))
 
     def quarantined(self) -> list[str]:
-        return list(self.shelf.quarantine)
+        return [reference for reference, _ in self.shelf.quarantine]
 
     def sets(self) -> dict[int, SetReference]:
         return dict(sorted((record.set_index, file) for file, record in self.shelf.sets.items()))

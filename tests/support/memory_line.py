@@ -181,6 +181,7 @@ class Line:
         stop: threading.Event | None = None,
         archive: MemoryArchive | None = None,
         start_h: float | None = None,
+        left_alone: threading.Event | None = None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -215,6 +216,7 @@ class Line:
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
                 tell=lambda event, **values: None,
+                left_alone=left_alone,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
             )

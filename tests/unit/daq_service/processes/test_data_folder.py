@@ -1,10 +1,25 @@
+import threading
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
+from support.begun_experiment import begun_catalogue
 
 import daq_service.processes.data_folder
-from daq_service.errors import BusyError, StorageError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.catalogue import open_catalogue
+from daq_service.errors import BusyError, StorageError, UsageError
+from daq_service.processes.data_folder import (
+    CONFIGURATION_FILE,
+    LOCK_FILE,
+    is_locked,
+    is_owned,
+    own_data_folder,
+    prepare_data_folder,
+    settings_and_folder,
+    sweep,
+    write_configuration,
+)
+from daq_service.settings.tree import Settings
 
 
 def test_a_folder_is_made_with_its_parts_and_nothing_else(tmp_path: Path) -> None:
@@ -43,6 +58,52 @@ def test_a_folder_that_refuses_writing_is_told(tmp_path: Path, monkeypatch: pyte
         prepare_data_folder(tmp_path)
 
 
+def test_a_folder_for_hints_that_cannot_be_made_is_a_warning(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "sets").mkdir()
+    (tmp_path / "live").write_text("foreign")
+    prepare_data_folder(tmp_path)
+    assert "live cannot be made" in caplog.text
+    assert (tmp_path / "live").read_text() == "foreign"
+
+
+def test_what_killed_writers_left_goes_and_nothing_else(tmp_path: Path) -> None:
+    prepare_data_folder(tmp_path)
+    left = ["heartbeat.tmp", "configuration.tmp", ".write-test-0a", "live/B.tmp"]
+    kept = ["configuration.json", "live/B.bin", "sets/set_000001_20240101T010000Z.h5"]
+    for name in left + kept:
+        (tmp_path / name).write_text("x")
+    sweep(tmp_path)
+    files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert files == set(kept)
+
+
+def test_a_folder_tells_whether_it_is_owned_however_many_ask(tmp_path: Path) -> None:
+    assert is_owned(tmp_path) is False
+    with own_data_folder(tmp_path):
+        assert [is_owned(tmp_path) for _ in range(3)] == [True] * 3
+    with (tmp_path / LOCK_FILE).open("rb") as asking:
+        assert is_locked(asking) is False
+        assert is_owned(tmp_path) is False, "who asks is no owner"
+    (tmp_path / LOCK_FILE).unlink()
+    (tmp_path / LOCK_FILE).mkdir()
+    assert is_owned(tmp_path) is None
+
+
+def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
+    with own_data_folder(tmp_path):
+        pass
+    with ExitStack() as asking:
+        file = asking.enter_context((tmp_path / LOCK_FILE).open("rb"))
+        assert not is_locked(file)  # holds it until it is closed
+        closing = threading.Timer(0.05, asking.pop_all().close)
+        closing.start()
+        with own_data_folder(tmp_path):
+            pass
+    closing.join()
+
+
 def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
     with own_data_folder(tmp_path):
         with pytest.raises(BusyError, match="another recorder owns") as refusal, own_data_folder(tmp_path):
@@ -51,3 +112,38 @@ def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
         assert refusal.value.exit_code == 5
     with own_data_folder(tmp_path):
         pass  # free again
+
+
+@pytest.mark.parametrize("left", [b"", b'{"name": "tor', b'"foreign"', b'{"no_key": 1}', None])
+def test_a_folders_own_configuration_is_a_hint(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, left: bytes | None
+) -> None:
+    config = tmp_path / CONFIGURATION_FILE
+    if left is not None:
+        config.write_bytes(left)
+    with pytest.raises(UsageError):
+        settings_and_folder(config, tmp_path)  # no catalogue that would know better
+    with open_catalogue(tmp_path, writer=True) as catalogue:
+        catalogue.create_experiment(
+            name="test",
+            configuration_hash="0",
+            configuration={"schedule": {"shots_per_set": 7}},
+            epoch_utc_ns=0,
+            clock="simulated",
+            solimon_version="0",
+        )
+    settings, folder = settings_and_folder(config, None)
+    assert (settings.schedule.shots_per_set, folder.parent) == (7, tmp_path)
+    assert "the catalogue keeps" in caplog.text
+
+
+def test_a_persons_own_file_is_never_replaced_by_the_catalogue(tmp_path: Path) -> None:
+    (tmp_path / "mine.json").write_text("{")
+    with begun_catalogue(tmp_path), pytest.raises(UsageError, match="not valid json"):
+        settings_and_folder(tmp_path / "mine.json", tmp_path)
+
+
+def test_the_configuration_is_written_whole(tmp_path: Path) -> None:
+    config = write_configuration(Settings(), tmp_path)
+    assert settings_and_folder(config, tmp_path) == (Settings(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [CONFIGURATION_FILE]

@@ -100,6 +100,43 @@ def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
     assert line.rows("shots", "B") == whole.rows("shots", "B")
 
 
+def test_a_damaged_file_without_rows_is_set_aside_with_an_alarm_and_blocks_no_start(line, tmp_path):
+    whole = Line(tmp_path / "whole")
+    whole.folder.mkdir()
+    whole.run()
+    for record in list(whole.shelf.sets.values())[:2]:
+        stored = MemoryArchive(line.shelf).store_set(record)
+        line.shelf.damaged |= {(stored.file, item.sequence) for item in record.records}
+    line.run(start_h=1.2)  # set 0 is over, set 1 is still due
+    assert (states(line, "B")[0], states(line, "B")[1]) == ("missed", "done")
+    assert causes(line, "B")[0].startswith("its file was damaged and is set aside (memory/sets/set_000000")
+    assert line.instruments[0].struck[0] == ("B", 1, 0, 0)
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_damaged"]
+    assert (alarm.state, len(alarm.proof["set_aside"])) == ("unacknowledged", 2)
+    line.shelf.quarantine.clear()  # a person has looked at them
+    line.run()
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_damaged"]
+    assert alarm.state == "returned_unacknowledged"
+
+
+def test_an_alarm_that_a_crash_kept_from_its_rows_is_raised_by_the_next_start(line):
+    whole = Line(line.folder.parent / "whole")
+    whole.folder.mkdir()
+    whole.run()
+    archive = MemoryArchive(line.shelf)
+    archive.set_aside(archive.store_set(next(iter(whole.shelf.sets.values()))).file)
+    line.run()
+    assert [row.kind for row in line.rows("alarms")] == ["data_damaged"]
+
+
+def test_a_recorder_whose_supervisor_is_gone_says_so(line):
+    stop, left_alone = threading.Event(), threading.Event()
+    stop.set()
+    left_alone.set()
+    line.run(stop=stop, left_alone=left_alone)
+    assert line.rows("events")[-1].kind == "recorder_left_alone"
+
+
 def test_sets_whose_time_is_over_are_missed_with_the_cause(line):
     line.run(cause="the power was out", start_h=2.2)
     assert states(line, "B") == ["missed"] * 3 + ["done"] * (SETS - 3)

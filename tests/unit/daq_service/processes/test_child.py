@@ -1,0 +1,105 @@
+"""What a child does for itself: its log outlives a full disk and a reader that holds it."""
+
+import errno
+import logging
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from daq_service.processes import child
+from daq_service.processes.child import LogFile, log_to, stop_on_signals
+
+
+@pytest.fixture
+def logged(tmp_path):
+    """Write lines through a handler, as the root logger does."""
+    handler = LogFile(tmp_path / "recorder.log")
+    handler.setFormatter(logging.Formatter("%(message)s"))
+    yield handler, lambda text: handler.handle(logging.makeLogRecord({"msg": text}))
+    handler.close()
+
+
+def lines(folder: Path, name: str = "recorder.log") -> list[str]:
+    return (folder / name).read_text(encoding="utf-8").splitlines()
+
+
+class FullDisk:
+    """A stream whose disk takes nothing."""
+
+    def write(self, text):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def flush(self):
+        pass
+
+    def close(self):
+        pass
+
+    def seek(self, *place):
+        pass
+
+    def tell(self):
+        return 0
+
+
+def test_a_full_disk_costs_lines_which_are_counted_and_no_traceback(logged, tmp_path, capsys):
+    handler, write = logged
+    write("before")
+    stream, handler.stream = handler.stream, FullDisk()
+    for number in range(3):
+        write(f"lost {number}")
+    handler.stream = stream
+    write("after")
+    assert lines(tmp_path) == ["before", "3 lines could not be written here", "after"]
+    assert capsys.readouterr().err == ""
+
+
+def test_a_log_that_somebody_reads_is_not_rotated_but_goes_on(logged, tmp_path, monkeypatch):
+    """Windows renames no open file."""
+    handler, write = logged
+    handler.maxBytes = 30
+    write("x" * 25)
+
+    def held(source, target):
+        raise PermissionError(errno.EACCES, "in use", source)
+
+    with monkeypatch.context() as reading:
+        reading.setattr("os.rename", held)
+        for number in range(3):
+            write(f"line {number} of the test")
+    assert len(lines(tmp_path)) == 4
+    write("a line after the reader")
+    assert len(lines(tmp_path, "recorder.log.1")) == 4
+    assert lines(tmp_path) == ["a line after the reader"]
+
+
+def test_a_log_that_cannot_be_made_is_a_warning(tmp_path, capsys, monkeypatch):
+    (tmp_path / "logs").write_text("foreign")
+    root = logging.Logger("root")
+    monkeypatch.setattr(logging, "getLogger", lambda name=None: root)
+    log_to(tmp_path / "logs" / "recorder.log")
+    root.warning("a line")
+    assert "goes on without" in capsys.readouterr().err
+    assert (tmp_path / "logs").read_text() == "foreign"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no terminal hangs up there")
+def test_a_closed_terminal_is_a_polite_stop():
+    with stop_on_signals() as stop:
+        assert not stop.is_set()
+        signal.raise_signal(signal.SIGHUP)
+        assert stop.is_set()
+
+
+@pytest.mark.parametrize(("sent", "alone"), [(child.FAREWELL, False), (b"", True)])
+def test_a_child_knows_whether_its_supervisor_said_goodbye(sent, alone, monkeypatch):
+    answers = iter([sent])
+    monkeypatch.setattr(child.os, "read", lambda pipe, count: next(answers))
+    monkeypatch.setattr(child.sys, "stdin", sys.__stdin__)
+    stop = threading.Event()
+    left_alone = child.leave_when_pipe_closes(stop)
+    assert stop.wait(60.0)
+    assert left_alone.is_set() == alone

@@ -1,0 +1,90 @@
+"""Files that processes share: who waits for a moment, who goes on without."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from daq_service import shared_file
+from daq_service.shared_file import (
+    LONGEST_PAUSE_S,
+    patiently,
+    read_hint,
+    read_shared,
+    remove_quietly,
+    write_durably,
+    write_hint,
+)
+
+
+class Refusing:
+    """Refuses the first calls as Windows does while another process holds the file."""
+
+    def __init__(self, call, times, error=None):
+        self.call, self.left = call, times
+        self.error = error or PermissionError(13, "in use by another process")
+
+    def __call__(self, *arguments, **options):
+        if self.left:
+            self.left -= 1
+            raise self.error
+        return self.call(*arguments, **options)
+
+
+def test_a_refusal_is_waited_out_in_growing_pauses():
+    pauses = []
+    assert patiently(Refusing(lambda: "done", 10), pause=pauses.append) == "done"
+    assert len(pauses) == 10
+    assert pauses == sorted(pauses)
+    assert pauses[-1] == LONGEST_PAUSE_S
+
+
+def test_a_refusal_for_good_is_told():
+    calls = Refusing(lambda: "done", 10**9)
+    with pytest.raises(PermissionError, match="in use"):
+        patiently(calls, patience_s=0.0, pause=lambda seconds: None)
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError(), IsADirectoryError(), OSError(28, "disk full")])
+def test_other_errors_are_not_waited_for(error):
+    pauses = []
+    with pytest.raises(type(error)):
+        patiently(Refusing(lambda: "done", 1, error), pause=pauses.append)
+    assert pauses == []
+
+
+@pytest.mark.parametrize("call", ["open", "replace", "unlink"])
+def test_what_must_not_fail_waits(tmp_path, monkeypatch, call):
+    monkeypatch.setattr(shared_file.os, call, Refusing(getattr(os, call), 3))
+    path = tmp_path / "set.h5"
+    if call == "unlink":
+        path.write_bytes(b"old")
+        remove_quietly(path)
+        assert not path.exists()
+        return
+    write_durably(path, b"content", temporary=tmp_path / "set.tmp")
+    assert [item.name for item in tmp_path.iterdir()] == ["set.h5"]
+    assert path.read_bytes() == b"content"
+
+
+def test_a_reader_waits_for_what_it_needs_and_not_for_a_hint(tmp_path, monkeypatch):
+    path = tmp_path / "picture.bin"
+    path.write_bytes(b"picture")
+    refusing = Refusing(Path.read_bytes, 3)
+    monkeypatch.setattr(Path, "read_bytes", lambda self: refusing(self))  # noqa: PLW0108 - a method
+    assert read_hint(path) is None
+    assert read_shared(path) == b"picture"
+    assert read_hint(tmp_path / "absent") is None
+    with pytest.raises(FileNotFoundError):
+        read_shared(tmp_path / "absent")
+
+
+def test_a_hint_is_given_up_at_once_and_the_next_one_is_whole(tmp_path, monkeypatch):
+    path = tmp_path / "picture.bin"
+    assert write_hint(path, b"first") is None
+    with monkeypatch.context() as held:
+        held.setattr(shared_file.os, "replace", Refusing(os.replace, 1))
+        assert isinstance(write_hint(path, b"second"), PermissionError)
+    assert path.read_bytes() == b"first"
+    assert write_hint(path, b"third") is None
+    assert [item.read_bytes() for item in tmp_path.iterdir()] == [b"third"]
