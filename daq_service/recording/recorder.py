@@ -25,7 +25,7 @@ from daq_service.acquisition.taken_set import (
 )
 from daq_service.alarms.data_trouble import damage_condition
 from daq_service.alarms.states import Moment
-from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord, SetReference
+from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
 from daq_service.errors import RigError
@@ -122,7 +122,7 @@ class Recorder:
             "versions": self._provenance["versions"],
         }
         self._say("recorder_started", started)
-        self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
+        self._set_damaged_aside()
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 continue
@@ -295,11 +295,7 @@ class Recorder:
         file = self._orphans.get(due.set_index)
         if file is None:
             return False
-        try:
-            record = self._archive.read_set(file)
-        except CorruptArchiveError as error:
-            self._set_aside(due, file, error)
-            return False
+        record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         self._ledger.judge(due, record, file, features)
         self._next_sequence = self._catalogue.next_sequence()
@@ -308,11 +304,16 @@ class Recorder:
         self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
         return True
 
-    def _set_aside(self, due: DueSet, file: SetReference, error: CorruptArchiveError) -> None:
-        """One damaged file must not block the start: the set is due again, or missed with this cause."""
-        self._archive.set_aside(file)
-        log.error("set %d is set aside: %s", due.set_index, error)
-        self._damaged[due.set_index] = f"its file was damaged and is set aside ({error})"
+    def _set_damaged_aside(self) -> None:
+        """A damaged file without rows blocks no start: its set is due again, or missed with this cause."""
+        for set_index, file in list(self._orphans.items()):
+            try:
+                self._archive.read_set(file)
+            except CorruptArchiveError as error:
+                log.error("set %d is set aside: %s", set_index, error)
+                self._archive.set_aside(file)
+                del self._orphans[set_index]
+                self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
         self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
 
     def _miss(self, due: DueSet, following: DueSet | None, cause: str) -> bool:
