@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-PATIENCE_S = 2.0
+PATIENCE_S = 5.0
 """A virus scanner holds a new file for some tenths of a second."""
 LONGEST_PAUSE_S = 0.05
 HINT_SUFFIX = ".tmp"
@@ -36,7 +36,7 @@ O_BINARY = getattr(os, "O_BINARY", 0)
 def patiently(
     call: Callable[[], T],
     *,
-    refusals: tuple[type[OSError], ...] = (PermissionError,),
+    is_refusal: Callable[[Exception], bool] = lambda error: isinstance(error, PermissionError),
     patience_s: float = PATIENCE_S,
     pause: Callable[[float], None] = time.sleep,
 ) -> T:
@@ -46,8 +46,8 @@ def patiently(
     while True:
         try:
             return call()
-        except refusals:
-            if time.monotonic() >= deadline:
+        except Exception as error:
+            if not is_refusal(error) or time.monotonic() >= deadline:
                 raise
         pause(pause_s)
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)

@@ -19,6 +19,7 @@ from daq_service.catalogue.errors import (
     CatalogueError,
     CatalogueWriteError,
 )
+from daq_service.shared_file import patiently
 
 FILE_NAME = "catalogue.sqlite"
 _WRITES = "solimon_writes"
@@ -40,28 +41,34 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
     uri = f"{path.absolute().as_uri()}?mode={'rwc' if writable else 'ro'}"
 
     def connect() -> sqlite3.Connection:
-        return sqlite3.connect(
+        connection = sqlite3.connect(
             uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
+        try:
+            if writable:
+                connection.execute("PRAGMA journal_mode = WAL")
+                # With NORMAL a power cut takes the last commits along although they were acknowledged.
+                connection.execute("PRAGMA synchronous = FULL")
+            connection.execute("PRAGMA foreign_keys = ON")
+            # Opens every file: a writer whose file is held for a moment could only read from then on.
+            connection.execute("BEGIN IMMEDIATE" if writable else "BEGIN")
+            connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            connection.execute("ROLLBACK")
+        except BaseException:
+            connection.close()
+            raise
+        return connection
 
     # The pool is named because a URL without a file stands for a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=connect,
+        creator=lambda: patiently(connect, is_refusal=_is_held),
         poolclass=QueuePool,
         max_overflow=-1,
         json_serializer=json_text,
         json_deserializer=orjson.loads,
     )
-
-    @event.listens_for(engine, "connect")
-    def _set_pragmas(dbapi_connection: sqlite3.Connection, _record: Any) -> None:
-        if writable:
-            dbapi_connection.execute("PRAGMA journal_mode = WAL")
-            # With NORMAL a power cut takes the last commits along although they were acknowledged.
-            dbapi_connection.execute("PRAGMA synchronous = FULL")
-        dbapi_connection.execute("PRAGMA foreign_keys = ON")
 
     @event.listens_for(engine, "begin")
     def _begin(connection: Connection) -> None:
@@ -70,6 +77,13 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+def _is_held(error: Exception) -> bool:
+    """Tell whether SQLite says that one of its files cannot be opened, written or removed now."""
+    code = getattr(error, "sqlite_errorcode", 0)
+    held = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
+    return code & 0xFF in held or code in (sqlite3.SQLITE_IOERR_DELETE, sqlite3.SQLITE_IOERR_ACCESS)
 
 
 @contextmanager

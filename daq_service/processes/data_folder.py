@@ -176,7 +176,10 @@ def own_data_folder(folder: Path) -> Iterator[None]:
         file.seek(0)
         try:
             # Whoever asks whether somebody records holds it for an instant (`is_owned`).
-            patiently(lambda: try_lock(file), refusals=(BlockingIOError, PermissionError))
+            patiently(
+                lambda: try_lock(file),
+                is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
+            )
         except OSError as error:
             raise BusyError(
                 f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "

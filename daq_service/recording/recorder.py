@@ -305,7 +305,7 @@ class Recorder:
         return True
 
     def _set_damaged_aside(self) -> None:
-        """A damaged file without rows blocks no start: its set is due again, or missed with this cause."""
+        """Let no damaged file without rows block the start: its set is due again, or missed."""
         for set_index, file in list(self._orphans.items()):
             try:
                 self._archive.read_set(file)
