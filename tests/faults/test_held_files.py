@@ -53,7 +53,7 @@ def asked(url: str) -> tuple[int, bytes]:
 @pytest.mark.parametrize(
     "when",
     [
-        pytest.param(when, id=name, marks=[] if when == "first 500" else pytest.mark.slow)
+        pytest.param(when, id=name, marks=[] if when == "first 0" else pytest.mark.slow)
         for name, when in HELD.items()
     ],
 )
