@@ -95,6 +95,7 @@ def log_to(path: Path) -> None:
         logging.getLogger(talkative).setLevel(logging.WARNING)
     try:
         path.parent.mkdir(exist_ok=True)
+        path.touch()
         faulthandler.enable(path.with_suffix(".crash").open("a", encoding="utf-8"))
     except OSError as error:
         print(

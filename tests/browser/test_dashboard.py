@@ -10,6 +10,7 @@ from support.served_web import served, served_app
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
+from daq_service.processes.data_folder import own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
@@ -40,7 +41,7 @@ def filled(history, tmp_path):
 
 @pytest.fixture(scope="module")
 def historian(history):
-    with served(SETTINGS, history) as running:
+    with own_data_folder(history), served(SETTINGS, history) as running:
         yield running
 
 
