@@ -10,11 +10,16 @@ for library in ("OPENBLAS", "OMP", "MKL"):
     # Tests run side by side: threads of theirs that wait for each other in loops would double the cost.
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # read once, when numpy is imported
 
+# Else each process that a test starts compiles our sources anew; compiled kernels lie beside them in any case.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 SLOW_TEST_S = 3600.0
 """The longest of the tests marked slow takes a third of it."""
 
 LAST = ("contract", "property", "unit")
 """Folders of short files: begun last, so that no process is left alone with a long one."""
+AFTER_COMPILATION = "test_wheel.py"
+"""Takes along the kernels that the tests before it have compiled."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -26,7 +31,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
-    items.sort(key=lambda item: here in item.path.parents and item.path.relative_to(here).parts[0] in LAST)
+
+    def turn(item: pytest.Item) -> int:
+        short = here in item.path.parents and item.path.relative_to(here).parts[0] in LAST
+        return 2 if short else 1 if item.path.name == AFTER_COMPILATION else 0
+
+    items.sort(key=turn)
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(SLOW_TEST_S))

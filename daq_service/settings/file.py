@@ -9,8 +9,10 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pydantic import ValidationError
@@ -146,12 +148,16 @@ def _known_keys() -> list[str]:
     return sorted(keys)
 
 
+@cache
+def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+    tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
 def _texts_below_attributes(kind: type) -> dict[str, str]:
     """Return the string literal that follows each annotated attribute of a class."""
-    (definition,) = ast.parse(inspect.getsource(kind)).body
-    assert isinstance(definition, ast.ClassDef)  # for mypy: the source of a class
     texts = {}
-    for attribute, text in pairwise(definition.body):
+    for attribute, text in pairwise(_classes(inspect.getmodule(kind))[kind.__name__].body):
         match attribute, text:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
                 texts[name] = inspect.cleandoc(words)
