@@ -10,7 +10,7 @@ for library in ("OPENBLAS", "OMP", "MKL"):
     # Tests run side by side: threads of theirs that wait for each other in loops would double the cost.
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # read once, when numpy is imported
 
-# Else each process that a test starts compiles our sources anew; compiled kernels lie beside them in any case.
+# Else each process that a test starts compiles our sources anew; compiled kernels lie beside them anyway.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SLOW_TEST_S = 3600.0
