@@ -16,6 +16,7 @@ from support.daqmx_brains import context, in_a_process, running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
+    READ_TIMEOUT_S,
     TRANSPORTS,
     Forwarder,
     board,
@@ -122,7 +123,7 @@ def test_the_coil_waits_until_the_pre_trigger_has_filled(doubles, parameters):
         doubles.control.clear_record()
         rig.striker.strike(key())
         record = doubles.control.record()
-        waveform = rig.digitizer.read(2.0).waveform
+        waveform = rig.digitizer.read(READ_TIMEOUT_S).waveform
     started_ns = record["calls"][0]["begin_ns"]
     assert record["lines"][0]["ns"] - started_ns >= 1e9 * slow.initial_delay_s == 4_000_000
     assert waveform.pretrigger_samples == 20_000
@@ -587,7 +588,7 @@ def test_a_record_larger_than_grpcs_own_limit_comes_through(doubles, remote):
     large = replace(remote, dry_run=True, record_samples=1_000_000, call_timeout_s=20.0)
     with open_daqmx(large) as rig:
         rig.digitizer.arm(key())
-        assert rig.digitizer.read(5.0).waveform.counts.size == 1_000_000
+        assert rig.digitizer.read(READ_TIMEOUT_S).waveform.counts.size == 1_000_000
 
 
 @on_a_server
@@ -630,7 +631,7 @@ def test_a_second_process_of_this_computer_does_not_clear_the_first_ones_tasks(d
         with pytest.raises(BusyError, match=f"process {os.getpid()}"):
             open_daqmx(remote).__enter__()
         rig.striker.strike(key(0))
-        rig.digitizer.read(2.0)
+        rig.digitizer.read(READ_TIMEOUT_S)
 
 
 def test_a_killed_server_is_found_again_at_its_address():

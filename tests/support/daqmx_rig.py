@@ -127,8 +127,12 @@ def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
 HOUR_H = 12.0
 
 
+READ_TIMEOUT_S = 60.0
+"""The doubles work in real time: reached on a machine that hangs, not on one that is busy."""
+
+
 def take(
-    rig: DaqmxInstruments, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = 2.0
+    rig: DaqmxInstruments, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = READ_TIMEOUT_S
 ) -> Acquired:
     """Take one shot and tell the double which one it is."""
     doubles.control.announce(key, HOUR_H)
