@@ -1,4 +1,4 @@
-"""The alarm of the data themselves: sets that cannot be read and were set aside."""
+"""The alarms of the data themselves: what cannot be stored, what cannot be read."""
 
 from __future__ import annotations
 
@@ -23,4 +23,22 @@ def damage_condition(set_aside: Sequence[str]) -> Condition:
         present=bool(set_aside),
         message=f"damaged and without rows, set aside: {', '.join(set_aside)}; remove what nobody needs",
         proof={"set_aside": list(set_aside)},
+    )
+
+
+def storage_condition(message: str, *, present: bool) -> Condition:
+    """Alarm while sets wait in memory because the disk takes nothing.
+
+    Parameters
+    ----------
+    message
+        What the disk, or the system, says.
+    """
+    return Condition(
+        position=None,
+        kind="storage_unavailable",
+        family="device",
+        severity="high",
+        present=present,
+        message=f"nothing can be stored, what is taken waits in memory: {message}",
     )

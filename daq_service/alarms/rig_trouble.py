@@ -27,7 +27,7 @@ def lost_cause(missed: Sequence[MissedShot | MissedRecord]) -> str:
     return missed[-1].cause
 
 
-def rig_condition(due: DueSet, trouble: str, unanswered: str) -> Condition:
+def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
     """Alarm while the instruments do not answer, belong to somebody else, or cannot do what is asked.
 
     Parameters
@@ -36,13 +36,15 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str) -> Condition:
         What ended the set, ``class: message``; empty if nothing did.
     unanswered
         Why nothing in the set was answered (`lost_cause`); empty if anything was.
+    proven
+        These instruments have taken a whole set here: whatever they say now, the next one is tried.
     """
     error, _, message = trouble.partition(": ")
     happened = "ended early"
     if not trouble and unanswered:
         error, message, happened = ConnectionLostError.__name__, unanswered, "got no answer"
     outlook = "the next set tries again"
-    if error not in PASSING:
+    if error not in PASSING and not proven:
         outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     return Condition(
         position=None,

@@ -15,6 +15,7 @@ from sqlalchemy.pool import QueuePool
 
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
+    CatalogueConflictError,
     CatalogueDamagedError,
     CatalogueError,
     CatalogueWriteError,
@@ -128,7 +129,7 @@ def _translate(path: Path, doing: str, error: BaseException | None) -> Catalogue
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
         return CatalogueWriteError(f"{told}; give this user the right to write the folder")
     if code == sqlite3.SQLITE_CONSTRAINT:
-        return CatalogueWriteError(
+        return CatalogueConflictError(
             f"{told}; nothing of it was stored: such a row exists, or lacks what it belongs to"
         )
     return CatalogueError(told)

@@ -10,7 +10,8 @@
         ├── SchemaVersionError       made by another version of solimon
         ├── CatalogueBusyError       somebody else is writing for longer than the deadline
         ├── CatalogueDamagedError    the file is no whole SQLite database
-        └── CatalogueWriteError      full or failing disk, read-only folder, refused row
+        ├── CatalogueWriteError      full or failing disk, read-only folder
+        └── CatalogueConflictError   such a row exists, or lacks what it belongs to
 """
 
 from __future__ import annotations
@@ -47,4 +48,8 @@ class CatalogueDamagedError(CatalogueError):
 
 
 class CatalogueWriteError(CatalogueError):
-    """A change was refused; nothing of it was stored."""
+    """The disk refused a change; nothing of it was stored."""
+
+
+class CatalogueConflictError(CatalogueError):
+    """A change contradicts what is stored; nothing of it was stored."""

@@ -13,7 +13,7 @@ import numpy as np
 from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
-from daq_service.catalogue.errors import CatalogueWriteError, OtherExperimentError
+from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -182,11 +182,11 @@ class RecorderCatalogue(Catalogue):
 
         Raises
         ------
-        CatalogueWriteError
+        CatalogueConflictError
             No such order, or it was answered before.
         """
         if state not in ("done", "refused"):
-            raise CatalogueWriteError(f"state is {state!r}; a finished command is 'done' or 'refused'")
+            raise CatalogueConflictError(f"state is {state!r}; a finished command is 'done' or 'refused'")
         statement = (
             update(commands)
             .where(commands.c.id == command_id, commands.c.state == "pending")
@@ -194,7 +194,7 @@ class RecorderCatalogue(Catalogue):
         )
         with self._writing("answering a command") as connection:
             if connection.execute(statement).rowcount != 1:
-                raise CatalogueWriteError(f"{self._path}: there is no pending command {command_id}")
+                raise CatalogueConflictError(f"{self._path}: there is no pending command {command_id}")
 
 
 def plain(value: Any) -> Any:
@@ -251,7 +251,7 @@ def _store_alarm(connection: Connection, row: AlarmRow) -> int:
         update(alarms).where(alarms.c.id == bindparam("changed_id")), {**stored, "changed_id": row.id}
     )
     if changed.rowcount != 1:
-        raise CatalogueWriteError(f"there is no alarm {row.id} to change; nothing of the set was stored")
+        raise CatalogueConflictError(f"there is no alarm {row.id} to change; nothing of the set was stored")
     return row.id
 
 

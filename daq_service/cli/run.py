@@ -41,6 +41,8 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             click.echo(f"dashboard: {message['url']}")
         elif message["event"] == "stopped":
             click.echo(STOPPED)
+        elif message["event"] == "failed":
+            click.echo(f"{child}: ended with exit code {message['code']} (see logs); the dashboard stays")
         elif message["event"] == "finished":
             click.echo(f"{child}: the schedule is done; Ctrl-C stops the dashboard")
 

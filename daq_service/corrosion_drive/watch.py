@@ -16,6 +16,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.settings.tree import RigSettings
 from hardware_drivers.errors import InstrumentError
@@ -89,7 +90,10 @@ class DriveWatch:
                 transaction.add_alarm(change, moment)
                 log.warning("%s at hour %g: %s", change.event_kind, hour, found.message)
         if transaction.alarms:
-            self._store(transaction)
+            try:
+                self._store(transaction)
+            except StorageError as error:  # the next look tries again: what was not stored has not changed
+                log.warning("an alarm of the drive is not stored yet: %s", error)
 
     # For the rows of a set -----------------------------------------------------------------------
 

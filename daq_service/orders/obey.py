@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable
 
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import CommandRow
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.orders.kinds import Facts, read_order
@@ -41,6 +42,7 @@ class OrderListener:
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
         self._mono_ns = mono_ns
         self._listened_ns: int | None = None
+        self._answers: dict[int, tuple[str, str]] = {}
         # Whatever ended the last recorder: a restart never ends a hold.
         self._held = catalogue.held() or ""
 
@@ -56,18 +58,24 @@ class OrderListener:
             return
         self._listened_ns = now_ns
         for row in self._catalogue.pending_commands():
-            order_id, kind, author = row.id, row.kind, row.author
-            try:
-                order = read_order(kind, author, row.arguments)
-                result = order.carry_out(self._test, order_id, self._facts())
-            except (UsageError, ValueError) as error:
-                log.warning("order %d (%s) refused: %s", order_id, kind, error)
-                self._catalogue.finish_command(order_id, "refused", str(error))
-            else:
-                log.info("order %d (%s) of %s: %s", order_id, kind, author, result)
-                self._catalogue.finish_command(order_id, "done", result)
+            # Once: an answer that the disk did not take must not switch a supply on a second time.
+            if row.id not in self._answers:
+                self._answers[row.id] = self._carried_out(row)
             # What is stored says it, as after a restart.
             self._held = self._catalogue.held() or ""
+            self._catalogue.finish_command(row.id, *self._answers[row.id])
+            del self._answers[row.id]
+
+    def _carried_out(self, row: CommandRow) -> tuple[str, str]:
+        """Carry an order out; its state and result."""
+        try:
+            order = read_order(row.kind, row.author, row.arguments)
+            result = order.carry_out(self._test, row.id, self._facts())
+        except (UsageError, ValueError) as error:
+            log.warning("order %d (%s) refused: %s", row.id, row.kind, error)
+            return "refused", str(error)
+        log.info("order %d (%s) of %s: %s", row.id, row.kind, row.author, result)
+        return "done", result
 
     def _facts(self) -> Facts:
         return Facts(

@@ -4,7 +4,8 @@ Children share nothing but the data folder. Each holds the reading end of a pipe
 input) whose other end the supervisor keeps open: when the supervisor ends, however it ends, the
 pipe closes and the children leave safely. A recorder whose heartbeat is overdue is killed and
 started again; so is a child that crashed. A child that ends with an exit code of the table
-(2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on. A
+(2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on; where
+others stay, a recorder whose test has begun leaves them, and its code is passed on when they are stopped. A
 recorder that its operator told to stop (130) stays stopped.
 """
 
@@ -85,6 +86,8 @@ class _Child:
     """Newest beat at all."""
     quick_failures: int = 0
     cause: str = ""
+    begun: bool = False
+    """It has told of a set."""
     finished: bool = False
     exit_code: int = EXIT_OK
     extra: list[str] = field(default_factory=list)
@@ -137,9 +140,11 @@ class Supervisor:
         self._read_beat = read_beat
         self._mono_ns = mono_ns
         self._boot = boot_name()
+        self._serves_on = False
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
         """Supervise until ``stop``, a final exit code, or (unless ``stay``) the recorder's end."""
+        self._serves_on = stay
         try:
             while not stop.is_set():
                 for child in self._children:
@@ -151,7 +156,8 @@ class Supervisor:
                 if recorders and all(child.finished for child in recorders) and not stay:
                     return max(child.exit_code for child in recorders)
                 stop.wait(LOOK_EVERY_S)
-            return EXIT_OK
+            codes = (child.exit_code for child in self._children)
+            return max((code for code in codes if code != EXIT_INTERRUPTED), default=EXIT_OK)
         finally:
             self._take_down()
             self._pass_messages_on()
@@ -183,6 +189,12 @@ class Supervisor:
             child.exit_code = code
             if code == EXIT_INTERRUPTED and not stop.is_set():
                 self._unheard.put((child.plan.name, {"event": "stopped"}))
+            return None
+        if code in FINAL_CODES and child.plan.watched and child.begun and self._serves_on:
+            # The test has begun: those who look at it are served on, and the code is passed on at the end.
+            log.error("%s ended for good with exit code %d; the dashboard stays", child.plan.name, code)
+            child.finished, child.exit_code = True, code
+            self._unheard.put((child.plan.name, {"event": "failed", "code": code}))
             return None
         if code in FINAL_CODES:
             return code
@@ -233,6 +245,7 @@ class Supervisor:
                 if event == "listening" and not child.extra:
                     # A restarted web service must answer where the browsers already are.
                     child.extra = ["--port", str(message["port"])]
+                child.begun = child.begun or event == "progress"
                 self._unheard.put((child.plan.name, message))
 
     def _overdue(self, child: _Child) -> str:

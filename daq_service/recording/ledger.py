@@ -32,6 +32,8 @@ class Ledger:
     ----------
     alarms
         The newest alarm of each position and kind, as stored.
+    proven
+        A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
     drive
         The corrosion drive; None where the test has neither supply nor climate probe.
     """
@@ -42,6 +44,9 @@ class Ledger:
         self._settings = settings
         self._catalogue = catalogue
         self._cost = cost
+        self._tried: Transaction | None = None
+        counts = catalogue.counts()
+        self.proven = counts["sets"] > counts["partial_sets"]
         self._assessors = {
             position: METHODS[place.method].restored(position, settings, catalogue, archive, rig.dry_run)
             for position, place in settings.positions.items()
@@ -64,8 +69,10 @@ class Ledger:
         method = METHODS[self._settings.positions[position].method]
         return method.records_planned(self._settings.schedule)
 
-    def judge(self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]) -> None:
-        """Assess every position; store rows, alarms and events in one transaction."""
+    def judged(
+        self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]
+    ) -> Transaction:
+        """Assess every position, once: rows, alarms and events of one transaction, to be committed."""
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
@@ -99,7 +106,8 @@ class Ledger:
             for condition in assessment.conditions:
                 self._carry_alarm(condition, moment, transaction)
         self._carry_alarm(self._rig_condition(due, record), moment, transaction)
-        self._commit_set(due, moment, transaction)
+        self.proven = self.proven or not (record.trouble or any(causes.values()))
+        return self._with_environment(due, moment, transaction)
 
     def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
         """Tell whether the instruments of any method had trouble; each method has its own."""
@@ -110,7 +118,7 @@ class Ledger:
                 unanswered = unanswered or lost_cause(
                     [item for item in record.missed if item.key.position in names]
                 )
-        return rig_condition(due, record.trouble, unanswered)
+        return rig_condition(due, record.trouble, unanswered, proven=self.proven)
 
     def tell(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
@@ -128,14 +136,22 @@ class Ledger:
             transaction.add_alarm(change, moment)
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
-    def _commit_set(self, due: DueSet, moment: Moment, transaction: Transaction) -> None:
-        """Store a set's rows, with what supply and climate probe said since the last one."""
+    def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
+        """Add what supply and climate probe said since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
-        self.commit(transaction)
+        return transaction
 
     def commit(self, transaction: Transaction) -> None:
-        """Store it; what later sets build on is taken over only after that."""
+        """Store it; what later sets build on is taken over only after that.
+
+        Called again after an error, it first looks whether the commit took place all the same.
+        """
+        indices = {row.set_index for row in transaction.sets}
+        if transaction is self._tried and indices <= self._catalogue.committed_sets():
+            self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
+            return
+        self._tried = transaction if indices else self._tried
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
@@ -143,8 +159,8 @@ class Ledger:
 
     def nothing_taken(
         self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
-    ) -> None:
-        """Not one record: rows with the causes, but no file.
+    ) -> Transaction:
+        """Not one record: rows with the causes, but no file; to be committed.
 
         Parameters
         ----------
@@ -179,9 +195,10 @@ class Ledger:
                 self._carry_alarm(condition, moment, transaction)
         if tried is not None and (tried.trouble is not None or tried.missed):
             unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
-            self._carry_alarm(rig_condition(due, tried.told_trouble(), unanswered), moment, transaction)
-        self._commit_set(due, moment, transaction)
+            told = rig_condition(due, tried.told_trouble(), unanswered, proven=self.proven)
+            self._carry_alarm(told, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+        return self._with_environment(due, moment, transaction)
 
     def _without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
         return SetRow(

@@ -10,8 +10,11 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
@@ -23,15 +26,17 @@ from daq_service.acquisition.taken_set import (
     features_of,
     features_of_a_rehearsal,
 )
-from daq_service.alarms.data_trouble import damage_condition
+from daq_service.alarms.data_trouble import damage_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
 from daq_service.errors import RigError
+from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
 from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
@@ -73,6 +78,7 @@ class Recorder:
         tell: Teller,
         features_of: FeaturesOf = features_of,
         left_alone: threading.Event | None = None,
+        mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
     ) -> None:
         self._settings = settings
@@ -95,9 +101,13 @@ class Recorder:
         self._provenance = provenance(settings, rig, configuration_hash=folder_hash)
         self._next_sequence = catalogue.next_sequence()
         self._cost = Cost()
+        self._backlog = Backlog(
+            limit_bytes=settings.storage.memory_mb * 10**6, on_change=self._tell_trouble, mono_s=mono_s
+        )
         done = catalogue.committed_sets()
         self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
         self._damaged: dict[int, str] = {}
+        self._told_trouble = ""
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
         test = RunningTest(
             clock=rig.clock,
@@ -129,9 +139,12 @@ class Recorder:
             following = self._plan[number + 1] if number + 1 < len(self._plan) else None
             if not (self._adopt(due) or self._miss(due, following, not_running_because)):
                 self._take_when_due(due)
+            if not self._stop.is_set() and not self._may_run_ahead:
+                self._wait_for_the_disk()
             if self._stop.is_set():
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        self._wait_for_the_disk()
         finished = not self._stop.is_set()
         supply = "" if self._ledger.drive is None else self._ledger.drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
@@ -155,15 +168,18 @@ class Recorder:
         if self._orders.held:
             self._gap(due, self._orders.held)
             return
+        if self._backlog.trouble is not None and not self._backlog.has_room:
+            self._gap(due, f"the memory for what waits is full: {self._backlog.trouble.message}")
+            return
         self._begin(f"taking set {due.set_index}")
         taken = self._take(due)
         if not taken.is_empty:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
             causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
-            self._ledger.nothing_taken(due, causes, utc_ns=taken.ended_ns, tried=taken)
+            self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken))
         # else: the set is still due after a restart
-        if taken.trouble is not None and not _may_pass(taken.trouble):
+        if taken.trouble is not None and not self._may_pass(taken.trouble):
             raise RigError(
                 f"set {due.set_index} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
                 "are stored"
@@ -241,13 +257,28 @@ class Recorder:
             environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
             provenance=self._provenance,
         )
-        stored = self._archive.store_set(record)
-        self._cost.sets += 1
-        for stage, seconds in asdict(stored.timings).items():
-            self._cost.seconds[stage] += seconds
-        self._next_sequence += len(taken.shots) + len(taken.echoes)
-        self._doing = f"judging set {due.set_index}"
-        self._ledger.judge(due, record, stored.file, taken.features)
+        self._next_sequence += len(record.records)
+
+        def judged() -> Transaction:
+            stored = self._archive.store_set(record)
+            self._cost.sets += 1
+            for stage, seconds in asdict(stored.timings).items():
+                self._cost.seconds[stage] += seconds
+            self._doing = f"judging set {due.set_index}"
+            return self._ledger.judged(due, record, stored.file, taken.features)
+
+        self._post(judged, n_bytes=sum(item.waveform.counts.nbytes for item in record.records))
+
+    def _post(self, build: Callable[[], Transaction], *, n_bytes: int = 0) -> None:
+        """Commit what is built, in order; what is built once is committed until it is stored."""
+        built: list[Transaction] = []
+
+        def job() -> None:
+            if not built:
+                built.append(build())
+            self._ledger.commit(built[0])
+
+        self._backlog.put(job, n_bytes=n_bytes)
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
@@ -263,7 +294,7 @@ class Recorder:
         try:
             told = self_calibrating.self_calibrate()
         except InstrumentError as error:
-            if not _may_pass(error):
+            if not self._may_pass(error):
                 raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
             log.warning("self-calibration before set %d failed: %s", due.set_index, error)
             told = {"failed": str(error)}
@@ -288,6 +319,14 @@ class Recorder:
         told_to = self._ledger.retired().get(position) or self._orders.held or "the recorder was told to stop"
         return taken.shortfall(position, self._ledger.n_planned(position), told_to)
 
+    def _may_pass(self, trouble: InstrumentError) -> bool:
+        """Whether the next set may go better.
+
+        A board that is busy or gone may be free or back by then; of one that has taken a whole set here
+        nothing is believed for good.
+        """
+        return self._ledger.proven or isinstance(trouble, BusyError | ConnectionLostError)
+
     # Sets that were taken already, or cannot be taken any more -----------------------------------
 
     def _adopt(self, due: DueSet) -> bool:
@@ -297,8 +336,8 @@ class Recorder:
             return False
         record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
-        self._ledger.judge(due, record, file, features)
-        self._next_sequence = self._catalogue.next_sequence()
+        self._post(partial(self._ledger.judged, due, record, file, features))
+        self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
         self._rig.clock.wait_until(record.ended_utc_ns, self._idle)
@@ -326,26 +365,70 @@ class Recorder:
 
     def _gap(self, due: DueSet, cause: str) -> None:
         causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
-        self._ledger.nothing_taken(due, causes, utc_ns=self._rig.clock.utc_ns())
+        utc_ns = self._rig.clock.utc_ns()
+        self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
+
+    # A disk that takes nothing ------------------------------------------------------------------
+
+    @property
+    def _may_run_ahead(self) -> bool:
+        """Strike on while sets wait in memory: only real time goes on without us."""
+        return self._settings.clock.kind == "wall"
+
+    def _wait_for_the_disk(self) -> None:
+        while self._backlog.trouble is not None and self._idle():
+            self._stop.wait(LINGER_S)
+        if self._backlog.trouble is not None:
+            log.error(
+                "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
+            )
+
+    def _tell_trouble(self, trouble: Trouble | None) -> None:
+        """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
+        if trouble is not None:
+            self._told_trouble = trouble.message
+        condition = storage_condition(self._told_trouble, present=trouble is not None)
+        try:
+            if trouble is None:  # on record even if the catalogue itself was what took nothing
+                self._ledger.tell(storage_condition(self._told_trouble, present=True), self._moment())
+            self._ledger.tell(condition, self._moment())
+        except PASSING as error:
+            log.warning("the alarm is not stored: %s", error)
+        self._heartbeat.beat(self._doing_now())
+
+    def _doing_now(self) -> str:
+        trouble = self._backlog.trouble
+        if trouble is None:
+            return self._doing
+        return f"{self._doing}; {len(self._backlog)} jobs wait in memory for the disk: {trouble.message}"
 
     # Operator and supervisor ---------------------------------------------------------------------
 
     def _begin(self, doing: str) -> None:
         """Say at once what is begun: should it never end, the supervisor tells what hung."""
         self._doing = doing
-        self._heartbeat.beat(doing)
+        self._heartbeat.beat(self._doing_now())
 
     def _idle(self) -> bool:
-        """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
-        self._heartbeat.beat(self._doing)
-        self._orders.listen()
-        if self._ledger.drive is not None:
-            self._ledger.drive.tick(self._hour())
-        return not self._stop.is_set()
+        """Between sets there is time to store what waits."""
+        self._backlog.work()
+        return self._look_around()
 
     def _idle_in_a_set(self) -> bool:
         """Between strikes: an operator's hold means hands in the rig, so the next strike must not come."""
-        return self._idle() and not self._orders.held
+        return self._look_around() and not self._orders.held
+
+    def _look_around(self) -> bool:
+        """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
+        self._heartbeat.beat(self._doing_now())
+        if self._backlog.trouble is None:
+            self._backlog.put(self._orders.listen)
+        else:
+            with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
+                self._orders.listen()
+        if self._ledger.drive is not None:
+            self._ledger.drive.tick(self._hour())
+        return not self._stop.is_set()
 
     def _moment(self) -> Moment:
         return Moment(utc_ns=self._rig.clock.utc_ns(), due_h=self._hour(), set_index=None)
@@ -354,11 +437,9 @@ class Recorder:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
 
     def _say(self, kind: str, payload: Mapping[str, Any]) -> None:
-        self._catalogue.add_event(
-            utc_ns=self._rig.clock.utc_ns(), topic="service", kind=kind, payload=payload
-        )
+        utc_ns = self._rig.clock.utc_ns()
 
+        def job() -> None:
+            self._catalogue.add_event(utc_ns=utc_ns, topic="service", kind=kind, payload=payload)
 
-def _may_pass(trouble: InstrumentError) -> bool:
-    """Whether the next set may go better: a board that is busy or gone may be free or back by then."""
-    return isinstance(trouble, BusyError | ConnectionLostError)
+        self._backlog.put(job)

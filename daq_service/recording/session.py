@@ -85,6 +85,7 @@ def record(
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.committed_sets()),
+            restarted=bool(restarted_because),
             heartbeat=heartbeat,
             stop=stop,
             waits_s=waits_for_rig_s,
@@ -125,6 +126,7 @@ def _open_patiently(
     open_once: Callable[[], Rig],
     *,
     resuming: bool,
+    restarted: bool,
     heartbeat: Heartbeat,
     stop: threading.Event,
     waits_s: Sequence[float],
@@ -132,7 +134,8 @@ def _open_patiently(
     """Open the rig; a test that has begun waits for one that is busy or gone, a new one says so and ends.
 
     A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
-    weeks: the sets that fall due meanwhile get rows with that cause.
+    weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
+    again, nobody stands beside the rig: then whatever the instruments say is waited for.
 
     Returns
     -------
@@ -149,7 +152,7 @@ def _open_patiently(
         try:
             return open_once()
         except InstrumentError as error:
-            may_pass = isinstance(error, InstrumentBusyError | ConnectionLostError)
+            may_pass = restarted or isinstance(error, InstrumentBusyError | ConnectionLostError)
             if not (resuming and may_pass):
                 kind = BusyError if isinstance(error, InstrumentBusyError) else RigError
                 raise kind(f"the rig cannot be opened: {error}") from error

@@ -233,6 +233,8 @@ class StorageSettings(Section):
 
     folder: str = "solimon-data"
     """Data folder, relative to the configuration file."""
+    memory_mb: int = Field(default=512, ge=1, le=1_000_000)
+    """Records kept in memory, in MB, while the disk takes nothing; sets due beyond are missed."""
 
 
 class WebSettings(Section):
@@ -374,7 +376,23 @@ class Settings(BaseSettings):
             )
         if self.rig.kind == "daqmx":
             self._is_wired()
+        self._sets_do_not_overlap()
         return self
+
+    def _sets_do_not_overlap(self) -> None:
+        """One set is struck before the next is due: else it would be missed while the rig is at work."""
+        transducers = len(self.names_of(SOLITARY_WAVE))
+        # The last strike needs no interval after it.
+        strikes = max(0, transducers * self.schedule.shots_per_set - 1)
+        takes_s = strikes * self.schedule.shot_interval_s
+        shortest_s = min(phase.interval_h for phase in self.schedule.phases) * 3600.0
+        if takes_s > shortest_s:
+            raise ValueError(
+                f"sets overlap: {transducers} transducers, schedule.shots_per_set = "
+                f"{self.schedule.shots_per_set} strikes of each every schedule.shot_interval_s = "
+                f"{self.schedule.shot_interval_s:g} s take {takes_s:g} s, and a phase of the schedule has "
+                f"one due every {shortest_s:g} s; take a longer interval_h or fewer strikes"
+            )
 
     def _is_wired(self) -> None:
         """Every position has its board, and no board a position that nobody monitors."""

@@ -671,8 +671,8 @@ def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) ->
 
 
 def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(tmp_path: Path) -> None:
-    disturb, _ = lost_during(range(1, 2), "C", 1, ConfigurationError)
-    with pytest.raises(RigError, match="set 1 ended early"):
+    disturb, _ = lost_during(range(1), "C", 1, ConfigurationError)
+    with pytest.raises(RigError, match="set 0 ended early"):
         run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
     assert (alarm.state, alarm.proof["error"]) == ("unacknowledged", "ConfigurationError")

@@ -16,7 +16,7 @@ from support.stored_files import read_set, set_files
 
 import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
-from daq_service.archive import ArchiveWriteError, FolderArchive
+from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
 from daq_service.errors import RigError, StorageError
@@ -314,16 +314,16 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
 
 def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
-        if (key.position, key.set_index, key.shot_index) == ("C", 1, 2):
+        if (key.position, key.set_index, key.shot_index) == ("C", 0, 2):
             raise ConfigurationError("the range is refused")
         return acquired
 
     with pytest.raises(RigError, match="the range is refused") as failure:
         run(small_settings(), tmp_path, rig=disturbed_rig(disturb))
     assert failure.value.exit_code == 3
-    assert len(read_set(set_files(tmp_path)[1]).shots) == 5
+    assert len(read_set(set_files(tmp_path)[0]).shots) == 5
     with open_catalogue(tmp_path) as catalogue:
-        states = {row.position: row.state for row in catalogue.rows(SetRow) if row.set_index == 1}
+        states = {row.position: row.state for row in catalogue.rows(SetRow)}
     assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
 
 
@@ -361,25 +361,6 @@ def test_a_shot_that_cannot_be_analysed_stops_nothing(
     flagged = [shot for shot in shots if "not_analysed" in shot.flags]
     assert [(shot.position, shot.shot_index, shot.valid) for shot in flagged] == [("C", 0, False)]
     assert len(read_set(set_files(tmp_path)[0]).shots) == 9
-
-
-def test_a_full_disk_stops_the_recorder_and_loses_no_earlier_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store_set = FolderArchive.store_set
-
-    def full(self: FolderArchive, record: Any) -> Any:
-        if record.set_index == 3:
-            raise ArchiveWriteError("No space left on device; free some space")
-        return store_set(self, record)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(FolderArchive, "store_set", full)
-        with pytest.raises(StorageError, match="free some space"):
-            run(pair_settings(), tmp_path)
-    assert sorted(set_files(tmp_path)) == [0, 1, 2]
-    assert run(pair_settings(schedule={"end_h": 3.0}), tmp_path)
-    assert sorted(set_files(tmp_path)) == list(range(6))
 
 
 def test_a_folder_of_another_configuration_is_refused_untouched(tmp_path: Path) -> None:

@@ -81,6 +81,15 @@ def test_what_waiting_cannot_mend_ends_a_test_that_has_begun_too(tmp_path: Path)
     assert record(small_settings(schedule={"end_h": END_H}), tmp_path), "the schedule is kept"
 
 
+def test_whatever_the_rig_says_is_waited_for_where_nobody_stands_beside_it(tmp_path: Path) -> None:
+    """The supervisor started the recorder again, in the night."""
+    assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
+    again = "was killed by signal 9"
+    settings, rig = small_settings(schedule={"end_h": END_H}), Unwilling(GONE, WRONG)
+    assert record(settings, tmp_path, rig=rig, restarted_because=again)
+    assert rig.refusals == []
+
+
 def test_waiting_ends_when_told_to_stop(tmp_path: Path) -> None:
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     stop = threading.Event()

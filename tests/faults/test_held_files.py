@@ -108,3 +108,38 @@ def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tm
             "web.log",
         } <= files
         assert any(name.startswith("set_") for name in files)
+
+
+@pytest.mark.parametrize(
+    ("part", "number", "words"),
+    [
+        ("sets", errno.ENOSPC, "No space left on device"),
+        pytest.param("sets", errno.EIO, "Input/output error", marks=pytest.mark.slow),
+        ("catalogue.sqlite", errno.ENOSPC, "database or disk is full"),
+        pytest.param("catalogue.sqlite", errno.EIO, "disk I/O error", marks=pytest.mark.slow),
+    ],
+)
+def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path, part, number, words):
+    """From set 2 on every write to sets, or to the catalogue, is refused until somebody mends it."""
+    data, log, broken = tmp_path / "data", tmp_path / "refused", tmp_path / "broken"
+    environment = refusing(
+        library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken
+    )
+    environment["SOLIMON_CLOCK__PACE_H_PER_S"] = "1.0"
+    command = [sys.executable, "-m", "daq_service.cli", "record", written(tmp_path), "--data-dir", data]
+    recorder_log = data / "logs" / "recorder.log"
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            until(lambda: len(list(data.glob("sets/*.h5"))) >= 2 or process.poll(), "the second set")
+            broken.touch()
+            until(lambda: "not stored" in recorder_log.read_text() or process.poll(), "the trouble")
+            broken.unlink()
+            _, said = process.communicate(timeout=120.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0, said
+    assert words in recorder_log.read_text()
+    told = rows_of(data)
+    alarms = told.pop("alarms")
+    assert told == {name: rows for name, rows in undisturbed.items() if name != "alarms"}
+    assert [(row.kind, row.state) for row in alarms] == [("storage_unavailable", "returned_unacknowledged")]

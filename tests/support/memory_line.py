@@ -7,6 +7,7 @@ Only the catalogue is the real one.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -182,6 +183,7 @@ class Line:
         archive: MemoryArchive | None = None,
         start_h: float | None = None,
         left_alone: threading.Event | None = None,
+        mono_s: Callable[[], float] = time.monotonic,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -217,6 +219,7 @@ class Line:
                 stop=stop or threading.Event(),
                 tell=lambda event, **values: None,
                 left_alone=left_alone,
+                mono_s=mono_s,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
             )

@@ -13,9 +13,9 @@ import pytest
 from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
+    CatalogueConflictError,
     CatalogueDamagedError,
     CatalogueError,
-    CatalogueWriteError,
     NetworkFolderError,
     NoDataYetError,
     OtherExperimentError,
@@ -238,7 +238,7 @@ def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
 
 
 def test_a_missing_folder_is_a_clear_error(tmp_path):
-    with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
+    with pytest.raises(CatalogueConflictError, match="give this user the right to write"):
         open_catalogue(tmp_path / "absent", writer=True)
 
 
@@ -292,7 +292,7 @@ def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
 def test_a_reader_cannot_change_anything_but_commands(reader):
     from sqlalchemy import insert
 
-    with pytest.raises(CatalogueWriteError, match="readonly"), reader._reading() as connection_:
+    with pytest.raises(CatalogueConflictError, match="readonly"), reader._reading() as connection_:
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
@@ -337,7 +337,7 @@ def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
     bad = commit_of(1)
     # The very last thing that is stored fails.
     events = [*bad.events, event_row(payload=None)]
-    with pytest.raises(CatalogueWriteError, match="nothing of it was stored"):
+    with pytest.raises(CatalogueConflictError, match="nothing of it was stored"):
         writer.commit_set(SetCommit(sets=bad.sets, shots=bad.shots, features=bad.features, events=events))
     assert (reader.counts(), reader.last_event_id()) == before
     assert writer.committed_sets() == {0}
@@ -368,7 +368,7 @@ def test_a_refused_row_takes_the_whole_set_with_it(writer, reader):
 )
 def test_rows_that_contradict_the_stored_ones_are_refused(writer, commit):
     writer.commit_set(commit_of(0))
-    with pytest.raises(CatalogueWriteError):
+    with pytest.raises(CatalogueConflictError):
         writer.commit_set(commit)
 
 
@@ -472,14 +472,14 @@ def test_a_verdict_in_the_baseline_is_completed_in_its_place(writer, reader):
 def test_a_verdict_after_the_baseline_is_final(writer, reader):
     writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
     for in_baseline in (False, True):
-        with pytest.raises(CatalogueWriteError):
+        with pytest.raises(CatalogueConflictError):
             writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", in_baseline)]))
     assert reader.rows(VerdictRow, position="B")[0].outlier is True
 
 
 def test_a_judged_set_does_not_leave_the_baseline(writer, reader):
     writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", True)]))
-    with pytest.raises(CatalogueWriteError):
+    with pytest.raises(CatalogueConflictError):
         writer.commit_set(SetCommit(verdicts=[verdict_row(5, "B", outlier=True)]))
     assert reader.rows(VerdictRow, position="B")[0].in_baseline is True
 
@@ -549,7 +549,7 @@ def test_an_alarm_with_its_id_is_changed(writer, reader):
 
 
 def test_an_alarm_that_does_not_exist_cannot_be_changed(writer, reader):
-    with pytest.raises(CatalogueWriteError, match="no alarm 4711"):
+    with pytest.raises(CatalogueConflictError, match="no alarm 4711"):
         writer.commit_set(SetCommit(sets=[set_row(0, "B")], alarms=[alarm_row(id=4711)]))
     assert reader.rows(SetRow) == []
 
@@ -590,10 +590,10 @@ def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
 
 def test_a_command_is_answered_once_and_in_words_of_the_contract(writer, reader):
     command_id = reader.add_command("operator", "stop", {})
-    with pytest.raises(CatalogueWriteError, match="'done' or 'refused'"):
+    with pytest.raises(CatalogueConflictError, match="'done' or 'refused'"):
         writer.finish_command(command_id, "finished")
     writer.finish_command(command_id, "done")
-    with pytest.raises(CatalogueWriteError, match=f"no pending command {command_id}"):
+    with pytest.raises(CatalogueConflictError, match=f"no pending command {command_id}"):
         writer.finish_command(command_id, "done")
 
 
@@ -659,7 +659,7 @@ def test_the_environment_is_a_row_a_set_asked_for_by_hours_and_pages(writer, rea
     assert [row.set_index for row in reader.rows(EnvironmentRow, after_id=page[-1].id)] == [2, 3]
     last = reader.last_environment()
     assert (last.set_index, last.voltage_v, last.current_a) == (3, 10.0, None)
-    with pytest.raises(CatalogueWriteError, match="such a row exists"):
+    with pytest.raises(CatalogueConflictError, match="such a row exists"):
         writer.commit_set(SetCommit(environment=[environment_row(3)]))
 
 
@@ -815,7 +815,7 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
         connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     big = [event_row(payload={"text": "x" * 10_000})] * 20
-    with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
+    with pytest.raises(CatalogueConflictError, match="free or mend the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.committed_sets() == {0}
     with writer._reading() as connection_:

@@ -10,6 +10,7 @@ import pytest
 from support.begun_experiment import begun_catalogue
 
 from daq_service.archive import FolderArchive
+from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.orders.obey import OrderListener
@@ -116,6 +117,28 @@ def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
 def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
     assert bench.obey("stop") == ("done", "stopping after the shot being taken")
     assert bench.stop.is_set()
+
+
+def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Meanwhile the interlock may have opened: a second time the supply would switch on by itself."""
+    assert bench.switch is not None
+    order_id = bench.write("supply_on")
+
+    def refused(*answer: object) -> None:
+        raise CatalogueBusyError("database is locked")
+
+    with monkeypatch.context() as locked:
+        locked.setattr(bench.catalogue, "finish_command", refused)
+        for _ in range(2):
+            bench.now_ns += 200 * NS_PER_MS
+            with pytest.raises(CatalogueBusyError):
+                bench.listener.listen()
+    bench.now_ns += 200 * NS_PER_MS
+    bench.listener.listen()
+    assert bench.answer(order_id) == ("done", "the supply is on")
+    assert [what for what, *_ in bench.switch.done] == ["on"]
 
 
 def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:

@@ -159,6 +159,26 @@ def test_a_code_of_the_table_stops_everything_and_is_passed_on(code: int) -> Non
     assert web.stdin.closed
 
 
+def test_a_test_that_has_begun_is_served_on_whatever_ends_its_recorder() -> None:
+    """An engineer wants to see why it ended; the code is passed on when the dashboard is stopped."""
+    said = json.dumps({"event": "progress", "done": 1})
+    recorder = Life(4, after_s=1.0, says=[said])
+    world = World(recorder, Life(), plans=(RECORDER, WEB), until_s=100.0)
+    waiting, patience = world.wait, threading.Event()
+
+    def wait(seconds: float) -> bool:
+        if world.messages:
+            return waiting(seconds)
+        patience.wait(0.001)  # time stands still until the line is heard
+        return False
+
+    world.wait = wait  # type: ignore[method-assign]
+    assert world.run(stay=True) == 4
+    assert world.now_s >= 100.0
+    assert len(world.started) == 2
+    assert ("recorder", {"event": "failed", "code": 4}) in world.messages
+
+
 def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
     world = World(*(Life(1) for _ in range(9)), until_s=120.0)
     world.run()

@@ -70,7 +70,7 @@ def due_of(line, index):
 
 def judge(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
-    ledger.judge(due_of(line, record.set_index), record, file, features)
+    ledger.commit(ledger.judged(due_of(line, record.set_index), record, file, features))
 
 
 def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):

@@ -8,7 +8,10 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from daq_service.archive import ArchiveWriteError
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.errors import RigError
+from daq_service.recording.backlog import Backlog
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -35,8 +38,12 @@ def told(line, kind):
     return [row for row in line.rows("events") if row.kind == kind]
 
 
+class Killed(BaseException):
+    """The end of the process."""
+
+
 class WatchedArchive(MemoryArchive):
-    """Notes how many sets have rows at the moment one is stored, and refuses some."""
+    """Notes how many sets have rows at the moment one is stored, and is killed at some."""
 
     def __init__(self, line, refuse=()):
         super().__init__(line.shelf)
@@ -44,7 +51,7 @@ class WatchedArchive(MemoryArchive):
 
     def store_set(self, record):
         if record.set_index in self.refuse:
-            raise ArchiveWriteError("the disk is full")
+            raise Killed
         self.seen.append((record.set_index, len(self.line.rows("sets", "B"))))
         return super().store_set(record)
 
@@ -67,8 +74,8 @@ def test_a_set_is_durable_before_anybody_hears_of_it(line):
     assert archive.seen == [(index, index) for index in range(SETS)]
 
 
-def test_a_set_that_cannot_be_stored_has_no_rows_and_is_taken_again(line):
-    with pytest.raises(ArchiveWriteError, match="full"):
+def test_a_set_that_was_not_stored_has_no_rows_and_is_taken_again(line):
+    with pytest.raises(Killed):
         line.run(archive=WatchedArchive(line, refuse={3}))
     assert len(line.rows("sets", "B")) == 3
     assert line.run()
@@ -76,12 +83,117 @@ def test_a_set_that_cannot_be_stored_has_no_rows_and_is_taken_again(line):
     assert line.instruments[1].struck[0] == ("B", 3, 0, 0)
 
 
+class Seconds:
+    """A monotonic clock on which each look takes a while."""
+
+    def __init__(self, step_s=10.0):
+        self.now_s, self.step_s = 0.0, step_s
+
+    def __call__(self):
+        self.now_s += self.step_s
+        return self.now_s
+
+
+class FullDisk(MemoryArchive):
+    """Takes nothing from a set on, until it was asked so many times."""
+
+    def __init__(self, line, first, times, error=None):
+        super().__init__(line.shelf)
+        self.first, self.left = first, times
+        self.error = error or ArchiveWriteError("No space left on device")
+
+    def store_set(self, record):
+        if record.set_index >= self.first and self.left:
+            self.left -= 1
+            raise self.error
+        return super().store_set(record)
+
+
+@pytest.fixture
+def whole(tmp_path):
+    one = Line(tmp_path / "whole")
+    one.folder.mkdir()
+    one.run()
+    return one
+
+
+def assert_same_rows(line, whole):
+    for table in ("sets", "shots", "features", "thickness", "verdicts", "baselines"):
+        assert line.rows(table) == whole.rows(table), table
+
+
+@pytest.mark.parametrize(
+    "error", [ArchiveWriteError("No space left on device"), OSError(24, "Too many open files")]
+)
+def test_a_disk_that_takes_nothing_is_waited_for_and_told(line, whole, error):
+    assert line.run(archive=FullDisk(line, 3, 7, error), mono_s=Seconds())
+    assert_same_rows(line, whole)
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
+    assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
+    assert str(error) in alarm.message
+    assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.told)
+    assert line.heartbeat.told[-1].endswith(f"set {SETS - 1}"), "and no longer once it is over"
+
+
+def test_real_time_goes_on_so_sets_are_struck_on_and_stored_later(line, whole):
+    line.settings = memory_settings(clock={"kind": "wall"})
+    disk = FullDisk(line, 3, 4)
+    assert line.run(archive=disk, mono_s=Seconds(0.4))
+    waited = [doing for doing in line.heartbeat.told if "wait in memory" in doing]
+    assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
+    assert line.instruments[0].struck == whole.instruments[0].struck
+    for table in ("sets", "features", "verdicts"):
+        assert line.rows(table) == whole.rows(table), table
+
+
+def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
+    line.settings = memory_settings(clock={"kind": "wall"})
+    monkeypatch.setattr(Backlog, "has_room", property(lambda backlog: len(backlog) < 2))
+    disk, work = FullDisk(line, 3, 10**9), Backlog.work
+
+    def freed(backlog):
+        """Work as ever; somebody frees the disk when two sets and three gaps wait."""
+        if len(backlog) >= 5:
+            disk.left = 0
+        work(backlog)
+
+    monkeypatch.setattr(Backlog, "work", freed)
+    assert line.run(archive=disk, mono_s=Seconds(100.0))  # each look is late enough for another try
+    assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
+    assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
+
+
+@pytest.mark.parametrize("stored_all_the_same", [False, True])
+def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeypatch, stored_all_the_same):
+    commit, failures = RecorderCatalogue.commit_set, iter([True] * 3)
+
+    def failing(catalogue, transaction):
+        if any(row.set_index == 4 for row in transaction.sets) and next(failures, False):
+            if stored_all_the_same:
+                commit(catalogue, transaction)
+            raise CatalogueBusyError("database is locked")
+        return commit(catalogue, transaction)
+
+    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    assert line.run(mono_s=Seconds())
+    assert_same_rows(line, whole)
+    assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
+
+
+def test_a_stop_does_not_wait_for_the_disk(line, caplog):
+    stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
+    line.script = lambda key: (stop.set() if key == last else None, healthy(key))[1]
+    assert not line.run(archive=FullDisk(line, 3, 10**9), stop=stop, mono_s=Seconds())
+    assert len(line.rows("sets", "B")) == 3
+    assert "jobs are lost that no disk took" in caplog.text
+
+
 def test_a_restart_gives_the_rows_of_a_run_in_one_go(line, tmp_path):
     whole = Line(tmp_path / "whole")
     whole.folder.mkdir()
     whole.run()
     for count in (2, 5):  # within the baseline, twice
-        with pytest.raises(ArchiveWriteError):
+        with pytest.raises(Killed):
             line.run(archive=WatchedArchive(line, refuse={count}))
     line.run()
     for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
@@ -203,29 +315,46 @@ def test_nothing_at_all_leaves_rows_with_causes_and_no_file(line):
 @pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
 def test_a_rig_that_may_come_back_costs_its_set_and_the_next_one_is_tried(line, kind):
     trouble = kind("the chassis reboots")
-    line.script = lambda key: trouble if key.set_index == 1 and key.position != "A" else healthy(key)
+    line.script = lambda key: trouble if key.set_index == 0 and key.position != "A" else healthy(key)
     assert line.run()
-    assert states(line, "B")[:3] == ["done", "missed", "done"]
+    assert states(line, "B")[:3] == ["missed", "done", "done"]
     assert states(line, "A") == ["done"] * SETS
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert "the chassis reboots" in alarm.message
 
 
-def test_a_rig_that_can_never_work_ends_the_test_when_its_shots_are_stored(line):
-    def script(key):
-        return ConfigurationError("no such channel") if key == broken else healthy(key)
+def failing_at(*keys):
+    """Something that no waiting can mend, says the driver."""
+    return lambda key: ConfigurationError("no such channel") if key in keys else healthy(key)
 
-    broken = ShotKey(position="C", set_index=1, shot_index=2)
-    line.script = script
-    with pytest.raises(
-        RigError, match=r"set 1 ended early: no such channel; the 6 shots before it are stored"
-    ):
-        line.run()
-    assert states(line, "C") == ["done", "partial"]
-    assert causes(line, "C")[1] == "no such channel"
-    assert line.rows("sets", "C")[1].n_taken == 2
-    assert states(line, "D") == ["done", "missed"]
+
+def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
+    for index in (0, 1):  # nothing is proven by the next start either
+        line.script = failing_at(ShotKey(position="C", set_index=index, shot_index=2))
+        told = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
+        with pytest.raises(RigError, match=told):
+            line.run()
+    assert states(line, "C") == ["partial"] * 2
+    assert causes(line, "C")[0] == "no such channel"
+    assert line.rows("sets", "C")[0].n_taken == 2
+    assert states(line, "D") == ["missed"] * 2
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    assert "the recorder has stopped" in alarm.message
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_a_rig_that_has_worked_costs_sets_and_not_the_test_whatever_it_says(line, restarted):
+    broken = [ShotKey(position="C", set_index=index, shot_index=2) for index in (1, 2, 3)]
+    if restarted:
+        with pytest.raises(Killed):
+            line.run(archive=WatchedArchive(line, refuse={1}))
+    line.script = failing_at(*broken)
+    assert line.run()
+    assert states(line, "C")[:5] == ["done"] + ["partial"] * 3 + ["done"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    assert alarm.state == "returned_unacknowledged"
+    assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
 
 def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
