@@ -39,9 +39,11 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
     A transaction of `Engine.begin` sees a single state of the file from its first to its last
     query; one that changes something is begun by `writing`.
     """
-    uri = f"{path.absolute().as_uri()}?mode={'rwc' if writable else 'ro'}"
+    mode = "rwc" if writable else "ro"
 
     def connect() -> sqlite3.Connection:
+        nonlocal mode
+        uri = f"{path.absolute().as_uri()}?mode={mode}"
         connection = sqlite3.connect(
             uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
@@ -58,6 +60,8 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
         except BaseException:
             connection.close()
             raise
+        # Made once only: where the file is gone later, an empty one in its place would be another test's.
+        mode = "rw" if writable else "ro"
         return connection
 
     # The pool is named because a URL without a file stands for a database in memory, whose pool

@@ -91,7 +91,7 @@ def record_alone(
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
-    prepare_data_folder(folder)
+    prepare_data_folder(folder, anew=not restarted_because)
     with stop_on_signals() as stop, own_data_folder(folder):
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
@@ -141,7 +141,7 @@ def serve_alone(
     from daq_service.web.server import serve
 
     settings, folder = settings_and_folder(config, data_dir)
-    prepare_data_folder(folder)
+    prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")
     if restarted_because:
         log.warning("started again: the web service %s", restarted_because)

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.network_folder import network_filesystem
-from daq_service.errors import BusyError, StorageError, UsageError
+from daq_service.errors import EXIT_FAULT, BusyError, StorageError, UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
@@ -62,6 +62,12 @@ else:
         return False
 
 
+class FolderGoneError(StorageError):
+    """The folder of a test that has begun is not there; a supervisor tries again until it is."""
+
+    exit_code = EXIT_FAULT
+
+
 _OWNER_OFFSET = 1
 """The first byte is the locked one: on Windows a locked byte cannot be read by others."""
 
@@ -95,14 +101,25 @@ def new_folder(purpose: str) -> Path:
     return folder
 
 
-def prepare_data_folder(folder: Path) -> None:
+def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
     """Make the folder and prove that files can be made in it.
+
+    Parameters
+    ----------
+    anew
+        False where a test has begun: a folder that is gone then must come back, and is not made in its place.
 
     Raises
     ------
+    FolderGoneError
+        It is gone.
     StorageError
         A file is in the way, the folder holds something else, is on a network, or cannot be written.
     """
+    if not anew and not (folder / LOCK_FILE).exists():
+        raise FolderGoneError(
+            f"{folder} is gone, or another one in its place; bring back the test's own folder"
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

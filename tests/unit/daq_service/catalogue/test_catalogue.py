@@ -16,6 +16,7 @@ from daq_service.catalogue.errors import (
     CatalogueConflictError,
     CatalogueDamagedError,
     CatalogueError,
+    CatalogueWriteError,
     NetworkFolderError,
     NoDataYetError,
     OtherExperimentError,
@@ -238,7 +239,7 @@ def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
 
 
 def test_a_missing_folder_is_a_clear_error(tmp_path):
-    with pytest.raises(CatalogueConflictError, match="give this user the right to write"):
+    with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
         open_catalogue(tmp_path / "absent", writer=True)
 
 
@@ -292,7 +293,7 @@ def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
 def test_a_reader_cannot_change_anything_but_commands(reader):
     from sqlalchemy import insert
 
-    with pytest.raises(CatalogueConflictError, match="readonly"), reader._reading() as connection_:
+    with pytest.raises(CatalogueWriteError, match="readonly"), reader._reading() as connection_:
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
@@ -815,7 +816,7 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
         connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     big = [event_row(payload={"text": "x" * 10_000})] * 20
-    with pytest.raises(CatalogueConflictError, match="free or mend the disk"):
+    with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.committed_sets() == {0}
     with writer._reading() as connection_:

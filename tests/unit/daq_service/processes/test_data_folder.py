@@ -11,6 +11,7 @@ from daq_service.errors import BusyError, StorageError, UsageError
 from daq_service.processes.data_folder import (
     CONFIGURATION_FILE,
     LOCK_FILE,
+    FolderGoneError,
     is_locked,
     is_owned,
     own_data_folder,
@@ -102,6 +103,20 @@ def test_an_owner_waits_for_one_who_only_asks(tmp_path: Path) -> None:
         with own_data_folder(tmp_path):
             pass
     closing.join()
+
+
+def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    for _ in range(2):  # gone, then an empty one in its place
+        with pytest.raises(FolderGoneError, match="bring the test") as refusal:
+            prepare_data_folder(folder, anew=False)
+        assert refusal.value.exit_code == 1, "a code that is not final: the supervisor tries again"
+        assert not folder.exists() or not list(folder.iterdir())
+        folder.mkdir(exist_ok=True)
+    prepare_data_folder(folder)
+    with own_data_folder(folder):
+        pass
+    prepare_data_folder(folder, anew=False)
 
 
 def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
