@@ -24,8 +24,8 @@ HOURS = 40
 QUICK = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
     "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5",
-    "SOLIMON_BASELINE__HOURS": "12",
-    "SOLIMON_BASELINE__MINIMUM_SETS": "8",  # those held are missed
+    "SOLIMON_BASELINE__HOURS": "24",  # 48 sets, of which 15 are enough: those held are missed
+    "SOLIMON_BASELINE__MINIMUM_SETS": "15",
     "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
     "SOLIMON_ALARMS__HOLE_SHOTS": "4",
     "SOLIMON_ALARMS__THICKNESS_LOSS_FRACTION": "0.01",  # A is so thin at hour 9
