@@ -46,7 +46,7 @@ class Demo:
                 "--hours",
                 str(HOURS),
                 "--pace",
-                "0.5",  # an hour in two seconds: time to look
+                "0.2",  # an hour in five seconds: time to look, and to be held on a busy machine
                 "--data-dir",
                 str(folder),
             ],
@@ -119,7 +119,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         # A set that was cut short by the order is stored after the banner, and before the next one is missed.
         wait_for_missed(1)
         shots = counts()["shots"]
-        wait_for_missed(3)
+        wait_for_missed(2)
         assert counts()["shots"] == shots
         page.get_by_role("button", name="Release").click()
         expect(page.locator("#held")).to_be_hidden()
