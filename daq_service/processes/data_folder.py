@@ -116,7 +116,8 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
     StorageError
         A file is in the way, the folder holds something else, is on a network, or cannot be written.
     """
-    if not anew and not (folder / LOCK_FILE).exists():
+    # Not the lock: a recorder that was killed while it started has made none.
+    if not anew and not (folder / "sets").is_dir():
         raise FolderGoneError(
             f"{folder} is gone, or another one in its place; bring back the test's own folder"
         )

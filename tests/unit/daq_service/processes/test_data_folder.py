@@ -113,9 +113,7 @@ def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) 
         assert refusal.value.exit_code == 1, "a code that is not final: the supervisor tries again"
         assert not folder.exists() or not list(folder.iterdir())
         folder.mkdir(exist_ok=True)
-    prepare_data_folder(folder)
-    with own_data_folder(folder):
-        pass
+    prepare_data_folder(folder)  # by the supervisor; its recorder may be killed before it takes the lock
     prepare_data_folder(folder, anew=False)
 
 
