@@ -551,12 +551,13 @@ on_a_server = pytest.mark.parametrize("transport", ["grpc"], indirect=True)
 
 @pytest.fixture
 def remote(doubles, transport):
-    return parameters_of(DESCRIPTION, doubles, transport=transport, call_timeout_s=0.3)
+    return parameters_of(DESCRIPTION, doubles, transport=transport, call_timeout_s=READ_TIMEOUT_S)
 
 
 @on_a_server
 def test_a_hung_call_ends_at_its_deadline(doubles, remote):
-    with open_daqmx(remote) as rig:
+    # Long enough for the calls that do not hang, on a busy machine too.
+    with open_daqmx(replace(remote, call_timeout_s=2.0)) as rig:
         take(rig, doubles, key(0))
         doubles.control.inject("DAQmxStartTask", "hang")
         with pytest.raises(ConnectionLostError, match="DEADLINE_EXCEEDED"):
@@ -603,7 +604,7 @@ def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remo
     happened(started.wait, "the victim armed its digitizer")
     victim.kill()
     victim.join()
-    channel = Channel(remote.grpc_address, call_timeout_s=2.0, record_samples=1)
+    channel = Channel(remote.grpc_address, call_timeout_s=READ_TIMEOUT_S, record_samples=1)
     other = Task("somebody", grpc_options=GrpcSessionOptions(channel.calls, "somebody"))
     left = [task["task"] for task in doubles.control.record()["tasks"]]
     assert len(left) == 3
