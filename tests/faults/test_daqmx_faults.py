@@ -34,6 +34,7 @@ from support.waiting import happened
 
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
+from hardware_drivers.daqmx.parameters import LONGEST_PULSE_S
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
@@ -458,19 +459,19 @@ def test_a_coil_that_cannot_be_switched_off_is_told_and_ends_by_itself(monkeypat
     with running_brain(DESCRIPTION) as doubles:  # its own: the refused tasks stay in it
         if transport == "library":
             meet(doubles, monkeypatch)
-        long = parameters_of(DESCRIPTION, doubles, transport=transport, pulse_s=0.3)
+        long = parameters_of(DESCRIPTION, doubles, transport=transport, pulse_s=LONGEST_PULSE_S)
         with open_daqmx(long) as rig:
             rig.digitizer.arm(key())
             for function in ("StopTask", "TaskControl", "ClearTask", "WaitUntilTaskDone"):
                 doubles.control.inject(f"DAQmx{function}", "error", code=-50405, times=0)
             with pytest.raises(ConnectionLostError, match="-50405"):
                 rig.striker.strike(key())
-            with pytest.raises(ConnectionLostError, match=r"may be on .* pulse_s = 0\.3 s"):
+            with pytest.raises(ConnectionLostError, match=rf"may be on .* pulse_s = {LONGEST_PULSE_S} s"):
                 rig.striker.make_safe()
             doubles.control.clear_faults()
             arm_until_free(rig)
         (pulse_s,) = coil_pulses_s(doubles.control.record())
-    assert pulse_s == pytest.approx(0.3, rel=1e-3)
+    assert pulse_s == pytest.approx(LONGEST_PULSE_S, rel=1e-3)
 
 
 def arm_until_free(rig):
