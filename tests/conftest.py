@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from support.hangs import HangGuard
 from support.leaks import LeakGuard, mark_descendants
 
 for library in ("OPENBLAS", "OMP", "MKL"):
@@ -27,6 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.option.loadscopereorder = False
     mark_descendants()
     config.pluginmanager.register(LeakGuard(), "leak-guard")
+    config.pluginmanager.register(HangGuard(), "hang-guard")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -100,6 +100,31 @@ def test_is_the_last_with_the_pool(pool):
 """
 
 
+CONFTEST_OF_THE_DEAF = """
+from support.hangs import HangGuard
+
+def pytest_configure(config):
+    config.pluginmanager.register(HangGuard(grace_s=0.5))
+"""
+DEAF = """
+import signal, threading
+import pytest
+
+@pytest.mark.timeout(0.5)
+def test_hears_no_signal():
+    {hang}
+"""
+HANGS = {
+    # As in a call of C that begins anew when a signal interrupts it.
+    "to signals": "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM}); threading.Event().wait()",
+    "to its own end": """while True:
+        try:
+            threading.Event().wait()
+        except BaseException:
+            pass""",
+}
+
+
 @pytest.fixture(scope="module")
 def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """Run these tests as the suite's are; return what each one failed with, "" when it passed."""
@@ -144,6 +169,23 @@ def test_a_fixture_of_a_module_owes_its_threads_until_it_ends(said: dict[str, st
 
 def test_a_warning_that_nobody_can_catch_fails_its_test(said: dict[str, str]) -> None:
     assert "PytestUnraisableExceptionWarning" in said["test_drops_an_open_file"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there the time limit is no signal")
+@pytest.mark.parametrize("hang", HANGS.values(), ids=HANGS.keys())
+def test_a_test_that_nothing_can_interrupt_ends_its_process(hang: str, tmp_path: Path) -> None:
+    (tmp_path / "conftest.py").write_text(CONFTEST_OF_THE_DEAF, encoding="utf-8")
+    (tmp_path / "test_deaf.py").write_text(DEAF.format(hang=hang), encoding="utf-8")
+    done = subprocess.run(
+        [*INNER_PYTEST, "--rootdir", tmp_path, tmp_path],
+        env={**os.environ, "PYTHONPATH": str(TESTS)},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "in test_hears_no_signal" in done.stderr
 
 
 def test_every_test_has_a_time_limit(said: dict[str, str], request: pytest.FixtureRequest) -> None:

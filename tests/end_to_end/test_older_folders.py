@@ -4,7 +4,8 @@ import hashlib
 import logging
 import sqlite3
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -75,6 +76,16 @@ def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
     return after
 
 
+def leaves(value: Any, *where: Any) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Every number and text of rows, by where it stands."""
+    content = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+    if isinstance(content, dict | list | tuple):
+        for name, part in content.items() if isinstance(content, dict) else enumerate(content):
+            yield from leaves(part, *where, name)
+    else:
+        yield where, content
+
+
 @pytest.mark.parametrize("commit", ["9c4a9b9", "ab39956"])
 def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpack, commit: str) -> None:
     folder = unpack(commit)
@@ -94,7 +105,18 @@ def test_going_on_gives_the_rows_of_a_run_in_one_go(unpack: Unpack, tmp_path: Pa
     folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
     assert run(settings_of("9c4a9b9"), folder)
     assert run(settings_of("9c4a9b9"), whole)
-    assert rows_of(folder) == rows_of(whole)
+    # Another processor began the folder: a count in some 10,000 is another one, sums run over other vectors,
+    # and a noise that is read from bins differs by up to 8e-6 of its size. What a restart forgets or counts
+    # twice changes a number by percents.
+    began, in_one_go = dict(leaves(rows_of(folder))), dict(leaves(rows_of(whole)))
+    assert began.keys() == in_one_go.keys()
+    numbers = {where: content for where, content in in_one_go.items() if isinstance(content, float)}
+    assert {where: began.pop(where) for where in numbers} == pytest.approx(
+        numbers, rel=1e-4, abs=0.0, nan_ok=True
+    )
+    assert {where for where, content in began.items() if in_one_go[where] != content} <= {
+        ("shots", row, "crc32") for row in range(len(rows_of(folder)["shots"]))
+    }
 
 
 def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack: Unpack) -> None:

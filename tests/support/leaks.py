@@ -70,11 +70,16 @@ class _Looker:
         for name in now - self._strangers - self._ours:
             wanted = f"{MARK}={os.getpid()}".encode()
             try:
-                ours = wanted in (PROC / name / "environ").read_bytes().split(b"\0")
+                environment = (PROC / name / "environ").read_bytes()
             except ProcessLookupError:
-                ours = False  # it has no memory: a thread of the kernel, asked once, or one that has ended
+                environment = (
+                    b"\0"  # it has no memory: a thread of the kernel, asked once, or one that has ended
+                )
             except OSError:
                 continue  # ended meanwhile, or another user's
+            if not environment:
+                continue  # in the midst of its start
+            ours = wanted in environment.split(b"\0")
             (self._ours if ours else self._strangers).add(name)
         others = self._ours - _servants() - {str(os.getpid())}
         return {f"process {name}" for name in others if _runs(name)}
