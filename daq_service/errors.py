@@ -42,6 +42,16 @@ class StorageError(SolimonError):
     exit_code = 4
 
 
+class StorageUnavailableError(StorageError):
+    """The disk refuses now: full, gone, failing, locked by another program; later it may not."""
+
+
+class TriedAgainError(StorageUnavailableError):
+    """The same for a child that its supervisor has started again, and starts once more."""
+
+    exit_code = EXIT_FAULT
+
+
 class BusyError(SolimonError):
     """Somebody else owns what is needed."""
 

@@ -12,14 +12,14 @@
 
 from __future__ import annotations
 
-from daq_service.errors import StorageError
+from daq_service.errors import StorageError, StorageUnavailableError
 
 
 class ArchiveError(StorageError):
     """A set cannot be stored or read."""
 
 
-class ArchiveWriteError(ArchiveError):
+class ArchiveWriteError(ArchiveError, StorageUnavailableError):
     """The operating system refused; the set is not acknowledged."""
 
 

@@ -16,7 +16,7 @@
 
 from __future__ import annotations
 
-from daq_service.errors import StorageError
+from daq_service.errors import StorageError, StorageUnavailableError
 
 
 class CatalogueError(StorageError):
@@ -39,7 +39,7 @@ class SchemaVersionError(CatalogueError):
     """The catalogue was made by another version of solimon."""
 
 
-class CatalogueBusyError(CatalogueError):
+class CatalogueBusyError(CatalogueError, StorageUnavailableError):
     """Another writer held the catalogue for longer than the deadline."""
 
 
@@ -47,7 +47,7 @@ class CatalogueDamagedError(CatalogueError):
     """The file is not a whole SQLite database."""
 
 
-class CatalogueWriteError(CatalogueError):
+class CatalogueWriteError(CatalogueError, StorageUnavailableError):
     """The disk refused a change; nothing of it was stored."""
 
 

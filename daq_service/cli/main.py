@@ -98,9 +98,10 @@ def run(**options: Any) -> None:
 @SUPERVISED
 def record(**options: Any) -> None:
     """Record only: own the rig and the data folder, follow the schedule."""
-    from daq_service.cli.run import record_alone
+    from daq_service.cli.run import record_alone, tried_again
 
-    sys.exit(record_alone(**options))
+    with tried_again(options["restarted_because"]):
+        sys.exit(record_alone(**options))
 
 
 @cli.command()
@@ -111,9 +112,10 @@ def record(**options: Any) -> None:
 @SUPERVISED
 def serve(**options: Any) -> None:
     """Serve a data folder only: REST, stream and dashboard."""
-    from daq_service.cli.run import serve_alone
+    from daq_service.cli.run import serve_alone, tried_again
 
-    sys.exit(serve_alone(**options))
+    with tried_again(options["restarted_because"]):
+        sys.exit(serve_alone(**options))
 
 
 @cli.command("check-config")

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from daq_service.catalogue import check_owner
-from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError
+from daq_service.errors import (
+    EXIT_INTERRUPTED,
+    EXIT_OK,
+    SolimonError,
+    StorageUnavailableError,
+    TriedAgainError,
+)
 from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_and_folder, sweep
 from daq_service.processes.supervisor import ChildPlan, Supervisor
@@ -28,6 +34,23 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
+
+
+@contextmanager
+def tried_again(restarted_because: str) -> Iterator[None]:
+    """Let a child that was started again end with a code after which its supervisor tries once more.
+
+    Raises
+    ------
+    TriedAgainError
+        The disk refuses now; whoever starts a process by hand is told so at once instead.
+    """
+    try:
+        yield
+    except StorageUnavailableError as error:
+        if not restarted_because:
+            raise
+        raise TriedAgainError(str(error)) from error
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:

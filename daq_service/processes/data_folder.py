@@ -22,7 +22,12 @@ from pydantic import ValidationError
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.network_folder import network_filesystem
-from daq_service.errors import EXIT_FAULT, BusyError, StorageError, UsageError
+from daq_service.errors import (
+    BusyError,
+    StorageError,
+    StorageUnavailableError,
+    UsageError,
+)
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
@@ -62,10 +67,8 @@ else:
         return False
 
 
-class FolderGoneError(StorageError):
-    """The folder of a test that has begun is not there; a supervisor tries again until it is."""
-
-    exit_code = EXIT_FAULT
+class FolderGoneError(StorageUnavailableError):
+    """The folder of a test that has begun is not there."""
 
 
 _OWNER_OFFSET = 1
@@ -113,8 +116,10 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
     ------
     FolderGoneError
         It is gone.
+    StorageUnavailableError
+        It cannot be written.
     StorageError
-        A file is in the way, the folder holds something else, is on a network, or cannot be written.
+        A file is in the way, the folder holds something else, or is on a network.
     """
     # Not the lock: a recorder that was killed while it started has made none.
     if not anew and not (folder / "sets").is_dir():
@@ -124,7 +129,7 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(
+        raise StorageUnavailableError(
             f"cannot make the data folder {folder}: {error.strerror}; choose another with --data-dir"
         ) from error
     kind = network_filesystem(folder)
@@ -142,7 +147,7 @@ def prepare_data_folder(folder: Path, *, anew: bool = True) -> None:
         for name in ("live", "logs"):
             _make_for_hints(folder / name)
     except OSError as error:
-        raise StorageError(
+        raise StorageUnavailableError(
             f"the data folder {folder} cannot be written: {error.strerror}; correct its permissions or "
             "choose another with --data-dir"
         ) from error
@@ -187,7 +192,7 @@ def own_data_folder(folder: Path) -> Iterator[None]:
         try:
             file = stack.enter_context(patiently(lambda: path.open("a+b")))
         except OSError as error:
-            raise StorageError(
+            raise StorageUnavailableError(
                 f"{path} cannot be opened: {error.strerror}; remove it if it is no file of solimon, or give "
                 "this user the right to write it"
             ) from error
@@ -278,5 +283,7 @@ def write_configuration(settings: Settings, folder: Path) -> Path:
     try:
         write_durably(config, content, temporary=config.with_suffix(HINT_SUFFIX))
     except OSError as error:
-        raise StorageError(f"{config} cannot be written: {error.strerror}; free or mend the disk") from error
+        raise StorageUnavailableError(
+            f"{config} cannot be written: {error.strerror}; free or mend the disk"
+        ) from error
     return config

@@ -6,7 +6,8 @@ pipe closes and the children leave safely. A recorder whose heartbeat is overdue
 started again; so is a child that crashed. A child that ends with an exit code of the table
 (2 usage, 3 rig, 4 storage, 5 busy) said what is wrong: everything stops and the code is passed on; where
 others stay, a recorder whose test has begun leaves them, and its code is passed on when they are stopped. A
-recorder that its operator told to stop (130) stays stopped.
+web service that has listened once is started again whatever it said: it ends no test. A recorder that its
+operator told to stop (130) stays stopped.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class _Child:
     quick_failures: int = 0
     cause: str = ""
     begun: bool = False
-    """It has told of a set."""
+    """It has told of a set, or where it listens."""
     finished: bool = False
     exit_code: int = EXIT_OK
     extra: list[str] = field(default_factory=list)
@@ -196,7 +197,7 @@ class Supervisor:
             child.finished, child.exit_code = True, code
             self._unheard.put((child.plan.name, {"event": "failed", "code": code}))
             return None
-        if code in FINAL_CODES:
+        if code in FINAL_CODES and (child.plan.watched or not child.begun):
             return code
         return self._plan_restart(child, code)
 
@@ -245,7 +246,7 @@ class Supervisor:
                 if event == "listening" and not child.extra:
                     # A restarted web service must answer where the browsers already are.
                     child.extra = ["--port", str(message["port"])]
-                child.begun = child.begun or event == "progress"
+                child.begun = child.begun or event in ("progress", "listening")
                 self._unheard.put((child.plan.name, message))
 
     def _overdue(self, child: _Child) -> str:

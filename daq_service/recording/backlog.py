@@ -8,12 +8,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from daq_service.archive import ArchiveWriteError
-from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
+from daq_service.errors import StorageUnavailableError
 
 log = logging.getLogger(__name__)
 
-PASSING = (ArchiveWriteError, CatalogueBusyError, CatalogueWriteError, OSError)
+PASSING = (StorageUnavailableError, OSError)
 """Trouble of a disk that may be over later: full, gone, failing, locked, no free handle."""
 WAITS_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 """Before each further try; the last one repeats."""

@@ -11,6 +11,7 @@ import threading
 import httpx
 import pytest
 from support.browser_pages import expect
+from support.waiting import until
 
 pytestmark = [
     pytest.mark.browser,
@@ -87,9 +88,14 @@ def demo(tmp_path):
     running.end()
 
 
-def ask_again(page):
-    """Leave the page time: Playwright hears of it only while it waits."""
-    page.evaluate("new Promise(done => setTimeout(done, 100))")
+def asked_until(page, found, what):
+    """Ask again and again, and leave the page time: Playwright hears of it only while it waits."""
+
+    def ask():
+        page.evaluate("new Promise(done => setTimeout(done, 100))")
+        return found()
+
+    until(ask, what)
 
 
 def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledgement(demo, open_page):
@@ -113,8 +119,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
             return api.get("/api/v1/health").json()["counts"]
 
         def wait_for_missed(number):
-            while counts()["missed_sets"] < number:
-                ask_again(page)
+            asked_until(page, lambda: counts()["missed_sets"] >= number, f"{number} sets were missed")
 
         # A set that was cut short by the order is stored after the banner, and before the next one is missed.
         wait_for_missed(1)
@@ -124,8 +129,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         page.get_by_role("button", name="Release").click()
         expect(page.locator("#held")).to_be_hidden()
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
-        while counts()["shots"] <= shots:
-            ask_again(page)
+        asked_until(page, lambda: counts()["shots"] > shots, "a shot was taken")
         causes = {row["cause"] for row in api.get("/api/v1/sets?state=missed").json()["items"]}
         assert causes == {"held by dashboard: hands in the rig"}
 
@@ -143,9 +147,12 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         assert first["state"].endswith("unacknowledged")
         body = {"author": "ann", "note": "seen in the demo"}
         order = api.post(f"/api/v1/alarms/{first['id']}/acknowledge", json=body).json()
-        while order["state"] == "pending":
-            ask_again(page)
-            order = api.get(f"/api/v1/commands/{order['id']}").json()
+
+        def answer():
+            return api.get(f"/api/v1/commands/{order['id']}").json()
+
+        asked_until(page, lambda: answer()["state"] != "pending", "the order was carried out")
+        order = answer()
         assert order["state"] == "done", order
         assert api.get(f"/api/v1/alarms/{first['id']}").json()["acknowledged_by"] == "ann"
 

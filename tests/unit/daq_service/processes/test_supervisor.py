@@ -297,7 +297,8 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
     assert "printed a line that is no message: b'hello" in caplog.text
 
 
-def test_a_restarted_web_service_is_told_its_port() -> None:
+@pytest.mark.parametrize("code", [1, 4, 5])
+def test_a_web_service_that_has_listened_is_started_again_at_its_port(code: int) -> None:
     says = [json.dumps({"event": "listening", "url": "http://127.0.0.1:4711/", "port": 4711})]
     # It ends after its line is read, however late its reader comes to it.
     first = Life(None, says=says)
@@ -305,7 +306,7 @@ def test_a_restarted_web_service_is_told_its_port() -> None:
 
     def ends_once_heard() -> None:
         if world.messages and first.code is None:
-            first.code = 1
+            first.code = code
 
     waiting = world.wait
     patience = threading.Event()
