@@ -10,7 +10,7 @@ from typing import Any
 
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
 log = logging.getLogger(__name__)
@@ -32,13 +32,14 @@ class Board:
     device
         NI's view of it (`nidaqmx.system.Device`).
     calibration_date, calibration_temperature_c
-        Of the last self-calibration; empty and NaN for a board that cannot calibrate itself.
+        Of the last self-calibration; empty and NaN where the driver does not say.
     """
 
     serial: str
     name: str
     product: str
     device: Any
+    calibrates_itself: bool
     calibration_date: str
     calibration_temperature_c: float
 
@@ -99,21 +100,31 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
 def describe(serial: str, device: Any) -> Board:
     """Read what a board says of itself."""
     with vendor_call(f"reading what board {serial} is"):
-        date, temperature_c = "", math.nan
-        if device.self_cal_supported:
-            date = device.self_cal_last_date_and_time.isoformat(timespec="minutes")
-            temperature_c = float(device.self_cal_last_temp)
         name, product = str(device.name), str(device.product_type)
         if not (name and product):
             raise ConnectionLostError(f"board {serial} gives its name as {name!r} and product as {product!r}")
-        return Board(
-            serial=serial,
-            name=name,
-            product=product,
-            device=device,
-            calibration_date=date,
-            calibration_temperature_c=temperature_c,
+    calibrates_itself = metadata(
+        lambda: bool(device.self_cal_supported), False, f"whether board {serial} calibrates itself"
+    )
+    date, temperature_c = "", math.nan
+    if calibrates_itself:
+        date = metadata(
+            lambda: str(device.self_cal_last_date_and_time.isoformat(timespec="minutes")),
+            "",
+            f"when board {serial} was calibrated",
         )
+        temperature_c = metadata(
+            lambda: float(device.self_cal_last_temp), math.nan, f"how warm board {serial} was then"
+        )
+    return Board(
+        serial=serial,
+        name=name,
+        product=product,
+        device=device,
+        calibrates_itself=calibrates_itself,
+        calibration_date=date,
+        calibration_temperature_c=temperature_c,
+    )
 
 
 def _names(there: Mapping[str, Any]) -> str:

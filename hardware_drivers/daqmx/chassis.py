@@ -274,7 +274,7 @@ class Chassis:
         done = {}
         for serial in {same_serial(wiring.board_serial) for wiring in self.parameters.transducers.values()}:
             board = self._boards[serial]
-            if not board.calibration_date:
+            if not board.calibrates_itself:
                 done[serial] = "this board cannot calibrate itself"
                 continue
             with vendor_call(f"self-calibrating {board.label}"):
@@ -282,8 +282,9 @@ class Chassis:
         self._boards = find_boards(self.connection, self._serials())
         self.prove()
         for serial, board in self._boards.items():
-            if serial not in done and board.calibration_date:
-                done[serial] = f"{board.calibration_date}, {board.calibration_temperature_c:.1f} C"
+            if serial not in done and board.calibrates_itself:
+                date = board.calibration_date or "date unknown"
+                done[serial] = f"{date}, {board.calibration_temperature_c:.1f} C"
         return done
 
     def identity(self) -> dict[str, str]:

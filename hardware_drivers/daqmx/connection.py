@@ -17,7 +17,7 @@ from importlib.metadata import version
 from typing import Any, TypeVar
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 
 log = logging.getLogger(__name__)
@@ -73,9 +73,11 @@ class Connection:
             return System() if self._channel is None else System.remote(self._options("", attach=False))
 
     def driver_version(self) -> str:
-        """Version of NI-DAQmx, as in ``24.8.0``."""
-        with vendor_call("reading the driver's version"):
-            return ".".join(str(part) for part in self.system().driver_version)
+        """Version of NI-DAQmx, as in ``24.8.0``; "unknown" where it does not say."""
+        system = self.system()
+        return metadata(
+            lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
+        )
 
     def task(self, role: str) -> Any:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""

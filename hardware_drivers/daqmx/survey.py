@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,7 +19,7 @@ from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.daqmx.translation import vendor_call
+from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 
 log = logging.getLogger(__name__)
@@ -64,6 +65,7 @@ class BoardFacts:
     ranges_v: tuple[tuple[float, float], ...]
     terminals: tuple[str, ...]
     counters: tuple[str, ...]
+    calibrates_itself: bool
     calibration_date: str
     calibration_temperature_c: float
     temperature_c: float
@@ -175,9 +177,12 @@ class _Look:
                 ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
                 terminals=tuple(device.terminals),
                 counters=tuple(channel.name for channel in device.co_physical_chans),
+                calibrates_itself=board.calibrates_itself,
                 calibration_date=board.calibration_date,
                 calibration_temperature_c=board.calibration_temperature_c,
-                temperature_c=float(device.cal_dev_temp),
+                temperature_c=metadata(
+                    lambda: float(device.cal_dev_temp), math.nan, f"how warm {board.label} is"
+                ),
             )
         self._boards[serial] = board
         self._facts.append(facts)
@@ -193,9 +198,18 @@ class _Look:
                 "a device simulated by NI's driver: its records are made up",
                 "use it for rehearsal only",
             )
-        if not facts.calibration_date:
+        if not facts.calibrates_itself:
             self._add(
                 subject, "calibrated", "warn", "cannot calibrate itself", "follow its external interval"
+            )
+            return
+        if not facts.calibration_date:
+            self._add(
+                subject,
+                "calibrated",
+                "warn",
+                "the driver does not say when it last calibrated itself",
+                "self-calibrate it in NI MAX; a device that NI's driver simulates has no such date",
             )
             return
         away_k = abs(facts.temperature_c - facts.calibration_temperature_c)

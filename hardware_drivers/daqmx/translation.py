@@ -10,8 +10,9 @@ import logging
 import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
@@ -22,6 +23,8 @@ from hardware_drivers.errors import (
 )
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 MISSED: dict[int, str] = {
     -200284: "samples not yet available: no trigger came",
@@ -230,6 +233,26 @@ def vendor_call(doing: str) -> Iterator[None]:
         raise translated(error, doing) from error
     for warning in heard:
         log.warning("%s: %s", doing, _one_line(str(warning.message)))
+
+
+def metadata(read: Callable[[], T], unknown: T, what: str) -> T:
+    """Ask for what no record hangs on: a date, a temperature, a version; unknown, with a warning, is enough.
+
+    Raises
+    ------
+    ConnectionLostError
+        The driver says that the board or itself is gone: that holds for every other call too.
+    """
+    from nidaqmx.errors import Error
+
+    try:
+        with vendor_call(f"reading {what}"):
+            return read()
+    except InstrumentError as error:
+        if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, Error):
+            raise
+        log.warning("%s is unknown: %s", what, error)
+        return unknown
 
 
 def _from_status(error: Exception, doing: str) -> InstrumentError:

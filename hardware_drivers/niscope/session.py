@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes, check_sum_fits, codes_of
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+from hardware_drivers.niscope.vendor_errors import metadata
 
 FULL_BANDWIDTH_HZ = -1.0
 """NI-SCOPE's value for an input without noise filter."""
@@ -157,7 +158,7 @@ def configure(
     )
     _configure_trigger(niscope, session, wiring)
     session.commit()
-    setup = _read_back(session, channel)
+    setup = _read_back(niscope, session, channel, board)
     _refuse_coerced(parameters, wiring, setup, channel, board)
     if session.trigger_source != trigger_terminal(wiring):
         raise ConnectionLostError(
@@ -188,7 +189,14 @@ def _configure_trigger(niscope: ModuleType, session: Any, wiring: ProbeWiring) -
     )
 
 
-def _read_back(session: Any, channel: Any) -> Setup:
+def _read_back(niscope: ModuleType, session: Any, channel: Any, board: Board) -> Setup:
+    last = metadata(
+        niscope,
+        # A board that never calibrated itself says 0-0-0, which is no date.
+        lambda: str(session.get_self_cal_last_date_and_time().date().isoformat()),
+        "",
+        f"when {board.resource!r} was calibrated",
+    )
     return Setup(
         sample_rate_hz=session.horz_sample_rate,
         record_samples=session.horz_record_length,
@@ -197,19 +205,14 @@ def _read_back(session: Any, channel: Any) -> Setup:
         offset_v=channel.vertical_offset,
         resolution_bits=session.resolution,
         sample_bits=session.binary_sample_width,
-        calibration_date=_calibration_date(session),
-        calibration_temperature_c=session.get_self_cal_last_temp(),
+        calibration_date=last,
+        calibration_temperature_c=metadata(
+            niscope,
+            lambda: float(session.get_self_cal_last_temp()),
+            math.nan,
+            f"how warm {board.resource!r} was then",
+        ),
     )
-
-
-def _calibration_date(session: Any) -> str:
-    """ISO date of the last self-calibration; empty for a board that has no valid one."""
-    try:
-        last: str = session.get_self_cal_last_date_and_time().date().isoformat()
-    except ValueError:
-        # A board that never calibrated itself says 0-0-0, which is no date: nothing to hold a record up for.
-        return ""
-    return last
 
 
 def _refuse_coerced(

@@ -7,11 +7,13 @@ code is judged by its own table. ``docs/reference/faults-niscope.md`` says what 
 
 from __future__ import annotations
 
+import logging
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType, ModuleType
+from typing import TypeVar
 
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
@@ -20,6 +22,10 @@ from hardware_drivers.errors import (
     ConnectionLostError,
     InstrumentError,
 )
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 _IVI_ERROR = -0x40060000  # 0xBFFA0000 as a signed 32-bit number
 
@@ -151,3 +157,21 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
     for warning in seen:
         if not issubclass(warning.category, niscope.errors.DriverWarning):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
+
+
+def metadata(niscope: ModuleType, read: Callable[[], T], unknown: T, what: str) -> T:
+    """Ask for what no record hangs on: a date, a temperature; unknown, with a warning, is enough.
+
+    Raises
+    ------
+    ConnectionLostError
+        The driver says that the board is gone: that holds for every other call too.
+    """
+    try:
+        with vendor_calls(niscope, f"reading {what}"):
+            return read()
+    except InstrumentError as error:
+        if isinstance(error, ConnectionLostError) and isinstance(error.__cause__, niscope.errors.Error):
+            raise
+        log.warning("%s is unknown: %s", what, error)
+        return unknown

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from contextlib import ExitStack
@@ -529,6 +530,30 @@ def test_self_calibration_is_followed_by_the_new_scaling(monkeypatch, transport)
     assert shift_v == pytest.approx(SIMULTANEOUS_16_BIT.self_calibration_shift_v, rel=1e-9)
     assert list(done) == [f"{SERIAL:08X}"]
     assert after.settings["calibration_date"] > before.settings["calibration_date"]
+
+
+# What a board need not say --------------------------------------------------------------------------
+
+
+METADATA = {
+    "DAQmxGetCalInfoAttribute:SelfCal.Supported": ("calibration_date", ""),
+    "DAQmxGetSelfCalLastDateAndTime": ("calibration_date", ""),
+    "DAQmxGetCalInfoAttribute:SelfCal.LastTemp": ("calibration_temperature_c", math.nan),
+}
+
+
+@pytest.mark.parametrize("function", METADATA)
+def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
+    doubles, parameters, function, caplog
+):
+    """NI's simulated devices refuse the date with -200077."""
+    doubles.control.inject(function, "error", code=-200077)
+    with open_daqmx(parameters) as rig:
+        acquired = take(rig, doubles, key())
+    assert_sound(parameters, acquired, key())
+    assert "is unknown: reading" in caplog.text
+    name, unknown = METADATA[function]
+    assert acquired.settings[name] == pytest.approx(unknown, nan_ok=True)
 
 
 # Reference clock ------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ The list of calls is not written down: it is what the double recorded while the 
 took a record, calibrated itself and closed. A call that the driver makes tomorrow is struck tomorrow.
 """
 
+import math
 import os
 import signal
 import socket
@@ -306,6 +307,27 @@ def test_each_code_has_its_class_and_a_way_back(brain, function, code):
         reopened = take(unit, brain) and "niScope_InitWithOptions" in rig.functions_of(brain.record())
         assert reopened is issubclass(kind, ConnectionLostError)
     assert works_again(brain)
+
+
+INVALID_VALUE = -1074135024
+
+
+@pytest.mark.parametrize(
+    ("function", "name", "unknown"),
+    [
+        ("niScope_CalFetchDate", "calibration_date", ""),
+        ("niScope_CalFetchTemperature", "calibration_temperature_c", math.nan),
+    ],
+)
+def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
+    brain, function, name, unknown, caplog
+):
+    brain.faults.inject(function, "error", code=INVALID_VALUE)
+    with open_niscope(rig.parameters()) as unit:
+        echo = take(unit, brain)
+    assert is_right(echo, DESCRIBED)
+    assert "is unknown: reading" in caplog.text
+    assert echo.settings[name] == pytest.approx(unknown, nan_ok=True)
 
 
 def test_after_a_missed_trigger_the_board_is_idle_and_set_up(brain):

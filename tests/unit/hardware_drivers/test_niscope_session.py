@@ -10,7 +10,7 @@ import pytest
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes
 from hardware_drivers.niscope.parameters import ProbeWiring
-from hardware_drivers.niscope.session import Setup, _calibration_date, close_session, fetch
+from hardware_drivers.niscope.session import Setup, close_session, fetch
 
 RECORDS, SAMPLES = 4, 64
 GAIN_V = 2.0 / 65_536
@@ -111,13 +111,6 @@ def test_a_trigger_within_a_sample_or_two_is_the_firing_pulse():
 
 def test_a_time_stamp_that_rolled_over_is_no_fault():
     assert fetch(Session(absolute_initial_x=1e-6), SETUP, WIRING, 1.5).records.shape == (RECORDS, SAMPLES)
-
-
-def test_a_board_that_never_calibrated_itself_has_no_date():
-    def no_date():
-        raise ValueError("year 0 is out of range")
-
-    assert _calibration_date(SimpleNamespace(get_self_cal_last_date_and_time=no_date)) == ""
 
 
 def test_boards_without_time_stamps_report_zero(monkeypatch):

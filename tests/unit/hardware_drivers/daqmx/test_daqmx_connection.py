@@ -9,6 +9,7 @@ from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.errors import ConnectionLostError
 
 pytest.importorskip("nidaqmx")
+from nidaqmx.errors import DaqError
 
 
 def test_a_task_whose_making_fails_half_way_is_cleared():
@@ -31,3 +32,25 @@ def test_a_task_whose_making_fails_half_way_is_cleared():
     with pytest.raises(ConnectionLostError, match="refused the name"):
         connection._create(HalfMade, "creating a task", "solimon")
     assert notes == ["created", "TASK_ABORT", "cleared"]
+
+
+class System:
+    """As NI's, whose version is refused with a status."""
+
+    def __init__(self, status):
+        self._status = status
+
+    @property
+    def driver_version(self):
+        raise DaqError("refused", self._status)
+
+
+@pytest.mark.parametrize(("status", "answer"), [(-200077, "unknown"), (-88710, None)])
+def test_a_driver_that_does_not_say_its_version_has_none_unless_it_is_gone(monkeypatch, status, answer):
+    connection = Connection(DaqmxParameters(transducers={"B": TransducerWiring(board_serial="01A2B3C4")}))
+    monkeypatch.setattr(connection, "system", lambda: System(status))
+    if answer is None:
+        with pytest.raises(ConnectionLostError):
+            connection.driver_version()
+    else:
+        assert connection.driver_version() == answer
