@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import time
 from pathlib import Path
 
@@ -58,6 +59,7 @@ class FolderArchive(FolderSetReader):
                 # A new data folder's own name; the folder above may belong to others.
                 sync_folder(folder.absolute().parent, patience_s=0.0)
             unfinished = patiently(lambda: list(self._sets_folder.glob(f"*{TEMPORARY_SUFFIX}")))
+            self._own = self._sets_folder.stat()
         except OSError as error:
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
@@ -73,6 +75,7 @@ class FolderArchive(FolderSetReader):
         path = self.folder / reference
         temporary = path.with_suffix(TEMPORARY_SUFFIX)
         try:
+            self._check_own_folder()
             self._check_free(reference, record.set_index, image)
             write_s, fsync_s, directory_fsync_s = write_durably(path, image, temporary=temporary)
         except OSError as error:
@@ -106,6 +109,13 @@ class FolderArchive(FolderSetReader):
         """Name everything that was set aside and is still there."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
+
+    def _check_own_folder(self) -> None:
+        """Where a disk was taken away or a folder moved, another one may stand in its place."""
+        if not os.path.samestat(self._own, self._sets_folder.stat()):
+            raise ArchiveWriteError(
+                f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
+            )
 
     def _check_free(self, reference: SetReference, set_index: int, image: bytes) -> None:
         """Nothing of this set is stored yet, or the very same bytes are."""
