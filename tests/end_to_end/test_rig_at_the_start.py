@@ -71,7 +71,9 @@ def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Except
     assert record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=rig)
     assert rig.refusals == []
     assert {row.state for row in rows_of(tmp_path)["sets"]} == {"done"}
-    assert doing[-1] == "opening the rig", "the heartbeat goes on while it waits"
+    # Which of the two was written last depends on the machine: a beat soon after another one is not written.
+    waits = {"opening the rig", f"waiting for the rig: {refusal}"}
+    assert set(doing) <= waits, "the heartbeat goes on while it waits"
 
 
 def test_what_waiting_cannot_mend_ends_a_test_that_has_begun_too(tmp_path: Path) -> None:
