@@ -18,6 +18,7 @@ from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
     Damage,
     MissedRecord,
+    OpenSet,
     PositionRecord,
     SetRecord,
     SetReference,
@@ -38,6 +39,7 @@ __all__ = [
     "FolderArchive",
     "FolderSetReader",
     "MissedRecord",
+    "OpenSet",
     "PositionRecord",
     "SetNotFoundError",
     "SetReader",

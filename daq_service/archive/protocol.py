@@ -8,8 +8,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
-from daq_service.archive.records import Damage, SetRecord, SetReference, StoredSet
-from hardware_drivers.measurement import Waveform
+from daq_service.archive.records import (
+    Damage,
+    MissedRecord,
+    OpenSet,
+    SetRecord,
+    SetReference,
+    StoredSet,
+)
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 
 @runtime_checkable
@@ -76,7 +83,47 @@ class SetReader(Protocol):
 
 @runtime_checkable
 class Archive(SetReader, Protocol):
-    """Stores sets too; the recorder's, who alone writes."""
+    """Stores sets too; the recorder's, who alone writes.
+
+    A set may be taken in record by record (`begin_set`, `append`, `sync`, then `store_set`) or be stored at
+    once; an archive that keeps no journal acknowledges whole sets only.
+    """
+
+    def begin_set(
+        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+    ) -> None:
+        """Note that a set is begun; durable with the first `sync` after it."""
+        ...
+
+    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+        """Take in what a begun set has come to; acknowledged by `sync`."""
+        ...
+
+    def sync(self) -> list[int]:
+        """Make everything durable that was taken in; return the shot ids that this acknowledges.
+
+        Raises
+        ------
+        ArchiveWriteError
+            Nothing was acknowledged; the next call tries again.
+        """
+        ...
+
+    def open_sets(self) -> Mapping[int, OpenSet]:
+        """Return the sets that an earlier process began and nobody ended, by index."""
+        ...
+
+    def resume_set(self, opened: OpenSet) -> None:
+        """Go on with an open set: what comes is added to what is durable."""
+        ...
+
+    def close(self) -> None:
+        """Let go of what is held open; nothing is lost."""
+        ...
+
+    def settle(self, set_index: int) -> None:
+        """Forget the journal's part of a set: it has its own file, or rows without a record."""
+        ...
 
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; only when this returns is it acknowledged.

@@ -16,6 +16,8 @@ import h5py
 import numpy as np
 
 from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
+from daq_service.archive.journal.frames import record_of
+from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
@@ -59,76 +61,129 @@ class FolderSetReader:
 
     def sets(self) -> dict[int, SetReference]:
         """Complete sets: index to reference, in the order of the sets."""
-        return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
+        journaled = {index: item.reference for index, item in self._journal().items() if item.reference}
+        return dict(sorted({**journaled, **self._files()}.items()))
 
     def n_bytes(self) -> int:
-        """Bytes of the complete files."""
-        return sum((self.folder / reference).stat().st_size for reference in self.sets().values())
+        """Bytes of the complete files, and of the sets that have none yet."""
+        files = self._files()
+        journaled = sum(
+            item.n_bytes for item in self._journal().values() if item.end and item.set_index not in files
+        )
+        return journaled + sum((self.folder / file).stat().st_size for file in files.values())
 
     def read_set(self, reference: SetReference, *, skip_damaged: bool = False) -> SetRecord:
         """Read a set as it was stored."""
-        path = self.folder / reference
-        with _opened(path) as entry:
-            records, damages = _read_records(entry)
-            if damages and not (skip_damaged and records):
-                raise CorruptArchiveError(
-                    f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
-                    "this file belongs back from a copy"
-                )
-            return SetRecord(
-                set_index=int(entry["set_index"][()]),
-                due_utc_ns=int(entry["due_utc_ns"][()]),
-                due_h=float(entry["due_h"][()]),
-                started_utc_ns=int(entry["started_utc_ns"][()]),
-                ended_utc_ns=int(entry["ended_utc_ns"][()]),
-                rig_kind=_text(entry["instrument/name"][()]),
-                positions=_read_positions(entry),
-                shots=[record for record in records if isinstance(record, Shot)],
-                echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
-                missed=_read_missed(entry),
-                outcomes=_superseded(_read_table(entry), records),
-                trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
-                environment=_read_environment(entry),
-                provenance=json.loads(_text(entry["provenance/data"][0])),
-            )
+        journaled = self._journaled(reference)
+        if journaled is None:
+            return read_file(self.folder / reference, skip_damaged=skip_damaged)
+        damages = journaled.damages()
+        if damages and not (skip_damaged and journaled.has_records):
+            raise _damaged(self.folder / reference, damages)
+        return journaled.record()
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
         """Read one record of a set; of attempts the accepted one."""
-        path = self.folder / reference
-        with _opened(path) as entry:
-            table = _read_table(entry)
-            rows = [
-                row
-                for row, name in enumerate(table["position"])
-                if name == position and table["shot_index"][row] == shot_index
-            ]
-            if not rows:
-                raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
-            row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
-            for name in _group_names(entry):
-                if _text(entry[name].attrs["position"]) != position:
-                    continue
-                group = _Group(entry, name)
-                if table["shot_id"][row] in group.sequences:
-                    found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
-                    if isinstance(found, Waveform):
-                        return found
-                    raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
-            raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
+        journaled, path = self._journaled(reference), self.folder / reference
+        if journaled is None:
+            return _read_waveform(path, position, shot_index)
+        sequence = journaled.sequence_of(position, shot_index)
+        if sequence is None:
+            raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
+        if sequence not in journaled.shots:
+            damages = [damage for damage in journaled.damages() if damage.sequence == sequence]
+            raise _damaged(path, damages)
+        return record_of(journaled.shots[sequence]).waveform
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
-        """Read everything in a file and list what is damaged."""
-        with _opened(self.folder / reference) as entry:
-            _, damages = _read_records(entry)
-            unreadable: list[Damage] = []
-            arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
-            _read_everything(entry, "", arrays, unreadable)
-            try:
-                # Looks into the free-space lists of the groups' names too, which no reading touches.
-                entry.visititems(lambda _name, _item: None)
-            except _HDF5_ERRORS as error:
-                unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
-            return damages + unreadable
+        """Read everything of a set and list what is damaged."""
+        journaled = self._journaled(reference)
+        return _verify_file(self.folder / reference) if journaled is None else journaled.damages()
+
+    def _files(self) -> dict[int, SetReference]:
+        return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
+
+    def _journal(self) -> dict[int, JournaledSet]:
+        try:
+            return read_journal(self.folder)
+        except OSError as error:
+            raise ArchiveError(f"the journal of {self.folder} cannot be read: {error}") from error
+
+    def _journaled(self, reference: SetReference) -> JournaledSet | None:
+        """Find the set in the journal, if it has no file yet."""
+        if (self.folder / reference).exists():
+            return None
+        # Between the two looks it may get its file: then the journal has it no more, and the file is read.
+        found = (item for item in self._journal().values() if item.reference == reference)
+        return next(found, None)
+
+
+def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
+    """Read the file of a set."""
+    with _opened(path) as entry:
+        records, damages = _read_records(entry)
+        if damages and not (skip_damaged and records):
+            raise _damaged(path, damages)
+        return SetRecord(
+            set_index=int(entry["set_index"][()]),
+            due_utc_ns=int(entry["due_utc_ns"][()]),
+            due_h=float(entry["due_h"][()]),
+            started_utc_ns=int(entry["started_utc_ns"][()]),
+            ended_utc_ns=int(entry["ended_utc_ns"][()]),
+            rig_kind=_text(entry["instrument/name"][()]),
+            positions=_read_positions(entry),
+            shots=[record for record in records if isinstance(record, Shot)],
+            echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+            missed=_read_missed(entry),
+            outcomes=_superseded(_read_table(entry), records),
+            trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
+            environment=_read_environment(entry),
+            provenance=json.loads(_text(entry["provenance/data"][0])),
+        )
+
+
+def _damaged(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
+    return CorruptArchiveError(
+        f"{path}: {'; '.join(map(str, damages))}; the others can be read with skip_damaged=True, "
+        "this file belongs back from a copy"
+    )
+
+
+def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
+    with _opened(path) as entry:
+        table = _read_table(entry)
+        rows = [
+            row
+            for row, name in enumerate(table["position"])
+            if name == position and table["shot_index"][row] == shot_index
+        ]
+        if not rows:
+            raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
+        row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
+        for name in _group_names(entry):
+            if _text(entry[name].attrs["position"]) != position:
+                continue
+            group = _Group(entry, name)
+            if table["shot_id"][row] in group.sequences:
+                found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
+                if isinstance(found, Waveform):
+                    return found
+                raise CorruptArchiveError(f"{path}: {_damage(table, row, found)}")
+        raise CorruptArchiveError(f"{path}: {_damage(table, row, 'no array holds it')}")
+
+
+def _verify_file(path: Path) -> list[Damage]:
+    with _opened(path) as entry:
+        _, damages = _read_records(entry)
+        unreadable: list[Damage] = []
+        arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
+        _read_everything(entry, "", arrays, unreadable)
+        try:
+            # Looks into the free-space lists of the groups' names too, which no reading touches.
+            entry.visititems(lambda _name, _item: None)
+        except _HDF5_ERRORS as error:
+            unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
+        return damages + unreadable
 
 
 class _Group:

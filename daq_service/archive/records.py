@@ -16,6 +16,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
 QUARANTINE_FOLDER = "quarantine"
+JOURNAL_FOLDER = "journal"
 TEMPORARY_SUFFIX = ".tmp"
 SetReference = NewType("SetReference", str)
 """What the catalogue's ``sets.file`` says: ``sets/`` and the set's name, in every archive."""
@@ -123,6 +124,27 @@ class SetRecord:
     def records(self) -> list[Shot | PulseEchoRecord]:
         """Shots and pulse-echo records in the order in which they were taken."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpenSet:
+    """A set that a crash or a stop cut short; everything here was durable before.
+
+    Attributes
+    ----------
+    retired
+        Positions that were left out from its beginning, and why.
+    last_utc_ns
+        Experiment time of the last thing that is known of it.
+    """
+
+    set_index: int
+    due_utc_ns: int
+    started_utc_ns: int
+    last_utc_ns: int
+    retired: Mapping[str, str] = field(default_factory=dict)
+    records: Sequence[Shot | PulseEchoRecord] = ()
+    missed: Sequence[MissedRecord] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,4 +1,7 @@
-"""Store sets: image in memory, temporary name, fsync, rename, fsync of the folder, acknowledgement."""
+"""Store sets: record by record in the journal, or each at once in a file of its own.
+
+A file: image in memory, temporary name, fsync, rename, fsync of the folder, acknowledgement.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +9,21 @@ import contextlib
 import errno
 import os
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
+from daq_service.archive.journal.frames import end_frame
+from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
+    JOURNAL_FOLDER,
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
+    MissedRecord,
+    OpenSet,
     SetRecord,
     SetReference,
     StoredSet,
@@ -23,6 +32,7 @@ from daq_service.archive.records import (
     waveform_crc32,
 )
 from daq_service.shared_file import patiently, read_shared, remove_quietly, sync_folder, write_durably
+from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 _REMEDY = {
     errno.ENOSPC: "free some space",
@@ -36,12 +46,15 @@ _REMEDY = {
 class FolderArchive(FolderSetReader):
     """The sets of one data folder in the hands of the recorder, who alone writes there.
 
-    Opening makes the folder and removes what a crash left unfinished.
+    Opening makes the folders and removes what a crash left unfinished.
 
     Parameters
     ----------
     folder
         The data folder; files go to ``sets/`` in it.
+    journal
+        Sets go to the journal first, record by record, and get their files by `compact_set`. False: each
+        gets its file when it is whole. What an earlier process left in the journal is known either way.
 
     Raises
     ------
@@ -49,11 +62,12 @@ class FolderArchive(FolderSetReader):
         The folder cannot be made or written.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, journal: bool = False) -> None:
         super().__init__(folder)
         self._sets_folder = folder / SETS_FOLDER
         try:
             self._sets_folder.mkdir(parents=True, exist_ok=True)
+            self._kept = Journal(folder)
             sync_folder(folder)
             with contextlib.suppress(PermissionError):
                 # A new data folder's own name; the folder above may belong to others.
@@ -64,14 +78,64 @@ class FolderArchive(FolderSetReader):
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
-        self._stored = self.sets()
+        self._uses_journal = journal
+        self._begun: dict[int, set[int]] = {}
+        self._ending: dict[int, bytes] = {}
+        # A set that was ended and is not whole was never acknowledged, or is damaged: it may be taken again.
+        self._stored = {index: file for index, file in self.sets().items() if index not in self.open_sets()}
+
+    def begin_set(
+        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+    ) -> None:
+        """Note that a set is begun; durable with the first `sync` after it."""
+        if self._uses_journal:
+            self._begun[set_index] = set()
+            self._kept.begin(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+
+    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+        """Take in what a begun set has come to; acknowledged by `sync`."""
+        begun = self._begun.get(taken.key.set_index)
+        if begun is None:
+            return
+        if isinstance(taken, MissedRecord):
+            self._kept.append_missed(taken, utc_ns)
+        else:
+            self._kept.append(taken)
+            begun.add(taken.sequence)
+
+    def sync(self) -> list[int]:
+        """Make everything durable that was taken in; return the shot ids that this acknowledges."""
+        try:
+            self._check_own_folder()
+            return self._kept.sync()
+        except OSError as error:
+            raise _refused(self.folder / JOURNAL_FOLDER, error) from error
+
+    def open_sets(self) -> dict[int, OpenSet]:
+        """Return the sets that an earlier process began and nobody ended, by index."""
+        found = {index: item.opened() for index, item in self._kept.left.items() if not item.is_whole}
+        return {index: item for index, item in found.items() if item is not None}
+
+    def resume_set(self, opened: OpenSet) -> None:
+        """Go on with an open set: what comes is added to what is durable."""
+        if self._uses_journal:
+            self._begun[opened.set_index] = {record.sequence for record in opened.records}
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        """Make a set durable; only when this returns is it acknowledged."""
+        """Make a set durable; when this returns every record of it is acknowledged."""
         start = time.perf_counter()
+        reference = set_reference(record.set_index, record.due_utc_ns)
+        crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
+        store = self._store_journaled if self._uses_journal else self._store_file
+        n_bytes, timings = store(record, reference, start)
+        self._stored[record.set_index] = reference
+        return StoredSet(file=reference, n_bytes=n_bytes, crc32=crc32, timings=timings)
+
+    def _store_file(
+        self, record: SetRecord, reference: SetReference, start: float
+    ) -> tuple[int, StoreTimings]:
         image = build_image(record)
         built = time.perf_counter()
-        reference = set_reference(record.set_index, record.due_utc_ns)
         path = self.folder / reference
         temporary = path.with_suffix(TEMPORARY_SUFFIX)
         try:
@@ -80,21 +144,60 @@ class FolderArchive(FolderSetReader):
             write_s, fsync_s, directory_fsync_s = write_durably(path, image, temporary=temporary)
         except OSError as error:
             raise _refused(path, error) from error
-        self._stored[record.set_index] = reference
-        return StoredSet(
-            file=reference,
-            n_bytes=len(image),
-            crc32={shot.sequence: waveform_crc32(shot.waveform) for shot in record.records},
-            timings=StoreTimings(
-                image_s=built - start, write_s=write_s, fsync_s=fsync_s, directory_fsync_s=directory_fsync_s
-            ),
+        self.settle(record.set_index)
+        return len(image), StoreTimings(
+            image_s=built - start, write_s=write_s, fsync_s=fsync_s, directory_fsync_s=directory_fsync_s
         )
+
+    def _store_journaled(
+        self, record: SetRecord, reference: SetReference, start: float
+    ) -> tuple[int, StoreTimings]:
+        stored = self._stored.get(record.set_index)
+        if stored is not None:
+            # The same set once more, after an error that came when all was done.
+            if stored != reference or build_image(self.read_set(stored)) != build_image(record):
+                raise self._conflict(record.set_index, stored)
+        else:
+            self._end(record)
+        built = time.perf_counter()
+        self.sync()
+        self._begun.pop(record.set_index, None)
+        n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
+        return n_bytes, StoreTimings(
+            image_s=built - start, write_s=0.0, fsync_s=time.perf_counter() - built, directory_fsync_s=0.0
+        )
+
+    def _end(self, record: SetRecord) -> None:
+        """Add what the journal lacks of a set, and its end, once."""
+        ended = end_frame(record)
+        if self._ending.get(record.set_index) == ended:
+            return
+        known = self._begun.setdefault(record.set_index, set())
+        for item in record.records:
+            if item.sequence not in known:
+                self._kept.append(item)
+                known.add(item.sequence)
+        self._kept.end(record.set_index, ended)
+        self._ending = {record.set_index: ended}
+
+    def settle(self, set_index: int) -> None:
+        """Let the journal forget a set: it has its own file, or rows without a record."""
+        self._begun.pop(set_index, None)
+        self._kept.settle(set_index)
+
+    def close(self) -> None:
+        """Let go of the journal; nothing of it is lost."""
+        self._kept.close()
 
     def set_aside(self, reference: SetReference) -> None:
         """Move a set that cannot be read out of the way, for a person to look at; nothing is deleted."""
         source, folder = self.folder / reference, self.folder / QUARANTINE_FOLDER
         try:
             folder.mkdir(exist_ok=True)
+            if not source.exists():
+                self._kept.set_aside(self._index_of(reference), source.name)
+                self._stored = self.sets()
+                return
             target = folder / source.name
             while target.exists():  # a second one of this name: nothing is overwritten
                 target = target.with_name(f"again_{target.name}")
@@ -104,6 +207,9 @@ class FolderArchive(FolderSetReader):
         except OSError as error:
             raise _refused(source, error) from error
         self._stored = self.sets()
+
+    def _index_of(self, reference: SetReference) -> int:
+        return next(index for index, file in self.sets().items() if file == reference)
 
     def quarantined(self) -> list[str]:
         """Name everything that was set aside and is still there."""
@@ -122,11 +228,13 @@ class FolderArchive(FolderSetReader):
         path = self.folder / reference
         stored = self._stored.get(set_index, reference if path.exists() else None)
         if stored is not None and (stored != reference or read_shared(path) != image):
-            raise ConflictingSetError(
-                f"set {set_index} is stored already in {self.folder / stored} and differs; "
-                "nothing stored is overwritten: take that file over with read_set, or move it out of "
-                "the folder"
-            )
+            raise self._conflict(set_index, stored)
+
+    def _conflict(self, set_index: int, stored: SetReference) -> ConflictingSetError:
+        return ConflictingSetError(
+            f"set {set_index} is stored already in {self.folder / stored} and differs; nothing stored is "
+            "overwritten: take that file over with read_set, or move it out of the folder"
+        )
 
 
 def _refused(path: Path, error: OSError) -> ArchiveWriteError:

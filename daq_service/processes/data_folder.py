@@ -85,6 +85,7 @@ OWN_NAMES = frozenset(
         "heartbeat.json",
         "recorder.lock",
         "sets",
+        "journal",
         "live",
         "logs",
         "quarantine",

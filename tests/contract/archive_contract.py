@@ -213,3 +213,62 @@ class ArchiveContract:
         with pytest.raises(CorruptArchiveError, match="sequence 44"):
             reader.read_set(stored.file, skip_damaged=True)
         assert [item.sequence for item in reader.verify_set(stored.file)] == [40, 41, 42, 43, 44]
+
+
+class JournalContract(ArchiveContract):
+    """Records acknowledged one by one, before their set."""
+
+    def begin(self, archive, n_records):
+        """Take in the first records of the set, and what it missed, as a recorder does."""
+        whole = make_set()
+        archive.begin_set(
+            SET_INDEX,
+            due_utc_ns=DUE_UTC_NS,
+            started_utc_ns=whole.started_utc_ns,
+            retired={"D": "retired by ann"},
+        )
+        for record in whole.records[:n_records]:
+            archive.append(record, record.stamp.utc_ns)
+        for missed in whole.missed:
+            archive.append(missed, DUE_UTC_NS)
+
+    def test_records_are_acknowledged_once_and_outlive_the_process(self, archive, reopened):
+        self.begin(archive, 3)
+        assert archive.sync() == [record.sequence for record in make_set().records[:3]]
+        assert archive.sync() == []
+        (opened,) = reopened().open_sets().values()
+        whole = make_set()
+        assert (opened.set_index, opened.due_utc_ns) == (SET_INDEX, DUE_UTC_NS)
+        assert (opened.started_utc_ns, opened.retired) == (whole.started_utc_ns, {"D": "retired by ann"})
+        assert bits(list(opened.records)) == bits(whole.records[:3])
+        assert list(opened.missed) == list(whole.missed)
+        assert opened.last_utc_ns >= max(record.stamp.utc_ns for record in opened.records)
+        assert reopened().sets() == {}
+
+    def test_what_was_not_synced_may_be_gone(self, archive, reopened):
+        self.begin(archive, 3)
+        archive.sync()
+        archive.append(make_set().records[3], DUE_UTC_NS)
+        (opened,) = reopened().open_sets().values()
+        assert [record.sequence for record in opened.records] == [
+            record.sequence for record in make_set().records[:3]
+        ]
+
+    def test_an_open_set_is_gone_on_with_and_whole_in_the_end(self, archive, reopened, reader):
+        self.begin(archive, 3)
+        archive.sync()
+        again = reopened()
+        (opened,) = again.open_sets().values()
+        again.resume_set(opened)
+        stored = again.store_set(make_set())
+        for one in (again, reader, reopened()):
+            assert bits(one.read_set(stored.file)) == bits(make_set())
+            assert one.verify_set(stored.file) == []
+        assert reopened().open_sets() == {}
+
+    def test_a_settled_set_is_forgotten(self, archive, reopened):
+        self.begin(archive, 0)
+        archive.sync()
+        archive.settle(SET_INDEX)
+        archive.close()
+        assert reopened().open_sets() == {}

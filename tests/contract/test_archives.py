@@ -1,13 +1,17 @@
 """The folder and the archive of the unit tests keep the same promises."""
 
+from contextlib import ExitStack, closing
+
 import h5py
 import pytest
-from archive_contract import ArchiveContract
+from archive_contract import ArchiveContract, JournalContract
 from support.archived_sets import make_set
 from support.memory_archive import MemoryArchive
 
 from daq_service import shared_file
 from daq_service.archive import FolderArchive, FolderSetReader
+from daq_service.archive.journal import writer
+from daq_service.archive.journal.frames import frames
 
 
 class TestFolderArchive(ArchiveContract):
@@ -64,6 +68,55 @@ class TestFolderArchive(ArchiveContract):
         assert not (tmp_path / "nowhere").exists()
 
 
+class TestJournal(JournalContract):
+    """Sets that have no file yet: their records lie in the journal alone."""
+
+    @pytest.fixture
+    def archives(self):
+        with ExitStack() as stack:
+            yield stack
+
+    @pytest.fixture
+    def reopened(self, tmp_path, archives):
+        return lambda: archives.enter_context(closing(FolderArchive(tmp_path, journal=True)))
+
+    @pytest.fixture
+    def archive(self, reopened):
+        return reopened()
+
+    @pytest.fixture
+    def reader(self, tmp_path):
+        return FolderSetReader(tmp_path)
+
+    @pytest.fixture
+    def damage(self, tmp_path):
+        def flip(file, sequence):
+            (path,) = (tmp_path / "journal").iterdir()
+            content = bytearray(path.read_bytes())
+            (frame,) = [item for item in frames(bytes(content)) if item.sequence == sequence]
+            content[content.find(frame.counts) + 40] ^= 0x10
+            path.write_bytes(content)
+
+        return flip
+
+    @pytest.fixture
+    def lose(self, tmp_path):
+        return lambda file: [path.unlink() for path in (tmp_path / "journal").iterdir()]
+
+    @pytest.fixture
+    def crash_while_storing(self, archive, monkeypatch):
+        def crash(record):
+            def killed(*_):
+                raise KeyboardInterrupt
+
+            with monkeypatch.context() as patch:
+                patch.setattr(writer.os, "write", killed)
+                with pytest.raises(KeyboardInterrupt):
+                    archive.store_set(record)
+
+        return crash
+
+
 class TestMemoryArchive(ArchiveContract):
     @pytest.fixture
     def archive(self):
@@ -88,3 +141,13 @@ class TestMemoryArchive(ArchiveContract):
     @pytest.fixture
     def crash_while_storing(self):
         return lambda record: None
+
+
+class TestMemoryJournal(JournalContract, TestMemoryArchive):
+    @pytest.fixture
+    def archive(self):
+        return MemoryArchive(journal=True)
+
+    @pytest.fixture
+    def reopened(self, archive):
+        return lambda: MemoryArchive(archive.shelf, journal=True)

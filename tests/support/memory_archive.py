@@ -13,6 +13,8 @@ from daq_service.archive import (
     ConflictingSetError,
     CorruptArchiveError,
     Damage,
+    MissedRecord,
+    OpenSet,
     SetNotFoundError,
     SetRecord,
     SetReference,
@@ -31,6 +33,7 @@ class Shelf:
     """What outlives an archive's process: its stored sets, and what of them is damaged."""
 
     sets: dict[SetReference, SetRecord] = field(default_factory=dict)
+    open: dict[int, OpenSet] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
     quarantine: list[tuple[SetReference, SetRecord]] = field(default_factory=list)
 
@@ -42,12 +45,50 @@ class MemoryArchive:
     ----------
     shelf
         Another archive's, to go on with its sets as after a restart.
+    journal
+        Records are acknowledged before their set.
     """
 
     name = "memory"
 
-    def __init__(self, shelf: Shelf | None = None) -> None:
+    def __init__(self, shelf: Shelf | None = None, *, journal: bool = False) -> None:
         self.shelf = Shelf() if shelf is None else shelf
+        self._journal = journal
+        self._begun: dict[int, OpenSet] = {}
+
+    def begin_set(self, set_index: int, **begun: Any) -> None:
+        if self._journal:
+            last_utc_ns = begun["started_utc_ns"]
+            self._begun[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **begun)
+
+    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+        begun = self._begun.get(taken.key.set_index)
+        if begun is None:
+            return
+        name = "missed" if isinstance(taken, MissedRecord) else "records"
+        added: Any = {name: [*getattr(begun, name), taken]}
+        last_utc_ns = max(begun.last_utc_ns, utc_ns)
+        self._begun[taken.key.set_index] = replace(begun, last_utc_ns=last_utc_ns, **added)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+    def sync(self) -> list[int]:
+        before = {item.sequence for begun in self.shelf.open.values() for item in begun.records}
+        self.shelf.open |= self._begun
+        now = [item.sequence for begun in self._begun.values() for item in begun.records]
+        return [sequence for sequence in now if sequence not in before]
+
+    def open_sets(self) -> dict[int, OpenSet]:
+        return dict(self.shelf.open)
+
+    def resume_set(self, opened: OpenSet) -> None:
+        if self._journal:
+            self._begun[opened.set_index] = opened
+
+    def settle(self, set_index: int) -> None:
+        self._begun.pop(set_index, None)
+        self.shelf.open.pop(set_index, None)
 
     def store_set(self, record: SetRecord) -> StoredSet:
         reference = set_reference(record.set_index, record.due_utc_ns)
@@ -61,6 +102,7 @@ class MemoryArchive:
         if stored is not None and bits(self.shelf.sets[stored]) != bits(record):
             raise ConflictingSetError(f"set {record.set_index} is stored already in {stored} and differs")
         self.shelf.sets[reference] = record
+        self.settle(record.set_index)
         crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
         return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
 

@@ -1,0 +1,190 @@
+"""Append to the journal: frames gather in memory, one write and one fdatasync acknowledge them all."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import logging
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from daq_service.archive.journal.frames import aside_frame, begin_frame, missed_frame, record_frame
+from daq_service.archive.journal.reader import JournaledSet, read_journal, segment_path, segments
+from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, MissedRecord
+from daq_service.shared_file import (
+    O_BINARY,
+    patiently,
+    read_shared,
+    remove_quietly,
+    sync_folder,
+    write_durably,
+)
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+
+log = logging.getLogger(__name__)
+
+SEGMENT_BYTES = 16 * 2**20
+"""Allocated at once, so that a sync has no sizes to store; some twenty sets."""
+_NO_ALLOCATION = {errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+_sync = getattr(os, "fdatasync", os.fsync)
+
+
+class Journal:
+    """The segments of one data folder in the hands of the recorder.
+
+    Opening reads what an earlier process left, and changes nothing: new frames go to a new segment, since
+    nobody knows what an older one's tail looks like on the disk.
+
+    Attributes
+    ----------
+    left
+        What was found at the opening, by set index.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be made, or a segment not be read.
+    """
+
+    def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
+        self._folder, self._segment_bytes = folder, segment_bytes
+        (folder / JOURNAL_FOLDER).mkdir(exist_ok=True)
+        sync_folder(folder)
+        self.left: dict[int, JournaledSet] = read_journal(folder)
+        self._sets_in: dict[int, set[int]] = {number: set() for number in segments(folder)}
+        for item in self.left.values():
+            for number in item.segments:
+                self._sets_in.setdefault(number, set()).add(item.set_index)
+        self._number = max(self._sets_in, default=0)
+        self._descriptor: int | None = None
+        self._room = 0
+        self._pending: list[bytes] = []
+        self._unacknowledged: list[int] = []
+        self._pending_sets: set[int] = set()
+
+    def begin(
+        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+    ) -> None:
+        """Note a set that is begun; durable with the next sync."""
+        frame = begin_frame(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+        self._add(set_index, frame)
+
+    def append(self, record: Shot | PulseEchoRecord) -> None:
+        """Take a record in; acknowledged by the next sync."""
+        self._add(record.key.set_index, record_frame(record))
+        self._unacknowledged.append(record.sequence)
+
+    def append_missed(self, missed: MissedRecord, utc_ns: int) -> None:
+        """Take in what was tried and left no record."""
+        self._add(missed.key.set_index, missed_frame(missed, utc_ns))
+
+    def end(self, set_index: int, frame: bytes) -> None:
+        """Note that a set is whole (`frames.end_frame`); durable with the next sync."""
+        self._add(set_index, frame)
+
+    def _add(self, set_index: int, frame: bytes) -> None:
+        self._pending.append(frame)
+        self._pending_sets.add(set_index)
+
+    def set_aside(self, set_index: int, name: str) -> None:
+        """Copy the segments of a set, under its name, for a person to look at; the set may begin anew.
+
+        Raises
+        ------
+        OSError
+            It stays as it is.
+        """
+        quarantine = self._folder / QUARANTINE_FOLDER
+        item = read_journal(self._folder)[set_index]
+        for number in item.segments:
+            content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
+            copy = quarantine / f"{name}.{number:06d}.journal"
+            while copy.exists():
+                copy = copy.with_name(f"again_{copy.name}")
+            write_durably(copy, content, temporary=copy.with_suffix(".tmp"))
+        self._add(set_index, aside_frame(set_index))
+        self.sync()
+        self.settle(set_index)
+
+    def sync(self) -> list[int]:
+        """Make everything durable that was taken in; return the ids of the shots that this acknowledges.
+
+        A sync that failed is never repeated on its segment, since the second one may succeed although the
+        data are gone: the frames go to a new segment, from memory.
+
+        Raises
+        ------
+        OSError
+            Nothing was acknowledged; everything stays for the next call.
+        """
+        if not self._pending:
+            return []
+        content = b"".join(self._pending)
+        try:
+            self._write(content)
+        except OSError as error:
+            log.warning("segment %06d of the journal takes no more: %s", self._number, error)
+            self._abandon()
+            try:
+                self._write(content)
+            except OSError:
+                self._abandon()
+                raise
+        acknowledged, self._unacknowledged = self._unacknowledged, []
+        self._pending, self._pending_sets = [], set()
+        return acknowledged
+
+    def _write(self, content: bytes) -> None:
+        if self._descriptor is None or self._room < len(content):
+            self._abandon()
+            self._open_segment(len(content))
+        assert self._descriptor is not None, "just opened"
+        self._sets_in[self._number] |= self._pending_sets
+        rest = memoryview(content)
+        while rest:
+            rest = rest[os.write(self._descriptor, rest) :]
+        _sync(self._descriptor)
+        self._room -= len(content)
+
+    def _open_segment(self, n_bytes: int) -> None:
+        self._number += 1
+        path = segment_path(self._folder, self._number)
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
+        self._descriptor = patiently(lambda: os.open(path, flags, 0o644))
+        self._sets_in[self._number] = set()
+        self._room = max(self._segment_bytes, n_bytes)
+        if hasattr(os, "posix_fallocate"):
+            try:
+                os.posix_fallocate(self._descriptor, 0, self._room)
+            except OSError as error:
+                # A nearly full disk, or one that cannot allocate: then as far as it goes.
+                if error.errno not in _NO_ALLOCATION:
+                    raise
+        sync_folder(path.parent)
+
+    def _abandon(self) -> None:
+        """Write no more to the present segment; what it holds stays."""
+        descriptor, self._descriptor = self._descriptor, None
+        if descriptor is not None:
+            with contextlib.suppress(OSError):  # its last sync has said whether its frames are durable
+                os.close(descriptor)
+
+    def settle(self, set_index: int) -> None:
+        """Forget a set that has a file of its own, or rows and no record; segments without others go."""
+        self.left.pop(set_index, None)
+        for number, indices in list(self._sets_in.items()):
+            indices.discard(set_index)
+            if not indices and (number != self._number or self._descriptor is None):
+                self._drop(number)
+
+    def _drop(self, number: int) -> None:
+        del self._sets_in[number]
+        remove_quietly(segment_path(self._folder, number))
+
+    def close(self) -> None:
+        """Let go of the present segment; nothing of it is lost, and it goes if nobody needs it any more."""
+        self._abandon()
+        for number, indices in list(self._sets_in.items()):
+            if not indices:
+                self._drop(number)
