@@ -24,6 +24,9 @@ LOST_IN_A_ROW = 3
 recovery has rungs (fresh tasks, reset, find the board again). The next set tries again."""
 
 
+MissReason = Literal["no_trigger", "connection_lost"]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissedShot:
     """A strike or echo that left no record.
@@ -36,7 +39,7 @@ class MissedShot:
 
     key: ShotKey
     cause: str
-    reason: Literal["no_trigger", "connection_lost"] = "no_trigger"
+    reason: MissReason = "no_trigger"
 
 
 Measurement = Shot | PulseEchoRecord | MissedShot
@@ -102,10 +105,30 @@ def strikes_after(
     return planned
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Begun:
+    """What was done of a set before the recorder ended.
+
+    Attributes
+    ----------
+    started_ns
+        Experiment time of its begin.
+    tried
+        Position and shot index of what was struck or recorded, with or without success.
+    n_strikes
+        Strikes, repetitions included: the slots that are used.
+    """
+
+    started_ns: int
+    tried: frozenset[tuple[str, int]]
+    n_strikes: int
+
+
 def take_set(
     rig: Rig,
     plan: SetPlan,
     *,
+    begun: Begun | None = None,
     first_sequence: int,
     boot_id: str,
     idle: Callable[[], bool],
@@ -116,6 +139,9 @@ def take_set(
 
     Parameters
     ----------
+    begun
+        What an earlier process did of it: only the rest is taken, in the slots that it would have had as far
+        as these are still to come.
     wants_restrike
         Asked after each strike that can be repeated, when the caller has looked at it: strike once more?
     may_strike
@@ -128,20 +154,28 @@ def take_set(
         only after `LOST_IN_A_ROW` records running, when the driver has tried all it can.
     """
     sequence = itertools.count(first_sequence)
-    start_ns = max(rig.clock.utc_ns(), plan.due.due_utc_ns)
+    begun = begun or Begun(
+        started_ns=max(rig.clock.utc_ns(), plan.due.due_utc_ns), tried=frozenset(), n_strikes=0
+    )
+    interval_ns = plan.shot_interval_s * NS_PER_S
+    start_ns = max(begun.started_ns, rig.clock.utc_ns() - round(begun.n_strikes * interval_ns))
     lost = 0
     for position in plan.of_method(PULSE_ECHO):
+        if (position, 0) in begun.tried:
+            continue
         if not rig.clock.wait_until(start_ns, idle):
             return
         key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
         yield _echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
-    slot = itertools.count()
+    slot = itertools.count(begun.n_strikes)
     for position, shot_index in strikes:
+        if (position, shot_index) in begun.tried:
+            continue
         for attempt in itertools.count():
             if not may_strike(position):
                 break
-            if not rig.clock.wait_until(start_ns + round(next(slot) * plan.shot_interval_s * NS_PER_S), idle):
+            if not rig.clock.wait_until(start_ns + round(next(slot) * interval_ns), idle):
                 return
             if not may_strike(position):  # orders are heard while waiting
                 break

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
-from daq_service.acquisition.take_set import Measurement, MissedShot
-from daq_service.archive import MissedRecord, SetRecord
+from daq_service.acquisition.take_set import Begun, Measurement, MissedShot, MissReason
+from daq_service.archive import MissedRecord, OpenSet, SetRecord
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
@@ -48,6 +48,32 @@ class TakenSet:
     trouble: InstrumentError | None = None
     started_ns: int = 0
     ended_ns: int = 0
+
+    def restore(self, opened: OpenSet) -> None:
+        """Take over what an earlier process kept of this set; features are found elsewhere."""
+        for record in opened.records:
+            self.keep(record)
+        for missed in opened.missed:
+            reason: MissReason = "connection_lost" if missed.reason == "connection_lost" else "no_trigger"
+            self.missed.append(MissedShot(key=missed.key, cause=missed.cause, reason=reason))
+        taken: list[Shot | PulseEchoRecord | MissedRecord] = [*opened.records, *opened.missed]
+        keys = [item.key for item in taken]
+        self.restrikes.update(key.position for key in keys if key.attempt > 0)
+
+    def begun(self, struck: Collection[str]) -> Begun:
+        """Tell what is done of it; ``struck`` are the positions that have strikers."""
+        taken: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *self.missed]
+        keys = [item.key for item in taken]
+        return Begun(
+            started_ns=self.started_ns,
+            tried=frozenset((key.position, key.shot_index) for key in keys),
+            n_strikes=sum(key.position in struck for key in keys),
+        )
+
+    def is_complete(self, planned: Mapping[str, int]) -> bool:
+        """Whether everything planned was tried; positions that were left out count for nothing."""
+        tried = Counter(position for position, _ in self.begun(()).tried)
+        return all(tried[position] >= n for position, n in planned.items() if position not in self.retired)
 
     def keep(self, measurement: Measurement) -> None:
         """Take a measurement in; a shot's features are found elsewhere (`features`)."""

@@ -87,7 +87,14 @@ class Archive(SetReader, Protocol):
 
     A set may be taken in record by record (`begin_set`, `append`, `sync`, then `store_set`) or be stored at
     once; an archive that keeps no journal acknowledges whole sets only.
+
+    Attributes
+    ----------
+    keeps_open_sets
+        What `sync` acknowledged of a set that is never stored is there after a restart.
     """
+
+    keeps_open_sets: bool
 
     def begin_set(
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]

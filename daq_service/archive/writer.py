@@ -67,8 +67,9 @@ class FolderArchive(FolderSetReader):
         self._sets_folder = folder / SETS_FOLDER
         try:
             self._sets_folder.mkdir(parents=True, exist_ok=True)
-            self._kept = Journal(folder)
+            (folder / JOURNAL_FOLDER).mkdir(exist_ok=True)
             sync_folder(folder)
+            self._kept = Journal(folder)
             with contextlib.suppress(PermissionError):
                 # A new data folder's own name; the folder above may belong to others.
                 sync_folder(folder.absolute().parent, patience_s=0.0)
@@ -78,7 +79,11 @@ class FolderArchive(FolderSetReader):
             raise _refused(self._sets_folder, error) from error
         for path in unfinished:
             remove_quietly(path)
-        self._uses_journal = journal
+        self.keeps_open_sets = journal
+        # Frames that share a segment with others outlive their set, whose first segments may be gone.
+        for index in [index for index, item in self._kept.left.items() if not item.is_whole]:
+            if index in self._files():
+                self._kept.settle(index)
         self._begun: dict[int, set[int]] = {}
         self._ending: dict[int, bytes] = {}
         # A set that was ended and is not whole was never acknowledged, or is damaged: it may be taken again.
@@ -88,7 +93,7 @@ class FolderArchive(FolderSetReader):
         self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
         """Note that a set is begun; durable with the first `sync` after it."""
-        if self._uses_journal:
+        if self.keeps_open_sets:
             self._begun[set_index] = set()
             self._kept.begin(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
 
@@ -116,9 +121,13 @@ class FolderArchive(FolderSetReader):
         found = {index: item.opened() for index, item in self._kept.left.items() if not item.is_whole}
         return {index: item for index, item in found.items() if item is not None}
 
+    def to_compact(self) -> list[int]:
+        """Whole sets that an earlier process left in the journal."""
+        return [index for index, item in self._kept.left.items() if item.is_whole]
+
     def resume_set(self, opened: OpenSet) -> None:
         """Go on with an open set: what comes is added to what is durable."""
-        if self._uses_journal:
+        if self.keeps_open_sets:
             self._begun[opened.set_index] = {record.sequence for record in opened.records}
 
     def store_set(self, record: SetRecord) -> StoredSet:
@@ -126,7 +135,7 @@ class FolderArchive(FolderSetReader):
         start = time.perf_counter()
         reference = set_reference(record.set_index, record.due_utc_ns)
         crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
-        store = self._store_journaled if self._uses_journal else self._store_file
+        store = self._store_journaled if self.keeps_open_sets else self._store_file
         n_bytes, timings = store(record, reference, start)
         self._stored[record.set_index] = reference
         return StoredSet(file=reference, n_bytes=n_bytes, crc32=crc32, timings=timings)

@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
@@ -28,7 +28,7 @@ from daq_service.acquisition.taken_set import (
 )
 from daq_service.alarms.data_trouble import damage_condition, storage_condition
 from daq_service.alarms.states import Moment
-from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord
+from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
 from daq_service.errors import RigError
@@ -37,6 +37,7 @@ from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
+from daq_service.recording.compaction import Compaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
@@ -78,6 +79,8 @@ class Recorder:
         tell: Teller,
         features_of: FeaturesOf = features_of,
         left_alone: threading.Event | None = None,
+        compaction: Compaction | None = None,
+        acknowledged: Callable[[int], None] = lambda shot_id: None,
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
     ) -> None:
@@ -99,13 +102,25 @@ class Recorder:
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         folder_hash = catalogue.experiment_row().configuration_hash
         self._provenance = provenance(settings, rig, configuration_hash=folder_hash)
-        self._next_sequence = catalogue.next_sequence()
+        self._compaction = compaction
+        self._acknowledged = acknowledged
+        self._told_ids: set[int] = set()
         self._cost = Cost()
         self._backlog = Backlog(
             limit_bytes=settings.storage.memory_mb * 10**6, on_change=self._tell_trouble, mono_s=mono_s
         )
         done = catalogue.committed_sets()
-        self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
+        self._open = dict(archive.open_sets())
+        self._orphans = {
+            index: file
+            for index, file in archive.sets().items()
+            if index not in done and index not in self._open
+        }
+        for index in done & self._open.keys():  # rows without a record: nothing of it is wanted any more
+            self._open.pop(index)
+            archive.settle(index)
+        sequences = [item.sequence for opened in self._open.values() for item in opened.records]
+        self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
         self._told_trouble = ""
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
@@ -137,7 +152,8 @@ class Recorder:
             if due.set_index in done:
                 continue
             following = self._plan[number + 1] if number + 1 < len(self._plan) else None
-            if not (self._adopt(due) or self._miss(due, following, not_running_because)):
+            too_late = self._is_too_late(due, following)
+            if not (self._adopt(due) or (too_late and self._close(due, not_running_because))):
                 self._take_when_due(due)
             if not self._stop.is_set() and not self._may_run_ahead:
                 self._wait_for_the_disk()
@@ -172,12 +188,16 @@ class Recorder:
             self._gap(due, f"the memory for what waits is full: {self._backlog.trouble.message}")
             return
         self._begin(f"taking set {due.set_index}")
-        taken = self._take(due)
+        taken = self._begun(due)
+        self._take(due, taken)
+        if self._stays_open(taken):
+            return
         if not taken.is_empty:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
             causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
             self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken))
+            self._archive.settle(due.set_index)
         # else: the set is still due after a restart
         if taken.trouble is not None and not self._may_pass(taken.trouble):
             raise RigError(
@@ -185,16 +205,67 @@ class Recorder:
                 "are stored"
             ) from taken.trouble
 
-    def _take(self, due: DueSet) -> TakenSet:
-        """Strike and read; whatever happens, what came before it is kept."""
-        quality = self._settings.quality
-        restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
+    def _begun(self, due: DueSet) -> TakenSet:
+        """Begin a set, or take up one that the last recorder left open."""
+        opened = self._open.pop(due.set_index, None)
+        if opened is not None:
+            self._archive.resume_set(opened)
+            return self._restored(opened)
         taken = TakenSet(
-            rule=RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes),
+            rule=self._restrike_rule(),
             # As it stands now: an order during the set changes what is struck, not what was planned.
             retired=self._ledger.retired(),
             started_ns=self._rig.clock.utc_ns(),
         )
+        self._archive.begin_set(
+            due.set_index,
+            due_utc_ns=due.due_utc_ns,
+            started_utc_ns=taken.started_ns,
+            retired=taken.retired,
+        )
+        return taken
+
+    def _restored(self, opened: OpenSet) -> TakenSet:
+        taken = TakenSet(
+            rule=self._restrike_rule(), retired=dict(opened.retired), started_ns=opened.started_utc_ns
+        )
+        taken.restore(opened)
+        taken.features.update({shot.sequence: self._features_of(shot) for shot in taken.shots})
+        taken.ended_ns = opened.last_utc_ns
+        self._told_ids.update(item.sequence for item in opened.records)
+        log.warning("set %d goes on: %d records of it are there", opened.set_index, len(opened.records))
+        return taken
+
+    def _restrike_rule(self) -> RestrikeRule:
+        quality = self._settings.quality
+        restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
+        return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
+
+    def _stays_open(self, taken: TakenSet) -> bool:
+        """Leave a set that a stop cut short to the next recorder, where the journal keeps it."""
+        planned = {name: self._ledger.n_planned(name) for name in self._settings.positions}
+        cut = self._stop.is_set() and not self._orders.held and taken.trouble is None
+        if not (cut and self._archive.keeps_open_sets) or taken.is_complete(planned):
+            return False
+        return self._acknowledge()
+
+    def _acknowledge(self) -> bool:
+        """Make durable what was taken, and tell its ids; a disk that refuses is asked again at the end."""
+        try:
+            self._tell_ids(self._archive.sync())
+        except PASSING as error:
+            log.warning("not acknowledged yet: %s", error)
+            return False
+        return True
+
+    def _tell_ids(self, shot_ids: Iterable[int]) -> None:
+        for shot_id in shot_ids:
+            if shot_id not in self._told_ids:
+                self._told_ids.add(shot_id)
+                self._acknowledged(shot_id)
+
+    def _take(self, due: DueSet, taken: TakenSet) -> None:
+        """Strike and read; whatever happens, what came before it is kept."""
         set_plan = SetPlan(
             due=due,
             positions={
@@ -209,6 +280,7 @@ class Recorder:
         measurements = take_set(
             self._rig,
             set_plan,
+            begun=taken.begun(self._settings.names_of(SOLITARY_WAVE)) if taken.begun(()).tried else None,
             first_sequence=self._next_sequence,
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
@@ -226,19 +298,22 @@ class Recorder:
             log.exception("set %d: the rig failed", due.set_index)
             taken.trouble = error
         taken.ended_ns = self._rig.clock.utc_ns()
-        return taken
 
     def _keep(self, measurement: Measurement, taken: TakenSet, due: DueSet) -> None:
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
+            self._archive.append(taken.missed_records()[-1], self._rig.clock.utc_ns())
             return
+        self._archive.append(measurement, measurement.stamp.utc_ns)
+        if self._settings.clock.kind == "wall":  # simulated time has no crash between two shots
+            self._acknowledge()
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
                 taken.features[measurement.sequence] = self._features_of(measurement)
         if self._live.due(measurement.key.position):
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
-    def _store_and_judge(self, due: DueSet, taken: TakenSet) -> None:
+    def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_because: str = "") -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
         self._begin(f"storing set {due.set_index}")
         record = SetRecord(
@@ -248,7 +323,7 @@ class Recorder:
             started_utc_ns=taken.started_ns,
             ended_utc_ns=taken.ended_ns,
             rig_kind=self._rig.kind,
-            positions=self._position_records(taken),
+            positions=self._position_records(taken, cut_short_because),
             shots=taken.shots,
             echoes=taken.echoes,
             missed=taken.missed_records(),
@@ -257,26 +332,37 @@ class Recorder:
             environment={} if self._ledger.drive is None else self._ledger.drive.summary(),
             provenance=self._provenance,
         )
-        self._next_sequence += len(record.records)
+        self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
 
         def judged() -> Transaction:
             stored = self._archive.store_set(record)
+            self._tell_ids(stored.crc32)
+            self._told_ids.clear()
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
             self._doing = f"judging set {due.set_index}"
             return self._ledger.judged(due, record, stored.file, taken.features)
 
-        self._post(judged, n_bytes=sum(item.waveform.counts.nbytes for item in record.records))
+        n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
+        self._post(judged, n_bytes=n_bytes, stored=due.set_index)
 
-    def _post(self, build: Callable[[], Transaction], *, n_bytes: int = 0) -> None:
-        """Commit what is built, in order; what is built once is committed until it is stored."""
+    def _post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
+        """Commit what is built, in order; what is built once is committed until it is stored.
+
+        Parameters
+        ----------
+        stored
+            Index of a set with records, which gets its file afterwards.
+        """
         built: list[Transaction] = []
 
         def job() -> None:
             if not built:
                 built.append(build())
             self._ledger.commit(built[0])
+            if stored is not None and self._compaction is not None:
+                self._compaction.put(stored)
 
         self._backlog.put(job, n_bytes=n_bytes)
 
@@ -301,13 +387,13 @@ class Recorder:
         self._calibrated_ns = now_ns
         self._say("self_calibrated", dict(told))
 
-    def _position_records(self, taken: TakenSet) -> list[PositionRecord]:
+    def _position_records(self, taken: TakenSet, cut_short_because: str) -> list[PositionRecord]:
         return [
             PositionRecord(
                 position=name,
                 method=place.method,
                 n_planned=self._ledger.n_planned(name),
-                cause=self._shortfall(name, taken),
+                cause=self._shortfall(name, taken, cut_short_because),
                 label=place.label,
                 serial_number=place.serial_number,
             )
@@ -315,8 +401,13 @@ class Recorder:
             if name not in taken.retired
         ]
 
-    def _shortfall(self, position: str, taken: TakenSet) -> str:
-        told_to = self._ledger.retired().get(position) or self._orders.held or "the recorder was told to stop"
+    def _shortfall(self, position: str, taken: TakenSet, cut_short_because: str = "") -> str:
+        told_to = (
+            cut_short_because
+            or self._ledger.retired().get(position)
+            or self._orders.held
+            or "the recorder was told to stop"
+        )
         return taken.shortfall(position, self._ledger.n_planned(position), told_to)
 
     def _may_pass(self, trouble: InstrumentError) -> bool:
@@ -336,7 +427,7 @@ class Recorder:
             return False
         record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
-        self._post(partial(self._ledger.judged, due, record, file, features))
+        self._post(partial(self._ledger.judged, due, record, file, features), stored=due.set_index)
         self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -355,12 +446,21 @@ class Recorder:
                 self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
         self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
 
-    def _miss(self, due: DueSet, following: DueSet | None, cause: str) -> bool:
-        """Write gap rows for a set whose time is over: the next one is due already."""
+    def _is_too_late(self, due: DueSet, following: DueSet | None) -> bool:
+        """Whether the time of a set is over: the next one is due already."""
         interval_ns = NS_PER_H if following is None else following.due_utc_ns - due.due_utc_ns
-        if self._rig.clock.utc_ns() < due.due_utc_ns + interval_ns:
-            return False
-        self._gap(due, cause)
+        return self._rig.clock.utc_ns() >= due.due_utc_ns + interval_ns
+
+    def _close(self, due: DueSet, cause: str) -> bool:
+        """Write rows for a set whose time is over: what an open one holds, else a gap."""
+        opened = self._open.pop(due.set_index, None)
+        taken = None if opened is None else self._restored(opened)
+        if opened is None or taken is None or taken.is_empty:
+            self._gap(due, cause)
+            self._archive.settle(due.set_index)
+            return True
+        self._archive.resume_set(opened)
+        self._store_and_judge(due, taken, cut_short_because=cause)
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:
@@ -412,6 +512,8 @@ class Recorder:
     def _idle(self) -> bool:
         """Between sets there is time to store what waits."""
         self._backlog.work()
+        if self._compaction is not None:
+            self._compaction.work()
         return self._look_around()
 
     def _idle_in_a_set(self) -> bool:

@@ -7,11 +7,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, ExitStack, suppress
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from importlib.metadata import version
 from pathlib import Path
 
-from daq_service.archive import FolderArchive
+from daq_service.archive import Archive, FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import SetRow
@@ -19,6 +20,7 @@ from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
+from daq_service.recording.compaction import PATIENCE_S, Compaction, worker
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.settings.tree import ClockSettings, RigSettings, Settings
@@ -44,6 +46,8 @@ def record(
     restarted_because: str = "",
     linger: bool = False,
     left_alone: threading.Event | None = None,
+    acknowledged: Callable[[int], None] = lambda shot_id: None,
+    compaction_worker: Callable[[], Executor] = worker,
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[], Clock] = WallClock,
@@ -58,6 +62,10 @@ def record(
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
     left_alone
         Set where ``stop`` is, because the supervisor is gone.
+    acknowledged
+        Called with the id of each shot (``shots.sequence``) once it is durable.
+    compaction_worker
+        Makes the executor in which sets get their files.
     listen_every_s
         Shortest time between two looks for orders.
     waits_for_rig_s
@@ -79,7 +87,8 @@ def record(
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
-        clock = _clock(settings.clock, _resume_utc_ns(catalogue, epoch_ns), wall_clock)
+        archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
+        clock = _clock(settings.clock, _resume_utc_ns(catalogue, archive, epoch_ns), wall_clock)
         deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell)
         rig = _open_patiently(
@@ -92,7 +101,12 @@ def record(
         )
         if rig is None:
             return False
-        archive, live = FolderArchive(folder), LivePicture(folder, rig.kind)
+        compaction = Compaction(folder, archive, start=compaction_worker)
+        for set_index in archive.to_compact():
+            compaction.put(set_index)
+        # What is left then stays in the journal, where the next recorder finds it.
+        stack.callback(lambda: compaction.close(patience_s=0.0 if stop.is_set() else PATIENCE_S))
+        live = LivePicture(folder, rig.kind)
         recorder = Recorder(
             settings,
             archive,
@@ -104,6 +118,8 @@ def record(
             stop=stop,
             tell=tell,
             left_alone=left_alone,
+            compaction=compaction,
+            acknowledged=acknowledged,
             listen_every_s=listen_every_s,
         )
         finished = recorder.run(not_running_because=cause)
@@ -186,10 +202,11 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
     return row.epoch_utc_ns
 
 
-def _resume_utc_ns(catalogue: RecorderCatalogue, epoch_ns: int) -> int:
-    """Where a simulated clock goes on: at the end of the last committed set."""
+def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
+    """Where a simulated clock goes on: at the end of the last committed set, or within an open one."""
     ended = [row.ended_utc_ns for row in catalogue.rows(SetRow) if row.ended_utc_ns is not None]
-    return max(ended, default=epoch_ns)
+    opened = [item.last_utc_ns for item in archive.open_sets().values()]
+    return max([*ended, *opened], default=epoch_ns)
 
 
 def _clock(settings: ClockSettings, start_ns: int, wall_clock: Callable[[], Clock]) -> Clock:

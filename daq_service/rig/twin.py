@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
-import threading
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from typing import TYPE_CHECKING
 
+from daq_service.processes.worker import leave_with_parent
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
@@ -83,15 +82,6 @@ def _specimen(settings_json: str) -> Specimen:
 
 
 def _prepare(settings_json: str) -> None:
-    """Leave with the recorder, not with its terminal's Ctrl-C; build the specimen before the first strike."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    """Build the specimen before the first strike."""
+    leave_with_parent()
     _specimen(settings_json)
-
-
-def _leave_with_parent() -> None:
-    """End when the recorder has ended, however it ended: a killed one cannot tell its worker."""
-    parent = multiprocessing.parent_process()
-    assert parent is not None, "this runs in a worker"
-    parent.join()
-    os._exit(0)

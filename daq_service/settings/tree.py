@@ -235,6 +235,9 @@ class StorageSettings(Section):
     """Data folder, relative to the configuration file."""
     memory_mb: int = Field(default=512, ge=1, le=1_000_000)
     """Records kept in memory, in MB, while the disk takes nothing; sets due beyond are missed."""
+    journal: bool = True
+    """Each shot is durable at once (on a simulated clock each set), and a set that is cut short goes on after
+    a restart; false: whole sets only."""
 
 
 class WebSettings(Section):

@@ -174,10 +174,36 @@ def test_a_stop_between_sets_changes_no_row(pair: dict[str, Any], tmp_path: Path
     assert rows_of(tmp_path) == pair
 
 
-def test_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
-    stop = threading.Event()
+def test_a_stop_within_a_set_costs_no_strike(pair: dict[str, Any], tmp_path: Path) -> None:
+    """The set stays open; a restart takes the missing strikes only, and changes no row."""
+    for last in (0, 4):
+        stop = threading.Event()
+        with _stopping_rig(stop, ShotKey(position="B", set_index=last, shot_index=1)) as rig:
+            assert not run(pair_settings(), tmp_path, rig=rig, stop=stop)
+        with open_catalogue(tmp_path) as catalogue:
+            assert [row for row in catalogue.rows(SetRow) if row.set_index >= last] == []
+        (opened,) = FolderArchive(tmp_path).open_sets().values()
+        assert [(item.key.position, item.key.shot_index) for item in opened.records] == [
+            ("A", 0),
+            ("B", 0),
+            ("B", 1),
+        ]
+    struck = []
+
+    def count(key: ShotKey, acquired: Acquired) -> Acquired:
+        struck.append((key.set_index, key.shot_index))
+        return acquired
+
+    assert run(pair_settings(), tmp_path, rig=disturbed_rig(count))
+    assert struck[:4] == [(4, 2), (5, 0), (5, 1), (5, 2)]
+    assert rows_of(tmp_path) == pair
+    assert list((tmp_path / "journal").iterdir()) == []
+
+
+def test_without_a_journal_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
+    stop, without = threading.Event(), {"storage": {"journal": False}}
     with _stopping_rig(stop, ShotKey(position="C", set_index=4, shot_index=0)) as rig:
-        assert not run(small_settings(), tmp_path, rig=rig, stop=stop)
+        assert not run(small_settings(**without), tmp_path, rig=rig, stop=stop)
     with open_catalogue(tmp_path) as catalogue:
         states = {row.position: row for row in catalogue.rows(SetRow) if row.set_index == 4}
     assert {name: row.state for name, row in states.items()} == {
@@ -188,7 +214,7 @@ def test_a_stop_within_a_set_keeps_every_taken_shot(tmp_path: Path) -> None:
     }
     assert (states["C"].n_taken, states["C"].cause) == (1, "the recorder was told to stop")
     assert len(read_set(set_files(tmp_path)[4]).shots) == 4
-    assert run(small_settings(schedule={"end_h": 3.0}), tmp_path)
+    assert run(small_settings(schedule={"end_h": 3.0}, **without), tmp_path)
     assert sorted(set_files(tmp_path)) == list(range(6))
 
 

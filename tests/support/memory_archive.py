@@ -53,11 +53,11 @@ class MemoryArchive:
 
     def __init__(self, shelf: Shelf | None = None, *, journal: bool = False) -> None:
         self.shelf = Shelf() if shelf is None else shelf
-        self._journal = journal
+        self.keeps_open_sets = journal
         self._begun: dict[int, OpenSet] = {}
 
     def begin_set(self, set_index: int, **begun: Any) -> None:
-        if self._journal:
+        if self.keeps_open_sets:
             last_utc_ns = begun["started_utc_ns"]
             self._begun[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **begun)
 
@@ -83,7 +83,7 @@ class MemoryArchive:
         return dict(self.shelf.open)
 
     def resume_set(self, opened: OpenSet) -> None:
-        if self._journal:
+        if self.keeps_open_sets:
             self._begun[opened.set_index] = opened
 
     def settle(self, set_index: int) -> None:

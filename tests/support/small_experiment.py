@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from functools import cache
@@ -52,6 +53,18 @@ def small_settings(**tables: Mapping[str, Any]) -> Settings:
     return load_settings(None, overrides={**SMALL, **overrides})
 
 
+class AtOnce(Executor):
+    """Does what it is asked in this thread: no process has to start."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(work(*arguments, **named))
+        except Exception as error:  # noqa: BLE001 - an executor hands over whatever it is
+            future.set_exception(error)
+        return future
+
+
 def run(
     settings: Settings,
     folder: Path,
@@ -73,7 +86,7 @@ def run(
             stop=stop or threading.Event(),
             restarted_because=restarted_because,
             tell=lambda event, **values: None,
-            **options,
+            **{"compaction_worker": AtOnce, **options},
         )
 
 

@@ -44,13 +44,11 @@ class Journal:
     Raises
     ------
     OSError
-        The folder cannot be made, or a segment not be read.
+        A segment cannot be read.
     """
 
     def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
         self._folder, self._segment_bytes = folder, segment_bytes
-        (folder / JOURNAL_FOLDER).mkdir(exist_ok=True)
-        sync_folder(folder)
         self.left: dict[int, JournaledSet] = read_journal(folder)
         self._sets_in: dict[int, set[int]] = {number: set() for number in segments(folder)}
         for item in self.left.values():

@@ -6,10 +6,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -18,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from daq_service.processes.worker import leave_with_parent
 from simulator.errors import SimulatorError, SpecimenError
 from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.chain import ChainParameters
@@ -166,18 +163,6 @@ def zener_numbers(
 
 
 def start_worker() -> None:
-    """Prepare a worker process: one BLAS thread, deaf to Ctrl-C, and gone when its parent is.
-
-    Ctrl-C reaches every process of the terminal; the parent alone decides what is still finished.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Prepare a worker process: one BLAS thread, and gone when its parent is."""
     one_blas_thread().__enter__()
-    threading.Thread(target=_leave_with_parent, daemon=True).start()
-
-
-def _leave_with_parent() -> None:
-    """End this process when its parent has ended, however it did: the pool's pipes would not tell."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
+    leave_with_parent()

@@ -1,0 +1,90 @@
+"""Sets leave the journal for files of their own, made in a process beside the line; trouble there waits."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+
+from daq_service.archive import Archive, ArchiveError
+from daq_service.archive.compaction import compact_set
+from daq_service.processes.worker import leave_with_parent
+
+log = logging.getLogger(__name__)
+
+AGAIN_AFTER_S = 60.0
+"""A set whose file could not be made stays in the journal, where it is safe."""
+PATIENCE_S = 60.0
+"""At the end of a test its last files are waited for; at a stop they are left to the next start."""
+
+
+def worker() -> Executor:
+    """Return one process that builds files."""
+    return ProcessPoolExecutor(
+        max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=leave_with_parent
+    )
+
+
+class Compaction:
+    """Hands whole sets to a worker and lets the journal forget what came back in order."""
+
+    def __init__(
+        self,
+        folder: Path,
+        archive: Archive,
+        *,
+        start: Callable[[], Executor] = worker,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._folder, self._archive = folder, archive
+        self._start, self._mono_s = start, mono_s
+        self._executor: Executor | None = None
+        self._running: dict[int, Future[None]] = {}
+        self._again_s: dict[int, float] = {}
+
+    def put(self, set_index: int) -> None:
+        """Have a file made of a whole set of the journal."""
+        if self._executor is None:
+            self._executor = self._start()
+        try:
+            self._running[set_index] = self._executor.submit(compact_set, self._folder, set_index)
+        except BrokenProcessPool:
+            self._executor = None
+            self._again_s[set_index] = self._mono_s()
+
+    def work(self) -> None:
+        """Look what is done; called while the line is idle."""
+        for set_index in [index for index, future in self._running.items() if future.done()]:
+            self._take_back(set_index, self._running.pop(set_index))
+        now_s = self._mono_s()
+        for set_index in [index for index, due_s in self._again_s.items() if due_s <= now_s]:
+            del self._again_s[set_index]
+            self.put(set_index)
+
+    def _take_back(self, set_index: int, future: Future[None]) -> None:
+        try:
+            future.result()
+        except BrokenProcessPool as error:
+            log.warning("set %d has no file yet: its worker ended (%s)", set_index, error)
+            self._executor = None
+        except (ArchiveError, OSError) as error:
+            log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
+        else:
+            self._archive.settle(set_index)
+            return
+        self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
+
+    def close(self, *, patience_s: float) -> None:
+        """Wait for the files that are being made, and let the worker go; what failed is tried once more."""
+        for set_index in list(self._again_s):
+            del self._again_s[set_index]
+            self.put(set_index)
+        wait(self._running.values(), timeout=patience_s)
+        for set_index in [index for index, future in self._running.items() if future.done()]:
+            self._take_back(set_index, self._running.pop(set_index))
+        if self._executor is not None:
+            self._executor.shutdown(wait=not self._running, cancel_futures=True)
