@@ -26,8 +26,8 @@ def damage_condition(set_aside: Sequence[str]) -> Condition:
     )
 
 
-def storage_condition(message: str, *, present: bool) -> Condition:
-    """Alarm while sets wait in memory because the disk takes nothing.
+def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
+    """Alarm while sets wait in memory, or whole ones in the journal, because the disk takes nothing.
 
     Parameters
     ----------
@@ -40,5 +40,5 @@ def storage_condition(message: str, *, present: bool) -> Condition:
         family="device",
         severity="high",
         present=present,
-        message=f"nothing can be stored, what is taken waits in memory: {message}",
+        message=f"the disk refuses, what is taken waits in the {waits_in}: {message}",
     )

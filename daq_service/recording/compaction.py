@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 import multiprocessing
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
@@ -16,10 +17,8 @@ from daq_service.processes.worker import leave_with_parent
 
 log = logging.getLogger(__name__)
 
-AGAIN_AFTER_S = 60.0
+AGAIN_AFTER_S = 10.0
 """A set whose file could not be made stays in the journal, where it is safe."""
-PATIENCE_S = 60.0
-"""At the end of a test its last files are waited for; at a stop they are left to the next start."""
 
 
 def worker() -> Executor:
@@ -30,7 +29,13 @@ def worker() -> Executor:
 
 
 class Compaction:
-    """Hands whole sets to a worker and lets the journal forget what came back in order."""
+    """Hands whole sets to a worker and lets the journal forget what came back in order.
+
+    Attributes
+    ----------
+    trouble
+        Why a set has no file although one was tried; empty: there is no such set.
+    """
 
     def __init__(
         self,
@@ -45,6 +50,7 @@ class Compaction:
         self._executor: Executor | None = None
         self._running: dict[int, Future[None]] = {}
         self._again_s: dict[int, float] = {}
+        self.trouble = ""
 
     def put(self, set_index: int) -> None:
         """Have a file made of a whole set of the journal."""
@@ -73,18 +79,25 @@ class Compaction:
             self._executor = None
         except (ArchiveError, OSError) as error:
             log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
+            self.trouble = f"{error}"
         else:
             self._archive.settle(set_index)
+            self.trouble = self.trouble if self._again_s else ""
             return
         self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
 
-    def close(self, *, patience_s: float) -> None:
-        """Wait for the files that are being made, and let the worker go; what failed is tried once more."""
-        for set_index in list(self._again_s):
-            del self._again_s[set_index]
-            self.put(set_index)
-        wait(self._running.values(), timeout=patience_s)
-        for set_index in [index for index, future in self._running.items() if future.done()]:
-            self._take_back(set_index, self._running.pop(set_index))
+    @property
+    def waits(self) -> bool:
+        """A set has no file yet."""
+        return bool(self._running or self._again_s)
+
+    def try_again(self) -> None:
+        """Try now what failed before, if nothing is under way."""
+        if not self._running:
+            self._again_s = dict.fromkeys(self._again_s, -math.inf)
+        self.work()
+
+    def close(self) -> None:
+        """Let the worker go; what has no file yet is left to the next start."""
         if self._executor is not None:
             self._executor.shutdown(wait=not self._running, cancel_futures=True)

@@ -51,6 +51,8 @@ from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
 
+WAIT_FOR_FILES_S = 60.0
+"""A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
@@ -106,6 +108,7 @@ class Recorder:
         self._acknowledged = acknowledged
         self._told_ids: set[int] = set()
         self._cost = Cost()
+        self._mono_s = mono_s
         self._backlog = Backlog(
             limit_bytes=settings.storage.memory_mb * 10**6, on_change=self._tell_trouble, mono_s=mono_s
         )
@@ -122,7 +125,7 @@ class Recorder:
         sequences = [item.sequence for opened in self._open.values() for item in opened.records]
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
-        self._told_trouble = ""
+        self._told_trouble = self._told_compaction = ""
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
         test = RunningTest(
             clock=rig.clock,
@@ -161,6 +164,7 @@ class Recorder:
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         self._wait_for_the_disk()
+        self._wait_for_the_files()
         finished = not self._stop.is_set()
         supply = "" if self._ledger.drive is None else self._ledger.drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
@@ -483,6 +487,15 @@ class Recorder:
                 "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
             )
 
+    def _wait_for_the_files(self) -> None:
+        """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
+        if self._compaction is None or self._stop.is_set():
+            return
+        until_s = self._mono_s() + WAIT_FOR_FILES_S
+        while self._idle() and self._compaction.waits and self._mono_s() < until_s:
+            self._compaction.try_again()
+            self._stop.wait(LINGER_S)
+
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
         if trouble is not None:
@@ -495,6 +508,16 @@ class Recorder:
         except PASSING as error:
             log.warning("the alarm is not stored: %s", error)
         self._heartbeat.beat(self._doing_now())
+
+    def _tell_compaction(self, trouble: str) -> None:
+        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
+        if bool(trouble) == bool(self._told_compaction) or self._backlog.trouble is not None:
+            return
+        message = trouble or self._told_compaction
+        self._told_compaction = trouble
+        condition = storage_condition(message, present=bool(trouble), waits_in="journal")
+        with suppress(*PASSING):  # it is in the log; the disk's own trouble follows with the next set
+            self._ledger.tell(condition, self._moment())
 
     def _doing_now(self) -> str:
         trouble = self._backlog.trouble
@@ -514,6 +537,7 @@ class Recorder:
         self._backlog.work()
         if self._compaction is not None:
             self._compaction.work()
+            self._tell_compaction(self._compaction.trouble)
         return self._look_around()
 
     def _idle_in_a_set(self) -> bool:

@@ -20,7 +20,7 @@ from daq_service.clock import SimulatedClock, WallClock, parse_utc
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
-from daq_service.recording.compaction import PATIENCE_S, Compaction, worker
+from daq_service.recording.compaction import Compaction, worker
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.settings.tree import ClockSettings, RigSettings, Settings
@@ -104,8 +104,7 @@ def record(
         compaction = Compaction(folder, archive, start=compaction_worker)
         for set_index in archive.to_compact():
             compaction.put(set_index)
-        # What is left then stays in the journal, where the next recorder finds it.
-        stack.callback(lambda: compaction.close(patience_s=0.0 if stop.is_set() else PATIENCE_S))
+        stack.callback(compaction.close)
         live = LivePicture(folder, rig.kind)
         recorder = Recorder(
             settings,

@@ -113,14 +113,15 @@ def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tm
 @pytest.mark.parametrize(
     ("part", "number", "words"),
     [
+        ("journal", errno.ENOSPC, "No space left on device"),
+        pytest.param("journal", errno.EIO, "Input/output error", marks=pytest.mark.slow),
         ("sets", errno.ENOSPC, "No space left on device"),
-        pytest.param("sets", errno.EIO, "Input/output error", marks=pytest.mark.slow),
         ("catalogue.sqlite", errno.ENOSPC, "database or disk is full"),
         pytest.param("catalogue.sqlite", errno.EIO, "disk I/O error", marks=pytest.mark.slow),
     ],
 )
 def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path, part, number, words):
-    """From set 2 on every write to sets, or to the catalogue, is refused until somebody mends it."""
+    """From set 2 on every write to journal, sets or catalogue is refused until somebody mends it."""
     data, log, broken = tmp_path / "data", tmp_path / "refused", tmp_path / "broken"
     environment = refusing(
         library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken
@@ -132,13 +133,16 @@ def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path,
         try:
             until(lambda: len(list(data.glob("sets/*.h5"))) >= 2 or process.poll(), "the second set")
             broken.touch()
-            until(lambda: "not stored" in recorder_log.read_text() or process.poll(), "the trouble")
+            told = "stays in the journal" if part == "sets" else "not stored"
+            until(lambda: told in recorder_log.read_text() or process.poll(), "the trouble")
             broken.unlink()
             _, said = process.communicate(timeout=120.0)
         finally:
             process.kill()
     assert process.returncode == 0, said
     assert words in recorder_log.read_text()
+    assert len(list(data.glob("sets/*.h5"))) == len({row.set_index for row in undisturbed["sets"]})
+    assert list(data.glob("journal/*")) == []
     told = rows_of(data)
     alarms = told.pop("alarms")
     assert told == {name: rows for name, rows in undisturbed.items() if name != "alarms"}

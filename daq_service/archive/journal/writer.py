@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq_service.archive.journal.frames import aside_frame, begin_frame, missed_frame, record_frame
 from daq_service.archive.journal.reader import JournaledSet, read_journal, segment_path, segments
-from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, MissedRecord
+from daq_service.archive.records import QUARANTINE_FOLDER, MissedRecord
 from daq_service.shared_file import (
     O_BINARY,
     patiently,
