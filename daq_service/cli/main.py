@@ -94,6 +94,7 @@ def run(**options: Any) -> None:
 @CONFIG
 @DATA_DIR
 @click.option("--linger", is_flag=True, help="Stay after the last set and carry out orders.")
+@click.option("--log-json", is_flag=True, help="Print a line of JSON for each shot once it is durable.")
 @RESTARTED
 @SUPERVISED
 def record(**options: Any) -> None:

@@ -108,7 +108,13 @@ def child_plans(
 
 
 def record_alone(
-    *, config: Path | None, data_dir: Path | None, restarted_because: str, linger: bool, supervised: bool
+    *,
+    config: Path | None,
+    data_dir: Path | None,
+    restarted_because: str,
+    linger: bool,
+    log_json: bool,
+    supervised: bool,
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
     from daq_service.recording.session import record
@@ -129,6 +135,7 @@ def record_alone(
                 tell=tell_supervisor if supervised else _tell_person,
                 linger=linger,
                 left_alone=left_alone,
+                acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
             )
         except SolimonError as error:
             log.error("%s", error)
@@ -147,6 +154,10 @@ def _open_rig_to_stay(settings: Settings, clock: Clock, epoch_utc_ns: int) -> It
     with open_rig(settings, clock, epoch_utc_ns) as rig:
         gc.freeze()
         yield rig
+
+
+def _print_acknowledgement(shot_id: int) -> None:
+    tell_supervisor("shot_acknowledged", shot_id=shot_id)
 
 
 def _tell_person(event: str, **values: object) -> None:
