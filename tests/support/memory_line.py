@@ -184,6 +184,7 @@ class Line:
         start_h: float | None = None,
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
+        acknowledged: Callable[[int], None] = lambda shot_id: None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -191,14 +192,16 @@ class Line:
         Parameters
         ----------
         start_h
-            Where the clock stands; None: at the end of the last committed set.
+            Where the clock stands; None: at the end of the last committed set, or within an open one.
         parts
             Further parts of the rig.
         """
         with self.catalogue(writer=True) as catalogue:
             epoch_ns = self.epoch_ns(catalogue)
             ended = [ns for row in catalogue.rows(SetRow) if (ns := row.ended_utc_ns) is not None]
-            start_ns = max(ended, default=epoch_ns)
+            start_ns = max(
+                [*ended, *(item.last_utc_ns for item in self.shelf.open.values())], default=epoch_ns
+            )
             if start_h is not None:
                 start_ns = epoch_ns + round(start_h * 3.6e12)
             instruments = ScriptedInstruments(self.script)
@@ -220,6 +223,7 @@ class Line:
                 tell=lambda event, **values: None,
                 left_alone=left_alone,
                 mono_s=mono_s,
+                acknowledged=acknowledged,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
             )

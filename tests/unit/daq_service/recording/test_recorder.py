@@ -379,6 +379,70 @@ def test_a_stop_ends_the_set_where_it_stands_and_the_rest_is_due_again(line):
     assert len(line.rows("sets", "B")) == SETS
 
 
+def stopped_in_a_set(line, key, **options):
+    """Run with a journal until a shot, after which a stop or a kill comes."""
+    archive, stop = MemoryArchive(line.shelf, journal=True), threading.Event()
+    line.script = lambda asked: (stop.set() if asked == key else None, healthy(asked))[1]
+    assert not line.run(stop=stop, archive=archive, **options)
+    line.script = healthy
+    return MemoryArchive(line.shelf, journal=True)
+
+
+@pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
+def test_a_set_that_a_stop_cut_short_goes_on_with_the_missing_strikes_only(line, tmp_path, key):
+    position, set_index, shot_index = key
+    whole = Line(tmp_path / "whole")
+    whole.folder.mkdir()
+    whole.run()
+    last = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
+    archive = stopped_in_a_set(line, last)
+    assert len(line.rows("sets", "B")) == set_index
+    assert line.run(archive=archive)
+    before, after = (instruments.struck for instruments in line.instruments)
+    assert before + after == whole.instruments[0].struck
+    for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
+        assert line.rows(table) == whole.rows(table), table
+    assert archive.open_sets() == {}
+
+
+def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
+    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+    assert line.run(archive=archive, start_h=1.7, cause="the power was out")
+    assert [states(line, position)[:3] for position in "ABCD"] == [
+        ["done", "done", "done"],
+        ["done", "done", "done"],
+        ["done", "partial", "done"],
+        ["done", "missed", "done"],
+    ]
+    assert (causes(line, "C")[1], causes(line, "D")[1]) == ("the power was out",) * 2
+    ids = [row.sequence for row in sorted(line.rows("shots"), key=lambda row: row.sequence)]
+    assert ids == sorted(set(ids)), "no id is used twice"
+    assert archive.open_sets() == {}
+
+
+def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
+    """A kill costs the shot in the air."""
+    line.settings = memory_settings(clock={"kind": "wall"})
+    killed_at = ShotKey(position="B", set_index=0, shot_index=2)
+    told = []
+
+    def script(key):
+        if key == killed_at:
+            raise Killed
+        return healthy(key)
+
+    line.script = script
+    with pytest.raises(Killed):
+        line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+    (opened,) = line.shelf.open.values()
+    assert [item.sequence for item in opened.records] == told == [1, 2, 3]
+    line.script = healthy
+    assert line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
+    assert told == sorted(set(told))
+    assert len(told) == len(line.rows("shots"))
+    assert states(line, "B") == ["done"] * SETS
+
+
 def test_a_stop_before_the_first_strike_leaves_the_set_due(line):
     stop = threading.Event()
     stop.set()

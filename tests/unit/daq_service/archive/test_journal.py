@@ -1,0 +1,154 @@
+"""The journal's segments on a disk that refuses: nothing is acknowledged that is not synced, nothing lost."""
+
+import errno
+import os
+from contextlib import closing
+
+import pytest
+from support.archived_sets import DUE_UTC_NS, SET_INDEX, make_set, other_set
+from support.memory_archive import bits
+
+from daq_service.archive import ArchiveWriteError, CorruptArchiveError, FolderArchive, SetNotFoundError
+from daq_service.archive.compaction import compact_set
+from daq_service.archive.journal import writer
+from daq_service.archive.journal.reader import segments
+from daq_service.archive.journal.writer import Journal
+
+RECORDS = make_set().records
+
+
+@pytest.fixture
+def archive(tmp_path):
+    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+        yield archive
+
+
+def begun(archive, record):
+    archive.begin_set(record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+    for item in record.records:
+        archive.append(item, item.stamp.utc_ns)
+
+
+class Refusing:
+    """A call of the system that fails a number of times, and how often it was called on which file."""
+
+    def __init__(self, call, times, error=errno.ENOSPC):
+        self.call, self.times, self.error = call, times, error
+        self.descriptors = []
+
+    def __call__(self, descriptor, *arguments):
+        self.descriptors.append(descriptor)
+        if len(self.descriptors) <= self.times:
+            raise OSError(self.error, os.strerror(self.error))
+        return self.call(descriptor, *arguments)
+
+
+@pytest.mark.parametrize("name", ["write", "sync"])
+def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, monkeypatch, name):
+    begun(archive, make_set())
+    refusing = Refusing(os.write if name == "write" else writer._sync, 1)
+    monkeypatch.setattr(*((writer.os, "write") if name == "write" else (writer, "_sync")), refusing)
+    assert archive.sync() == [item.sequence for item in RECORDS]
+    assert list(segments(tmp_path)) == [1, 2]
+    (opened,) = FolderArchive(tmp_path).open_sets().values()
+    assert bits(list(opened.records)) == bits(RECORDS)
+
+
+def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
+    """The second one may succeed although the data are gone."""
+    begun(archive, make_set())
+    opened, real = [], os.open
+
+    def noting(path, *arguments):
+        opened.append(str(path))
+        return real(path, *arguments)
+
+    monkeypatch.setattr(writer.os, "open", noting)
+    monkeypatch.setattr(writer, "_sync", Refusing(writer._sync, 2, errno.EIO))
+    with pytest.raises(ArchiveWriteError, match="Input/output error"):
+        archive.sync()
+    assert archive.sync() == [item.sequence for item in RECORDS]
+    assert len([path for path in opened if path.endswith(".journal")]) == 3
+
+
+def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
+    begun(archive, make_set())
+    with monkeypatch.context() as patch:
+        patch.setattr(writer.os, "write", Refusing(os.write, 99))
+        for _ in range(2):
+            with pytest.raises(ArchiveWriteError, match="free some space"):
+                archive.sync()
+    assert FolderArchive(tmp_path).open_sets() == {}
+    stored = archive.store_set(make_set())
+    assert bits(FolderArchive(tmp_path).read_set(stored.file)) == bits(make_set())
+
+
+def test_a_nearly_full_disk_is_used_to_its_end(archive, monkeypatch):
+    """No room for a whole segment is no reason to refuse a record."""
+    monkeypatch.setattr(writer.os, "posix_fallocate", Refusing(os.posix_fallocate, 99), raising=False)
+    begun(archive, make_set())
+    assert archive.sync() == [item.sequence for item in RECORDS]
+
+
+def test_segments_go_with_their_last_set(tmp_path):
+    """Sets of several segments, segments of several sets."""
+    small = 3 * RECORDS[0].waveform.counts.nbytes
+    sets = [other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + 3)]
+    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+        archive._kept = Journal(tmp_path, segment_bytes=small)
+        for record in sets:
+            begun(archive, record)
+            archive.store_set(record)
+        for number, record in enumerate(sets, 1):
+            compact_set(tmp_path, record.set_index)
+            archive.settle(record.set_index)
+            left = FolderArchive(tmp_path)
+            assert left.open_sets() == {}
+            assert [bits(left.read_set(file)) for file in left.sets().values()] == [bits(one) for one in sets]
+            assert len(list(tmp_path.glob("sets/*.h5"))) == number
+    assert list(segments(tmp_path)) == []
+
+
+def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
+    stored = archive.store_set(make_set())
+    compact_set(tmp_path, SET_INDEX)
+    file = tmp_path / stored.file
+    content = file.read_bytes()
+    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before it heard of the first one
+    assert file.read_bytes() == content
+    changed = bytearray(content)
+    changed[content.rfind(b"\x78\x01") + 30] ^= 0xFF
+    file.write_bytes(changed)
+    with pytest.raises(CorruptArchiveError):
+        compact_set(tmp_path, SET_INDEX)
+    file.unlink()
+    compact_set(tmp_path, SET_INDEX)
+    assert file.read_bytes() == content
+
+
+def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):
+    with pytest.raises(SetNotFoundError, match="no whole set 7"):
+        compact_set(tmp_path, SET_INDEX)
+    begun(archive, make_set())
+    archive.sync()
+    with pytest.raises(SetNotFoundError, match="no whole set 7"):
+        compact_set(tmp_path, SET_INDEX)
+
+
+def test_a_group_that_was_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
+    """The end is there and a record is not: nobody was told of the set, and it is taken again."""
+    begun(archive, make_set())
+    archive.store_set(make_set())
+    (path,) = segments(tmp_path).values()
+    content = bytearray(path.read_bytes())
+    content[content.find(RECORDS[1].waveform.counts.tobytes()) + 8] ^= 1
+    path.write_bytes(content)
+    with closing(FolderArchive(tmp_path, journal=True)) as again:
+        (opened,) = again.open_sets().values()
+        assert [item.sequence for item in opened.records] == [
+            item.sequence for item in RECORDS if item is not RECORDS[1]
+        ]
+        again.resume_set(opened)
+        stored = again.store_set(make_set())
+    assert bits(FolderArchive(tmp_path).read_set(stored.file)) == bits(make_set())
+    assert opened.due_utc_ns == DUE_UTC_NS

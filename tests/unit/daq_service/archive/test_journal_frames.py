@@ -1,0 +1,62 @@
+"""Frames: whatever is cut or flipped, what is read is what was written; only the damaged one is lost."""
+
+import pytest
+from support.archived_sets import make_set, make_shot
+from support.memory_archive import bits
+
+from daq_service.archive.journal.frames import begin_frame, end_frame, frames, record_frame, record_of
+
+RECORDS = make_set().records
+WRITTEN = [
+    begin_frame(7, due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
+    *map(record_frame, RECORDS),
+    end_frame(make_set()),
+]
+SEGMENT = b"".join(WRITTEN) + bytes(4096)
+
+
+def sound(content):
+    return {(frame.kind, frame.sequence): bits(frame) for frame in frames(content) if frame.sound}
+
+
+ALL = sound(SEGMENT)
+
+
+def test_every_record_comes_back_bit_for_bit():
+    found = [record_of(frame) for frame in frames(SEGMENT) if frame.sequence >= 0]
+    assert bits(found) == bits(RECORDS)
+    assert len(ALL) == len(WRITTEN)
+
+
+@pytest.mark.parametrize("odd", [float("nan"), float("inf"), -0.0, 5e-324])
+def test_a_number_that_json_has_no_word_for_comes_back(odd):
+    shot = make_shot("B", 0, 1, truth={"depth_m": odd}, settings={"note": "null", "gain": odd})
+    (frame,) = frames(record_frame(shot))
+    assert bits(record_of(frame)) == bits(shot)
+
+
+def test_a_flipped_bit_costs_one_frame_at_most():
+    """Sound frames are exactly those that were written; one that begins elsewhere is none."""
+    step = 13  # every byte would take half a minute; this meets every field of header, facts and counts
+    for place in range(0, len(SEGMENT), step):
+        content = bytearray(SEGMENT)
+        content[place] ^= 1 << place % 8
+        found = sound(bytes(content))
+        assert found.items() <= ALL.items(), place
+        assert len(found) >= len(ALL) - 1, place
+
+
+def test_a_segment_cut_anywhere_keeps_what_came_before():
+    ends = [sum(map(len, WRITTEN[: number + 1])) for number in range(len(WRITTEN))]
+    for length in range(0, ends[-1] + 1, 11):
+        found = sound(SEGMENT[:length])
+        assert found.items() <= ALL.items()
+        assert len(found) == sum(end <= length for end in ends)
+
+
+def test_the_next_frame_is_found_behind_a_page_that_was_never_written():
+    start = len(WRITTEN[0]) + 100
+    content = SEGMENT[:start] + bytes(500) + SEGMENT[start + 500 :]
+    found = sound(content)
+    assert found.items() <= ALL.items()
+    assert len(ALL) - 3 <= len(found) < len(ALL)
