@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
-from daq_service.archive.journal.frames import end_frame
+from daq_service.archive.journal.frames import Buffers, end_frame
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import FolderSetReader
@@ -85,7 +85,7 @@ class FolderArchive(FolderSetReader):
             if index in self._files():
                 self._kept.settle(index)
         self._begun: dict[int, set[int]] = {}
-        self._ending: dict[int, bytes] = {}
+        self._ending: dict[int, Buffers] = {}
         # A set that was ended and is not whole was never acknowledged, or is damaged: it may be taken again.
         self._stored = {index: file for index, file in self.sets().items() if index not in self.open_sets()}
 

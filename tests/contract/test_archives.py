@@ -110,7 +110,7 @@ class TestJournal(JournalContract):
                 raise KeyboardInterrupt
 
             with monkeypatch.context() as patch:
-                patch.setattr(writer.os, "write", killed)
+                patch.setattr(writer, "write_all", killed)
                 with pytest.raises(KeyboardInterrupt):
                     archive.store_set(record)
 

@@ -18,6 +18,7 @@
 #include <sys/stat.h>
 #include <sys/types.h>
 #include <time.h>
+#include <sys/uio.h>
 #include <unistd.h>
 
 enum { SEEN_MAX = 4096, PATH_LENGTH = 512 };
@@ -103,6 +104,7 @@ int rename(const char *from, const char *to) { NEXT(rename); return refused("ren
 int unlink(const char *path) { NEXT(unlink); return refused("unlink", path) ? -1 : next(path); }
 int mkdir(const char *path, mode_t mode) { NEXT(mkdir); return refused("mkdir", path) ? -1 : next(path, mode); }
 ssize_t write(int d, const void *p, size_t n) { NEXT(write); return refused_descriptor("write", d) ? -1 : next(d, p, n); }
+ssize_t writev(int d, const struct iovec *p, int n) { NEXT(writev); return refused_descriptor("write", d) ? -1 : next(d, p, n); }
 ssize_t pwrite64(int d, const void *p, size_t n, off64_t o) { NEXT(pwrite64); return refused_descriptor("write", d) ? -1 : next(d, p, n, o); }
 ssize_t read(int d, void *p, size_t n) { NEXT(read); return refused_descriptor("read", d) ? -1 : next(d, p, n); }
 int fsync(int d) { NEXT(fsync); return refused_descriptor("fsync", d) ? -1 : next(d); }

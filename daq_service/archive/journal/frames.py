@@ -1,7 +1,7 @@
 """Frames of the journal: each can be found, checked and read without any other.
 
-Little-endian: a header with its own CRC-32 (`HEADER`), facts as JSON, raw counts, CRC-32 of facts and counts.
-A reader that meets bytes that are no frame goes on at the next header whose checksum holds.
+Little-endian: a header with its own CRC-32 (`HEADER`), facts as JSON, raw counts. A reader that meets bytes
+that are no frame goes on at the next header whose checksum holds.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, Sho
 
 MAGIC = b"SOLJ"
 VERSION = 1
-HEADER = struct.Struct("<4sBBHIIqqqqI")
+HEADER = struct.Struct("<4sBBHIIqqqqII")
 """Magic, version, kind, bytes a count, bytes of facts, bytes of counts, set index, shot id (`Shot.sequence`;
--1: no shot), utc_ns, mono_ns, CRC-32 of all that."""
+-1: no shot), utc_ns, mono_ns, CRC-32 of facts and of the CRC-32 of the counts, CRC-32 of all that."""
 _CRC = struct.Struct("<I")
+
+Buffers = tuple[bytes, bytes | memoryview]
+"""A frame as it is written: header with facts, and counts, which are not copied."""
 
 
 class Kind(IntEnum):
@@ -66,13 +69,15 @@ class Frame:
         return found
 
 
-def begin_frame(set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]) -> bytes:
+def begin_frame(
+    set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+) -> Buffers:
     """Tell that a set is begun, and what its end cannot tell if it never comes."""
     facts = {"due_utc_ns": due_utc_ns, "retired": dict(retired)}
     return _frame(Kind.BEGIN, set_index, facts, utc_ns=started_utc_ns)
 
 
-def record_frame(record: Shot | PulseEchoRecord) -> bytes:
+def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
     """Tell a record with everything that its file will hold of it."""
     waveform, calibration = record.waveform, record.waveform.calibration
     facts: dict[str, Any] = {
@@ -103,20 +108,20 @@ def record_frame(record: Shot | PulseEchoRecord) -> bytes:
         sequence=record.sequence,
         utc_ns=record.stamp.utc_ns,
         mono_ns=record.stamp.mono_ns,
-        counts=counts.astype(counts.dtype.newbyteorder("<"), copy=False).tobytes(),
+        counts=counts.astype(counts.dtype.newbyteorder("<"), copy=False).view(np.uint8).data,
         counts_crc32=waveform_crc32(waveform),
         width=counts.dtype.itemsize,
     )
 
 
-def missed_frame(missed: MissedRecord, utc_ns: int) -> bytes:
+def missed_frame(missed: MissedRecord, utc_ns: int) -> Buffers:
     """Tell what was tried and left no record."""
     facts = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     told = {**facts, "cause": missed.cause, "reason": missed.reason}
     return _frame(Kind.MISSED, missed.key.set_index, told, utc_ns=utc_ns)
 
 
-def end_frame(record: SetRecord) -> bytes:
+def end_frame(record: SetRecord) -> Buffers:
     """Tell everything of a whole set but its records, and which these are.
 
     Raises
@@ -146,7 +151,7 @@ def end_frame(record: SetRecord) -> bytes:
     return _frame(Kind.END, record.set_index, facts, utc_ns=record.ended_utc_ns)
 
 
-def aside_frame(set_index: int) -> bytes:
+def aside_frame(set_index: int) -> Buffers:
     """Tell that what came before of a set was set aside."""
     return _frame(Kind.ASIDE, set_index, {}, utc_ns=0)
 
@@ -159,28 +164,31 @@ def _frame(
     utc_ns: int,
     mono_ns: int = 0,
     sequence: int = -1,
-    counts: bytes = b"",
+    counts: bytes | memoryview = b"",
     counts_crc32: int = 0,
     width: int = 0,
-) -> bytes:
+) -> Buffers:
     text = orjson.dumps(facts, option=orjson.OPT_SERIALIZE_NUMPY)
     if b"null" in text:
         # What is no finite number: orjson makes null of it, json keeps it.
         text = json.dumps(facts).encode()
-    head = struct.pack(
-        "<4sBBHIIqqqq",
-        *(MAGIC, VERSION, kind, width, len(text), len(counts), set_index, sequence, utc_ns, mono_ns),
-    )
-    # Two checksums instead of one over both: that of the counts is asked for by file and catalogue too.
-    body_crc32 = zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(text))
-    return b"".join((head, _CRC.pack(zlib.crc32(head)), text, counts, _CRC.pack(body_crc32)))
+    lengths = (width, len(text), len(counts))
+    body = _body_crc32(text, counts_crc32)
+    fields = (MAGIC, VERSION, kind, *lengths, set_index, sequence, utc_ns, mono_ns, body)
+    head = HEADER.pack(*fields, 0)[: -_CRC.size]
+    return head + _CRC.pack(zlib.crc32(head)) + text, counts
+
+
+def _body_crc32(facts: bytes, counts_crc32: int) -> int:
+    # Of the counts alone the file and the catalogue ask too: it is computed once.
+    return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 
 def frames(content: bytes) -> Iterator[Frame]:
     """Every frame of a segment, in order; bytes between them that are none are passed over."""
     whole, place = memoryview(content), 0
     while (place := content.find(MAGIC, place)) >= 0 and place + HEADER.size <= len(content):
-        _, version, kind, width, n_facts, n_counts, set_index, sequence, utc_ns, mono_ns, crc32 = (
+        _, version, kind, width, n_facts, n_counts, set_index, sequence, utc_ns, mono_ns, body, crc32 = (
             HEADER.unpack_from(whole, place)
         )
         start = place + HEADER.size
@@ -189,8 +197,7 @@ def frames(content: bytes) -> Iterator[Frame]:
             place += 1
             continue
         facts, counts = bytes(whole[start : start + n_facts]), bytes(whole[start + n_facts : end])
-        found = zlib.crc32(_CRC.pack(zlib.crc32(counts)), zlib.crc32(facts))
-        sound = end + _CRC.size <= len(content) and _CRC.unpack_from(whole, end)[0] == found
+        sound = end <= len(content) and _body_crc32(facts, zlib.crc32(counts)) == body
         yield Frame(
             kind=Kind(kind),
             set_index=set_index,
@@ -203,7 +210,7 @@ def frames(content: bytes) -> Iterator[Frame]:
             sound=sound,
         )
         # The length of a damaged frame is covered by its header's checksum: what follows is still found.
-        place = end + _CRC.size
+        place = end
 
 
 def record_of(frame: Frame) -> Shot | PulseEchoRecord:

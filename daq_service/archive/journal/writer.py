@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from daq_service.archive.journal.frames import aside_frame, begin_frame, missed_frame, record_frame
+from daq_service.archive.journal.frames import Buffers, aside_frame, begin_frame, missed_frame, record_frame
 from daq_service.archive.journal.reader import JournaledSet, read_journal, segment_path, segments
 from daq_service.archive.records import QUARANTINE_FOLDER, MissedRecord
 from daq_service.shared_file import (
@@ -18,6 +18,7 @@ from daq_service.shared_file import (
     read_shared,
     remove_quietly,
     sync_folder,
+    write_all,
     write_durably,
 )
 from hardware_drivers.measurement import PulseEchoRecord, Shot
@@ -27,7 +28,8 @@ log = logging.getLogger(__name__)
 SEGMENT_BYTES = 16 * 2**20
 """Allocated at once, so that a sync has no sizes to store; some twenty sets."""
 _NO_ALLOCATION = {errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_sync = getattr(os, "fdatasync", os.fsync)
+synchronise = getattr(os, "fdatasync", os.fsync)
+"""Data and their size, not the times of the file, where the system knows the difference."""
 
 
 class Journal:
@@ -57,7 +59,7 @@ class Journal:
         self._number = max(self._sets_in, default=0)
         self._descriptor: int | None = None
         self._room = 0
-        self._pending: list[bytes] = []
+        self._pending: list[Buffers] = []
         self._unacknowledged: list[int] = []
         self._pending_sets: set[int] = set()
 
@@ -77,11 +79,11 @@ class Journal:
         """Take in what was tried and left no record."""
         self._add(missed.key.set_index, missed_frame(missed, utc_ns))
 
-    def end(self, set_index: int, frame: bytes) -> None:
+    def end(self, set_index: int, frame: Buffers) -> None:
         """Note that a set is whole (`frames.end_frame`); durable with the next sync."""
         self._add(set_index, frame)
 
-    def _add(self, set_index: int, frame: bytes) -> None:
+    def _add(self, set_index: int, frame: Buffers) -> None:
         self._pending.append(frame)
         self._pending_sets.add(set_index)
 
@@ -118,7 +120,7 @@ class Journal:
         """
         if not self._pending:
             return []
-        content = b"".join(self._pending)
+        content = [buffer for frame in self._pending for buffer in frame if len(buffer)]
         try:
             self._write(content)
         except OSError as error:
@@ -133,17 +135,16 @@ class Journal:
         self._pending, self._pending_sets = [], set()
         return acknowledged
 
-    def _write(self, content: bytes) -> None:
-        if self._descriptor is None or self._room < len(content):
+    def _write(self, content: list[bytes | memoryview]) -> None:
+        n_bytes = sum(map(len, content))
+        if self._descriptor is None or self._room < n_bytes:
             self._abandon()
-            self._open_segment(len(content))
+            self._open_segment(n_bytes)
         assert self._descriptor is not None, "just opened"
         self._sets_in[self._number] |= self._pending_sets
-        rest = memoryview(content)
-        while rest:
-            rest = rest[os.write(self._descriptor, rest) :]
-        _sync(self._descriptor)
-        self._room -= len(content)
+        write_all(self._descriptor, content)
+        synchronise(self._descriptor)
+        self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
         self._number += 1

@@ -88,3 +88,24 @@ def test_a_hint_is_given_up_at_once_and_the_next_one_is_whole(tmp_path, monkeypa
     assert path.read_bytes() == b"first"
     assert write_hint(path, b"third") is None
     assert [item.read_bytes() for item in tmp_path.iterdir()] == [b"third"]
+
+
+@pytest.mark.parametrize("short", [None, 1, 700, 5000])
+def test_buffers_are_written_to_the_last_byte_however_little_a_call_takes(tmp_path, monkeypatch, short):
+    buffers = [bytes([number % 256]) * (number % 7 + 1) for number in range(1500)]
+    real_write, real_writev = os.write, getattr(os, "writev", None)
+
+    def write(descriptor, content):
+        return real_write(descriptor, bytes(content)[:short])
+
+    monkeypatch.setattr(shared_file.os, "write", write)
+    if real_writev is not None:
+        monkeypatch.setattr(
+            shared_file.os, "writev", lambda descriptor, some: write(descriptor, b"".join(some))
+        )
+    descriptor = os.open(tmp_path / "file", os.O_WRONLY | os.O_CREAT)
+    try:
+        shared_file.write_all(descriptor, buffers)
+    finally:
+        os.close(descriptor)
+    assert (tmp_path / "file").read_bytes() == b"".join(buffers)

@@ -43,11 +43,10 @@ class Refusing:
         return self.call(descriptor, *arguments)
 
 
-@pytest.mark.parametrize("name", ["write", "sync"])
+@pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, monkeypatch, name):
     begun(archive, make_set())
-    refusing = Refusing(os.write if name == "write" else writer._sync, 1)
-    monkeypatch.setattr(*((writer.os, "write") if name == "write" else (writer, "_sync")), refusing)
+    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert list(segments(tmp_path)) == [1, 2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
@@ -64,7 +63,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         return real(path, *arguments)
 
     monkeypatch.setattr(writer.os, "open", noting)
-    monkeypatch.setattr(writer, "_sync", Refusing(writer._sync, 2, errno.EIO))
+    monkeypatch.setattr(writer, "synchronise", Refusing(writer.synchronise, 2, errno.EIO))
     with pytest.raises(ArchiveWriteError, match="Input/output error"):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
@@ -74,7 +73,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
 def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
     begun(archive, make_set())
     with monkeypatch.context() as patch:
-        patch.setattr(writer.os, "write", Refusing(os.write, 99))
+        patch.setattr(writer, "write_all", Refusing(writer.write_all, 99))
         for _ in range(2):
             with pytest.raises(ArchiveWriteError, match="free some space"):
                 archive.sync()

@@ -12,6 +12,7 @@ WRITTEN = [
     *map(record_frame, RECORDS),
     end_frame(make_set()),
 ]
+WRITTEN = [b"".join(frame) for frame in WRITTEN]
 SEGMENT = b"".join(WRITTEN) + bytes(4096)
 
 
@@ -31,7 +32,7 @@ def test_every_record_comes_back_bit_for_bit():
 @pytest.mark.parametrize("odd", [float("nan"), float("inf"), -0.0, 5e-324])
 def test_a_number_that_json_has_no_word_for_comes_back(odd):
     shot = make_shot("B", 0, 1, truth={"depth_m": odd}, settings={"note": "null", "gain": odd})
-    (frame,) = frames(record_frame(shot))
+    (frame,) = frames(b"".join(record_frame(shot)))
     assert bits(record_of(frame)) == bits(shot)
 
 
