@@ -3,9 +3,10 @@
 import errno
 import os
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
-from support.archived_sets import DUE_UTC_NS, SET_INDEX, make_set, other_set
+from support.archived_sets import DUE_UTC_NS, SET_INDEX, counts_of, make_set, other_set
 from support.memory_archive import bits
 
 from daq_service.archive import ArchiveWriteError, CorruptArchiveError, FolderArchive, SetNotFoundError
@@ -13,6 +14,7 @@ from daq_service.archive.compaction import compact_set
 from daq_service.archive.journal import writer
 from daq_service.archive.journal.reader import segments
 from daq_service.archive.journal.writer import Journal
+from daq_service.archive.layout import build_image
 
 RECORDS = make_set().records
 
@@ -118,7 +120,12 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     changed = bytearray(content)
     changed[content.rfind(b"\x78\x01") + 30] ^= 0xFF
     file.write_bytes(changed)
-    with pytest.raises(CorruptArchiveError):
+    with pytest.raises(CorruptArchiveError, match="belongs back from a copy"):
+        compact_set(tmp_path, SET_INDEX)
+    whole = make_set()
+    other = replace(whole.shots[0], waveform=replace(whole.shots[0].waveform, counts=counts_of(99, 300)))
+    file.write_bytes(build_image(replace(whole, shots=[other, *whole.shots[1:]])))
+    with pytest.raises(CorruptArchiveError, match="is not what the journal holds"):
         compact_set(tmp_path, SET_INDEX)
     file.unlink()
     compact_set(tmp_path, SET_INDEX)
