@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from daq_service.clock import TimeLine, boot_name
+from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.shared_file import O_BINARY, read_hint
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -212,3 +212,15 @@ def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> Tim
     if beat.boot is None or beat.boot != boot or beat.elapsed_ns > elapsed_ns:
         return None
     return TimeLine(utc_ns=beat.utc_ns, elapsed_ns=beat.elapsed_ns)
+
+
+def time_now_ns(
+    beat: Beat | None, *, boot: Callable[[], str | None] = boot_name, elapsed: Callable[[], int] = elapsed_ns
+) -> int | None:
+    """Time of a test in real time, ns of UTC; None where no recorder of this boot tells it.
+
+    It need not be the system's: that may have been set since.
+    """
+    now_ns = elapsed()
+    line = time_line_of(beat, boot=boot(), elapsed_ns=now_ns)
+    return None if line is None else line.utc_ns + now_ns - line.elapsed_ns
