@@ -116,7 +116,15 @@ class WallClock:
         return self._told(0, "the system's clock is believed") if waited else None
 
     def trust(self) -> str:
-        """Believe the system's UTC on a person's word, never before what is stored; say how time goes on."""
+        """Believe the system's UTC on a person's word, never before what is stored; say how time goes on.
+
+        Raises
+        ------
+        ValueError
+            Nobody doubts it.
+        """
+        if self._doubted is None:
+            raise ValueError("the system's clock is believed already")
         self._go_on(*self._both())
         return self._told(0, "the system's clock is trusted").message
 

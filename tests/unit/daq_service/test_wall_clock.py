@@ -177,6 +177,8 @@ def test_a_clock_that_is_trusted_never_goes_back_before_what_is_stored(machine: 
     machine.sleep(10.0)
     assert clock.utc_ns() == NOW_NS + 10 * NS_PER_S
     assert clock.steps() == [], "the step was told by the answer"
+    with pytest.raises(ValueError, match="is believed already"):
+        clock.trust()
 
 
 def test_a_wait_that_is_ended_leaves_the_doubt(machine: Machine) -> None:
