@@ -138,7 +138,7 @@ class Recorder:
         self._say("recorder_started", started)
         self._set_damaged_aside()
         absences = self._wait_for_a_set_clock(not_running_because)
-        for number, due in enumerate(self._plan if not self._stop.is_set() else []):
+        for number, due in enumerate(self._plan):
             if due.set_index in done:
                 continue
             if not (self._adopt(due) or self._miss(due, absences)):

@@ -49,6 +49,7 @@ class Laboratory:
             boot=lambda: self.machine.boot,
             time_line=clock.line,
         )
+        self.machine.after(30.0, lambda: pytest.fail(f"still {self.doing}"))
         return self.line.run(cause=cause, clock=clock, stop=stop)
 
     def killed_after(self, hours: float) -> None:
