@@ -17,10 +17,12 @@ from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.clock import format_utc, parse_utc
 from daq_service.processes.data_folder import data_folder, settings_and_folder
+from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.nanoseconds import NS_PER_S
 
 PACKED_FRACTION = 0.5
 """Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
@@ -132,6 +134,10 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         return
     click.echo(f"data      {folder}")
     click.echo(f"recorder  {facts['recorder']}")
+    ahead_s = facts["system_ahead_s"]
+    if ahead_s is not None and abs(ahead_s) > 1.0:
+        side = "ahead of" if ahead_s > 0.0 else "behind"
+        click.echo(f"clock     this computer's is {abs(ahead_s):.0f} s {side} the test's time")
     if facts["held"]:
         click.echo(f"on hold   {facts['held']}; nothing strikes until it is released")
     if facts["counts"] is None:
@@ -147,8 +153,11 @@ def describe_status(folder: Path) -> dict[str, Any]:
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             told = catalogue.last_told(*TELLING)
+            recorder = look_at_recorder(folder, [told.kind] if told else [])
+            now_ns = time_now_ns(recorder.beat)
             return {
-                "recorder": look_at_recorder(folder, [told.kind] if told else []).description,
+                "recorder": recorder.description,
+                "system_ahead_s": None if now_ns is None else (time.time_ns() - now_ns) / NS_PER_S,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
@@ -156,4 +165,5 @@ def describe_status(folder: Path) -> dict[str, Any]:
             }
     except NoDataYetError:
         nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
-        return {"recorder": look_at_recorder(folder, []).description, **nothing}
+        recorder = look_at_recorder(folder, [])
+        return {"recorder": recorder.description, "system_ahead_s": None, **nothing}

@@ -159,7 +159,7 @@ def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None
     command = order_options(partial(_give_order, kind))
     for option in (*options, DATA_DIR, CONFIG):
         command = option(command)
-    cli.command(kind, help=explanation)(command)
+    cli.command(kind.replace("_", "-"), help=explanation)(command)
 
 
 def _give_order(kind: str, **options: Any) -> None:
@@ -170,6 +170,7 @@ def _give_order(kind: str, **options: Any) -> None:
 
 add_order("hold", "Strike no more until `release`: somebody works at the rig. Sets that fall due are missed.")
 add_order("release", "End a hold: the next due set is taken.")
+add_order("trust_clock", "Go on with this computer's clock though it is doubted after a restart.")
 add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
 add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
 

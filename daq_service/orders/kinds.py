@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.states import (
     AFTER_ACKNOWLEDGEMENT,
     RETIRING,
@@ -23,7 +24,7 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.clock import SimulatedClock
+from daq_service.clock import SimulatedClock, WallClock
 from daq_service.errors import UsageError
 
 if TYPE_CHECKING:
@@ -253,6 +254,25 @@ class Release(Order):
         return "released: the next due set is taken"
 
 
+class TrustClock(Order):
+    """Go on with the system's clock though it is doubted."""
+
+    kind: Literal["trust_clock"]
+    arguments: NoteArguments = NoteArguments()
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        standing = ("unacknowledged", "acknowledged")
+        if any(row.kind == CLOCK_DOUBTED and row.state in standing for row in facts.alarms):
+            return None
+        return Refusal(
+            "nobody doubts the system's clock", "The alarm clock_doubted stands while it is doubted."
+        )
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        assert isinstance(test.clock, WallClock), "no other clock is doubted"
+        return test.clock.trust()
+
+
 class _TransducerOrder(Order):
     arguments: TransducerArguments
 
@@ -351,7 +371,16 @@ class SupplyOff(_SupplyOrder):
 
 
 AnyOrder = Annotated[
-    FinishNow | Stop | AcknowledgeAlarm | Hold | Release | Retire | Reinstate | SupplyOn | SupplyOff,
+    FinishNow
+    | Stop
+    | AcknowledgeAlarm
+    | Hold
+    | Release
+    | TrustClock
+    | Retire
+    | Reinstate
+    | SupplyOn
+    | SupplyOff,
     Field(discriminator="kind"),
 ]
 KINDS: Mapping[str, type[Order]] = {

@@ -20,7 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from daq_service.clock import boot_name
+from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.shared_file import O_BINARY, read_hint
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -47,6 +47,9 @@ class Beat:
     ----------
     boot
         Name of the boot that ``mono_ns`` counts in; None where it has none (`clock.boot_name`).
+    utc_ns, elapsed_ns
+        A moment of a test in real time: its time, and what had elapsed of the boot, sleep included. None on
+        a simulated clock, while time is doubted, and in the file of an older version.
     """
 
     process: int
@@ -54,6 +57,8 @@ class Beat:
     deadline_s: float
     doing: str
     boot: str | None = None
+    utc_ns: int | None = None
+    elapsed_ns: int | None = None
 
 
 class Heartbeat:
@@ -65,6 +70,8 @@ class Heartbeat:
         Longest time between two beats of a healthy recorder: its longest bounded call and a margin.
     tell
         Called with the name of the event, ``beat``, and the values of a `Beat`.
+    time_line
+        The test's time at this moment; None where there is none to be told.
     """
 
     def __init__(
@@ -75,12 +82,14 @@ class Heartbeat:
         tell: Callable[..., None] = lambda event, **values: None,
         mono_ns: Callable[[], int] = time.monotonic_ns,
         boot: Callable[[], str | None] = boot_name,
+        time_line: Callable[[], TimeLine | None] = lambda: None,
     ) -> None:
         self._path = folder / FILE_NAME
         self._deadline_s = deadline_s
         self._tell = tell
         self._mono_ns = mono_ns
         self._boot = boot()
+        self._time_line = time_line
         self._last_ns: int | None = None
         self._last_news_ns: int | None = None
         self._last_cost_ns = 0
@@ -95,8 +104,15 @@ class Heartbeat:
         pause_ns = NEWS_AFTER_COSTS * self._last_cost_ns if news else SHORTEST_INTERVAL_NS
         if last_ns is not None and now - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
             return
+        line = self._time_line()
         beat = Beat(
-            process=os.getpid(), mono_ns=now, deadline_s=self._deadline_s, doing=doing, boot=self._boot
+            process=os.getpid(),
+            mono_ns=now,
+            deadline_s=self._deadline_s,
+            doing=doing,
+            boot=self._boot,
+            utc_ns=None if line is None else line.utc_ns,
+            elapsed_ns=None if line is None else line.elapsed_ns,
         )
         self._tell("beat", **asdict(beat))
         try:
@@ -165,7 +181,13 @@ def beat_of(values: Mapping[str, Any]) -> Beat:
         deadline_s=float(values["deadline_s"]),
         doing=str(values["doing"]),
         boot=values.get("boot"),
+        utc_ns=_whole(values.get("utc_ns")),
+        elapsed_ns=_whole(values.get("elapsed_ns")),
     )
+
+
+def _whole(value: Any) -> int | None:
+    return None if value is None else int(value)
 
 
 @lru_cache(maxsize=8)
@@ -181,3 +203,24 @@ def age_s(beat: Beat, *, boot: str | None, mono_ns: int) -> float | None:
     """
     other_boot = None not in (beat.boot, boot) and beat.boot != boot
     return None if other_boot or beat.mono_ns > mono_ns else (mono_ns - beat.mono_ns) / NS_PER_S
+
+
+def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> TimeLine | None:
+    """Time of the test that a recorder of this boot went by; None where there was none, or none is known."""
+    if beat is None or beat.utc_ns is None or beat.elapsed_ns is None:
+        return None
+    if beat.boot is None or beat.boot != boot or beat.elapsed_ns > elapsed_ns:
+        return None
+    return TimeLine(utc_ns=beat.utc_ns, elapsed_ns=beat.elapsed_ns)
+
+
+def time_now_ns(
+    beat: Beat | None, *, boot: Callable[[], str | None] = boot_name, elapsed: Callable[[], int] = elapsed_ns
+) -> int | None:
+    """Time of a test in real time, ns of UTC; None where no recorder of this boot tells it.
+
+    It need not be the system's: that may have been set since.
+    """
+    now_ns = elapsed()
+    line = time_line_of(beat, boot=boot(), elapsed_ns=now_ns)
+    return None if line is None else line.utc_ns + now_ns - line.elapsed_ns

@@ -11,7 +11,7 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
@@ -26,11 +26,12 @@ from daq_service.acquisition.taken_set import (
     features_of,
     features_of_a_rehearsal,
 )
+from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.data_trouble import damage_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.clock import boot_id
+from daq_service.clock import WallClock, boot_id
 from daq_service.errors import RigError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
@@ -42,6 +43,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.provenance import provenance
+from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
@@ -59,6 +61,8 @@ LINGER_S = 0.1
 SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
 one comes at once, since nobody knows how long the boards have been warm."""
+
+OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 Teller = Callable[..., None]
 FeaturesOf = Callable[[Shot], ShotFeatures]
@@ -151,12 +155,11 @@ class Recorder:
         }
         self._say("recorder_started", started)
         self._set_damaged_aside()
+        absences = self._wait_for_a_set_clock(not_running_because)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
                 continue
-            following = self._plan[number + 1] if number + 1 < len(self._plan) else None
-            too_late = self._is_too_late(due, following)
-            if not (self._adopt(due) or (too_late and self._close(due, not_running_because))):
+            if not (self._adopt(due) or self._miss(due, absences)):
                 self._take_when_due(due)
             if not self._stop.is_set() and not self._may_run_ahead:
                 self._wait_for_the_disk()
@@ -183,7 +186,7 @@ class Recorder:
     def _take_when_due(self, due: DueSet) -> None:
         self._calibrate_before(due)
         self._doing = f"waiting for set {due.set_index}"
-        if not self._rig.clock.wait_until(due.due_utc_ns, self._idle):
+        if not self._rig.clock.wait_until(due.due_utc_ns, self._idle) or self._miss(due):
             return
         if self._orders.held:
             self._gap(due, self._orders.held)
@@ -450,27 +453,69 @@ class Recorder:
                 self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
         self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
 
-    def _is_too_late(self, due: DueSet, following: DueSet | None) -> bool:
-        """Whether the time of a set is over: the next one is due already."""
-        interval_ns = NS_PER_H if following is None else following.due_utc_ns - due.due_utc_ns
-        return self._rig.clock.utc_ns() >= due.due_utc_ns + interval_ns
+    def _miss(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
+        """Close a set whose time is over, since the next one is due: store an open one's shots, else a gap.
 
-    def _close(self, due: DueSet, cause: str) -> bool:
-        """Write rows for a set whose time is over: what an open one holds, else a gap."""
+        Parameters
+        ----------
+        absences
+            Until when (ns of UTC) sets were missed for what reason, in order.
+        """
+        following = self._plan[due.set_index + 1 : due.set_index + 2]
+        over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
+        if self._rig.clock.utc_ns() < over_ns:
+            return False
+        cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), OVERSLEPT)
         opened = self._open.pop(due.set_index, None)
         taken = None if opened is None else self._restored(opened)
         if opened is None or taken is None or taken.is_empty:
             self._gap(due, cause)
             self._archive.settle(due.set_index)
-            return True
-        self._archive.resume_set(opened)
-        self._store_and_judge(due, taken, cut_short_because=cause)
+        else:
+            self._archive.resume_set(opened)
+            self._store_and_judge(due, taken, cut_short_because=cause)
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:
         causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
         utc_ns = self._rig.clock.utc_ns()
         self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
+
+    # A clock that cannot be believed, or is set ---------------------------------------------------
+
+    def _wait_for_a_set_clock(self, not_running_because: str) -> list[tuple[int, str]]:
+        """Let time stand still while it is doubted; why sets were missed until when (ns of UTC), in order."""
+        clock, reasons = self._rig.clock, list[str]()
+        if not isinstance(clock, WallClock):
+            return [(clock.utc_ns(), not_running_because)]
+
+        def idle(reason: str) -> bool:
+            if not reasons:
+                log.error("waiting for a set clock: %s", reason)
+                self._tell_of_the_clock(reason)
+            reasons.append(reason)
+            self._doing = f"waiting for a set clock: {reason}"
+            return self._idle()
+
+        began_ns = clock.mono_ns()
+        believed = clock.wait_while_doubted(idle)
+        if self._stop.is_set():
+            return []
+        if believed is not None:
+            log.warning("%s", believed.message)
+            self._say(CLOCK_BELIEVED, asdict(believed))
+        self._tell_of_the_clock("")
+        now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
+        return [(now_ns - (clock.mono_ns() - began_ns), not_running_because), (now_ns, waited)]
+
+    def _tell_of_the_clock(self, doubt: str) -> None:
+        self._backlog.put(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))
+
+    def _tell_clock_steps(self) -> None:
+        if isinstance(self._rig.clock, WallClock):
+            for step in self._rig.clock.steps():
+                log.warning("%s", step.message)
+                self._say(CLOCK_STEP, asdict(step))
 
     # A disk that takes nothing ------------------------------------------------------------------
 
@@ -546,6 +591,7 @@ class Recorder:
 
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
+        self._tell_clock_steps()
         self._heartbeat.beat(self._doing_now())
         if self._backlog.trouble is None:
             self._backlog.put(self._orders.listen)

@@ -16,14 +16,15 @@ from daq_service.archive import Archive, FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import SetRow
-from daq_service.clock import SimulatedClock, WallClock, parse_utc
+from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
-from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
+from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
 from daq_service.recording.compaction import Compaction, worker
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
-from daq_service.settings.tree import ClockSettings, RigSettings, Settings
+from daq_service.recording.resumed_time import hour_0, time_before
+from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
@@ -50,7 +51,7 @@ def record(
     compaction_worker: Callable[[], Executor] = worker,
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
-    wall_clock: Callable[[], Clock] = WallClock,
+    wall_clock: Callable[[Before], Clock] = WallClock,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -71,7 +72,7 @@ def record(
     waits_for_rig_s
         Wait before each further try to open the rig of a test that has begun; the last one repeats.
     wall_clock
-        Makes the clock of a test in real time.
+        Makes the clock of a test in real time, of what is known of the time before.
 
     Returns
     -------
@@ -83,14 +84,30 @@ def record(
     StorageError, RigError
         What cannot be mended here; every taken shot is stored.
     """
-    cause = _why_not_running(folder, restarted_because)
+    last_beat = read_heartbeat(folder)
+    cause = _why_not_running(last_beat, restarted_because)
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
         archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
-        clock = _clock(settings.clock, _resume_utc_ns(catalogue, archive, epoch_ns), wall_clock)
+        clock: Clock
+        if settings.clock.kind == "wall":
+            clock = wall_clock(
+                time_before(
+                    catalogue,
+                    last_beat,
+                    opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
+                    boot=boot_name(),
+                    elapsed_ns=elapsed_ns(),
+                    doubt_after_h=settings.clock.doubt_after_h,
+                )
+            )
+        else:
+            start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
+            clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
         deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
-        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell)
+        line = clock.line if isinstance(clock, WallClock) else lambda: None
+        heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.committed_sets()),
@@ -194,7 +211,7 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
         name=settings.name,
         configuration_hash=settings.configuration_hash(),
         configuration=settings.model_dump(mode="json"),
-        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else time.time_ns(),
+        epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else hour_0(time.time_ns()),
         clock=settings.clock.kind,
         solimon_version=version("solimon"),
     )
@@ -208,16 +225,9 @@ def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int
     return max([*ended, *opened], default=epoch_ns)
 
 
-def _clock(settings: ClockSettings, start_ns: int, wall_clock: Callable[[], Clock]) -> Clock:
-    if settings.kind == "wall":
-        return wall_clock()
-    return SimulatedClock(start_ns, pace_h_per_s=settings.pace_h_per_s)
-
-
-def _why_not_running(folder: Path, restarted_because: str) -> str:
+def _why_not_running(beat: Beat | None, restarted_because: str) -> str:
     if restarted_because:
         return f"the recorder {restarted_because}"
-    beat = read_heartbeat(folder)
     if beat is None:
         return "the recorder had not been started"
     return f"the recorder was down; it was last seen {beat.doing}"

@@ -29,7 +29,7 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
 HASHED_OUT: Mapping[str, Any] = {
     "web": True,
-    "clock": {"pace_h_per_s"},
+    "clock": {"pace_h_per_s", "doubt_after_h"},
     "schedule": {"end_h"},
     "storage": True,
     # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
@@ -72,6 +72,8 @@ class ClockSettings(Section):
     """Hour 0 of the simulated clock. On the wall clock hour 0 is the first start in an empty data folder."""
     pace_h_per_s: float | None = Field(default=None, gt=0.0, le=1e4)
     """Hours of experiment a second on the simulated clock; absent: as fast as it goes."""
+    doubt_after_h: float = Field(default=72.0, gt=0.0, le=1e4)
+    """After a reboot a wall clock that nobody synchronises is doubted so long after what was stored last."""
 
     @property
     def is_paced(self) -> bool:

@@ -11,9 +11,10 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.archive import FolderSetReader
-from daq_service.catalogue.rows import Row, SetRow, values
+from daq_service.catalogue.rows import EventRow, Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
+from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
@@ -156,16 +157,22 @@ class Freshness:
         last = newest[-1] if newest else None
         wall_ns = time.time_ns()
         self._written_ns: int | None = None if last is None else last.wall_utc_ns
-        self.wall_age_s = (
-            None if self._written_ns is None else max(0.0, (wall_ns - self._written_ns) / NS_PER_S)
-        )
-        if self.clock == "wall":
-            self.now_utc_ns = wall_ns
-        else:
-            # A simulated clock stands still while nobody works: the newest events tell its time.
-            self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
-        self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
         self.recorder = look_at_recorder(context.data_folder, [row.kind for row in newest])
+        told_ns = time_now_ns(self.recorder.beat) if self.clock == "wall" else None
+        # A simulated clock stands still while nobody works: the newest events tell its time. So does a real
+        # one while it is doubted, and then the system's may lie before.
+        self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
+        if self.clock == "wall":
+            self.now_utc_ns = max(wall_ns, self.now_utc_ns) if told_ns is None else told_ns
+        self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
+        self.system_ahead_s = None if told_ns is None else (wall_ns - told_ns) / NS_PER_S
+        self.wall_age_s = None if last is None else self._age_s(wall_ns, last, told_ns)
+
+    @staticmethod
+    def _age_s(wall_ns: int, last: EventRow, told_ns: int | None) -> float:
+        """Seconds since the last event was written; on the experiment's clock where the system's was set."""
+        ages_ns = [wall_ns - last.wall_utc_ns, *([] if told_ns is None else [told_ns - last.utc_ns])]
+        return min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""

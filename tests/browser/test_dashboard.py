@@ -184,6 +184,19 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     expect(alarms.get_by_role("button")).to_have_count(0)
 
 
+def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for_sets(page, N_SETS)
+    filled.add_alarm(None, N_SETS - 1, kind="clock_doubted", message="the system's clock says 2010")
+    alarms = page.locator("#alarms")
+    expect(alarms).to_contain_text("the system's clock says 2010")
+    alarms.get_by_role("button", name="The clock is right").click()
+    expect(alarms.get_by_role("button", name="Sent")).to_be_visible()
+    answer(filled, "trust_clock", {"note": ""}, state="refused", result="nobody doubts the system's clock")
+    expect(page.locator("body")).to_contain_text("nobody doubts the system's clock")
+    expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
+
+
 def test_finish_now_becomes_an_order(filled, service, open_page):
     page = open_page(service.url)
     page.get_by_role("button", name="Finish now").click()

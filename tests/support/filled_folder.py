@@ -23,7 +23,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.clock import parse_utc
+from daq_service.clock import TimeLine, parse_utc
 from daq_service.judgement.transaction import shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
@@ -83,8 +83,8 @@ class FilledFolder:
         self._ownership.close()
         self.catalogue.close()
 
-    def beat(self, doing: str = "waiting") -> None:
-        Heartbeat(self.folder, deadline_s=3600.0).beat(doing)
+    def beat(self, doing: str = "waiting", *, line: TimeLine | None = None) -> None:
+        Heartbeat(self.folder, deadline_s=3600.0, time_line=lambda: line).beat(doing)
 
     def say(self, kind: str, utc_ns: int | None = None, **payload: object) -> int:
         return self.catalogue.add_event(

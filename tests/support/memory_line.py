@@ -32,11 +32,12 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
-from hardware_drivers.instruments import Acquired, Echo, Rig
+from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform
 from support.empty_catalogue import empty_catalogue
 from support.memory_archive import MemoryArchive, Shelf
@@ -172,7 +173,7 @@ class Line:
     script: Script = healthy
     shelf: Shelf = field(default_factory=Shelf)
     instruments: list[ScriptedInstruments] = field(default_factory=list)
-    heartbeat: QuietHeartbeat = field(default_factory=QuietHeartbeat)
+    heartbeat: QuietHeartbeat | Heartbeat = field(default_factory=QuietHeartbeat)
     listen_every_s: float = LISTEN_EVERY_S
 
     def run(
@@ -182,6 +183,7 @@ class Line:
         stop: threading.Event | None = None,
         archive: MemoryArchive | None = None,
         start_h: float | None = None,
+        clock: Clock | None = None,
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
@@ -193,6 +195,8 @@ class Line:
         ----------
         start_h
             Where the clock stands; None: at the end of the last committed set, or within an open one.
+        clock
+            Another one than a simulated clock that stands there.
         parts
             Further parts of the rig.
         """
@@ -208,7 +212,7 @@ class Line:
             self.instruments.append(instruments)
             rig = Rig(
                 kind="simulated",
-                clock=SimulatedClock(start_ns),
+                clock=clock or SimulatedClock(start_ns),
                 **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **parts},
             )
             recorder = Recorder(

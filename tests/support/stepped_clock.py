@@ -16,7 +16,7 @@ class SteppedClock:
     def __init__(self) -> None:
         self._now_ns = 0
 
-    def start(self) -> Clock:
+    def start(self, before: object = None) -> Clock:
         """Begin a run, after another one a while later."""
         self._now_ns = max(time.time_ns(), self._now_ns + PAUSE_NS)
         return self

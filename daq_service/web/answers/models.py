@@ -237,6 +237,10 @@ class ClockInfo(Answer):
     kind: Literal["simulated", "wall"]
     epoch_utc: str
     pace_h_per_s: float | None
+    system_ahead_s: float | None = Field(
+        description="This computer's UTC less the experiment's time, s: what steps have put between them; "
+        "null: a simulated clock, or no recorder has told since this computer started"
+    )
     can_finish_now: bool = Field(description="True while a paced simulated test runs")
 
 

@@ -4,6 +4,7 @@ import { get, post } from "./api.js";
 import { el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
+import { order } from "./orders.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
 const RANK = { critical: 0, high: 1, medium: 2, low: 3 };
@@ -73,6 +74,11 @@ export class SolimonAlarms extends HTMLElement {
       button.addEventListener("click", () => this.acknowledge(alarm.id));
       foot.append(button);
     }
+    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) {
+      const button = /** @type {HTMLButtonElement} */ (el("button", { class: "button small", type: "button", "data-focus": `trust-${alarm.id}`, text: "The clock is right" }));
+      button.addEventListener("click", () => this.trustClock(button));
+      foot.append(button);
+    }
     const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
     const item = el(
       "li",
@@ -91,6 +97,18 @@ export class SolimonAlarms extends HTMLElement {
     item.dataset.alarm = String(alarm.id);
     item.dataset.open = String(alarm.state !== "normal");
     return item;
+  }
+
+  /** @param {HTMLButtonElement} button */
+  async trustClock(button) {
+    button.disabled = true;
+    try {
+      await order("trust_clock", {}, (text) => setText(button, text));
+    } catch (error) {
+      button.disabled = false;
+      setText(button, "The clock is right");
+      this.dispatchEvent(new CustomEvent("trouble", { detail: String(/** @type {Error} */ (error).message) }));
+    }
   }
 
   /** @param {number} id */

@@ -38,6 +38,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "kind": settings.clock.kind,
                 "epoch_utc": rfc3339(fresh.epoch_utc_ns),
                 "pace_h_per_s": settings.clock.pace_h_per_s,
+                "system_ahead_s": fresh.system_ahead_s,
                 "can_finish_now": settings.clock.is_paced and fresh.recorder.word == "running",
             },
             "schedule": {

@@ -3,8 +3,6 @@ from pathlib import Path
 import pytest
 
 from daq_service.clock import (
-    NS_PER_H,
-    NS_PER_S,
     WINDOWS_BOOT_COUNTER,
     SimulatedClock,
     boot_id,
@@ -12,6 +10,7 @@ from daq_service.clock import (
     format_utc,
     parse_utc,
 )
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 
 def always() -> bool:

@@ -1,5 +1,7 @@
 """One definition for each order: what forbids it, in the words of web and recorder."""
 
+from dataclasses import replace
+
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
@@ -13,11 +15,13 @@ def facts(**values: object) -> Facts:
     return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
 
 
-def alarm(state: AlarmState, alarm_id: int = 7, position: str = "B") -> AlarmRow:
+def alarm(
+    state: AlarmState, alarm_id: int = 7, position: str | None = "B", kind: str = "retired"
+) -> AlarmRow:
     return AlarmRow(
         id=alarm_id,
         position=position,
-        kind="retired",
+        kind=kind,
         family="device",
         severity="high",
         state=state,
@@ -39,7 +43,8 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
 }
-OPEN = {"alarms": [alarm("unacknowledged", position="C")], "held": ""}
+DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_doubted")
+OPEN = {"alarms": [alarm("unacknowledged", position="C"), DOUBTED], "held": ""}
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -82,6 +87,13 @@ def test_a_recorder_that_has_ended_is_given_acknowledgements_only(kind: str, wor
             "the test is not on hold",
             "The test is not on hold.",
             "Only a test on hold can be released.",
+        ),
+        (
+            "trust_clock",
+            {"alarms": [replace(DOUBTED, state="returned_unacknowledged")]},
+            "nobody doubts the system's clock",
+            "Nobody doubts the system's clock.",
+            "The alarm clock_doubted stands while it is doubted.",
         ),
         (
             "retire",

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.clock import boot_name
+from daq_service.clock import TimeLine, boot_name
 from daq_service.processes.heartbeat import (
     FILE_NAME,
     Beat,
@@ -11,8 +11,12 @@ from daq_service.processes.heartbeat import (
     beat_of,
     encoded,
     read_heartbeat,
+    time_line_of,
+    time_now_ns,
 )
 from hardware_drivers.nanoseconds import NS_PER_S
+
+LINE = TimeLine(utc_ns=5_000, elapsed_ns=700)
 
 
 class FakeMonotonic:
@@ -29,6 +33,32 @@ class FakeMonotonic:
 
 def test_no_recorder_no_heartbeat(tmp_path: Path) -> None:
     assert read_heartbeat(tmp_path) is None
+
+
+def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_path: Path) -> None:
+    Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: "ours", time_line=lambda: LINE).beat("waiting")
+    beat = read_heartbeat(tmp_path)
+    assert time_line_of(beat, boot="ours", elapsed_ns=700) == LINE
+    assert time_now_ns(beat, boot=lambda: "ours", elapsed=lambda: 900) == 5_200
+
+
+@pytest.mark.parametrize(
+    ("written_in", "line", "boot", "elapsed_ns"),
+    [
+        ("another", LINE, "ours", 900),
+        (None, LINE, None, 900),  # who knows
+        ("ours", LINE, "ours", 699),  # a name that was used twice
+        ("ours", None, "ours", 900),
+    ],
+)
+def test_no_time_is_taken_up_from_another_boot(
+    tmp_path: Path, written_in: str | None, line: TimeLine | None, boot: str | None, elapsed_ns: int
+) -> None:
+    Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: written_in, time_line=lambda: line).beat("waiting")
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns) is None
+    assert time_now_ns(beat, boot=lambda: boot, elapsed=lambda: elapsed_ns) is None
 
 
 def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """Every reading route of the service against a folder filled through the real catalogue and archive."""
 
 import math
+import re
+import time
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -10,12 +12,16 @@ import pytest
 from support.filled_folder import LIMIT_F, FilledFolder
 from support.served_web import served
 
-from daq_service.catalogue.rows import EnvironmentRow, FeatureRow, SetRow, VerdictRow, values
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import EnvironmentRow, EventRow, FeatureRow, SetRow, VerdictRow, values
+from daq_service.cli.inspection import print_status
+from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import rfc3339, with_utc
 from daq_service.web.routes.transducers import interval_at, state_word
+from hardware_drivers.nanoseconds import NS_PER_H
 
 N_SETS = 60
 EPOCH = datetime(2024, 1, 1, tzinfo=UTC)
@@ -112,6 +118,27 @@ def test_ages_are_on_the_experiments_clock_and_since_the_last_write(api, filled)
     assert datetime.fromisoformat(row["due_utc"]) == EPOCH + timedelta(hours=10)
     assert 0.0 <= answer["as_of"]["wall_age_s"] < 600.0
     assert row["quality"] == "good"
+
+
+@pytest.mark.skipif(boot_name() is None, reason="this system names no boot")
+@pytest.mark.parametrize(("by_h", "side"), [(400, "ahead of"), (-400, "behind")])
+def test_ages_are_on_the_tests_own_time_when_the_computers_clock_was_set(tmp_path, capsys, by_h, side):
+    filled = FilledFolder(tmp_path, Settings(clock={"kind": "wall"}))
+    filled.add_set(0, stored=False)
+    now_ns = time.time_ns() - by_h * NS_PER_H  # written before the step
+    written = EventRow(utc_ns=now_ns, wall_utc_ns=now_ns, topic="service", kind="self_calibrated", payload={})
+    filled.catalogue.commit_set(SetCommit(events=[written]))
+    filled.beat(line=TimeLine(utc_ns=now_ns, elapsed_ns=elapsed_ns()))
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        info = get(api, "/api/v1/info")
+    filled.close()
+    assert info["clock"]["system_ahead_s"] == pytest.approx(by_h * 3600, abs=300.0)
+    age = datetime.now(UTC) - datetime.fromisoformat(info["as_of"]["now_utc"])
+    assert age.total_seconds() == pytest.approx(by_h * 3600, abs=300.0)
+    assert 0.0 <= info["as_of"]["wall_age_s"] < 300.0
+    print_status(config=None, data_dir=tmp_path, as_json=False)
+    told = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
+    assert re.search(told, capsys.readouterr().out, re.MULTILINE)
 
 
 def test_a_number_that_is_not_available_is_null(api):

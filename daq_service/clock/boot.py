@@ -1,0 +1,68 @@
+"""The name of a boot, by which monotonic times of different processes compare."""
+
+from __future__ import annotations
+
+import sys
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+WINDOWS_BOOT_COUNTER = 0x7FFE0000 + 0x2C4
+"""``KUSER_SHARED_DATA.BootId`` (ntddk.h, since Windows 10) in the page that the kernel shows every process at
+this address. It counts starts of the kernel; the registry's copy of it may lag behind, the boot loader's GUID
+may stay the same."""
+_PROCESS_FRAME = f"process-{uuid.uuid4()}"
+
+
+def _sysctl_text(name: str) -> str:
+    """Text of a kernel variable of macOS."""
+    import ctypes
+
+    size = ctypes.c_size_t(64)
+    text = ctypes.create_string_buffer(size.value)
+    if ctypes.CDLL(None).sysctlbyname(name.encode(), text, ctypes.byref(size), None, ctypes.c_size_t(0)) != 0:
+        raise OSError(f"sysctl {name} is not answered")
+    return text.value.decode("ascii")
+
+
+def _word_at(address: int) -> int:
+    """Unsigned 32-bit word of this process's memory."""
+    import ctypes
+
+    return ctypes.c_uint32.from_address(address).value
+
+
+def boot_name(
+    platform: str = sys.platform,
+    *,
+    linux_file: Path = Path("/proc/sys/kernel/random/boot_id"),
+    sysctl: Callable[[str], str] = _sysctl_text,
+    word_at: Callable[[int], int] = _word_at,
+) -> str | None:
+    """Name of this boot: the same in each of its processes, another after the next start of the machine.
+
+    The time of the boot is no name: the kernels of Windows and macOS move it when the clock is set.
+
+    Parameters
+    ----------
+    linux_file, sysctl, word_at
+        How the kernel is asked on Linux, macOS and Windows; injected by tests.
+
+    Returns
+    -------
+    str or None
+        None where the kernel names no boot (Windows before 10, other systems).
+    """
+    try:
+        if platform == "win32":
+            counter = word_at(WINDOWS_BOOT_COUNTER)
+            return f"windows-boot-{counter}" if counter else None
+        text = sysctl("kern.bootsessionuuid") if platform == "darwin" else linux_file.read_text("ascii")
+    except (OSError, AttributeError, ValueError):
+        return None
+    return text.strip() or None
+
+
+def boot_id() -> str:
+    """Frame in which monotonic times compare: this boot, or this process where no boot has a name."""
+    return boot_name() or _PROCESS_FRAME

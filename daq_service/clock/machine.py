@@ -1,0 +1,54 @@
+"""What a machine tells of its time: how much of its boot has elapsed, and whether its UTC is kept right."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+
+KERNEL_GIVES_UP_US = 16_000_000
+"""Linux: the kernel's estimate of the error of a clock that nobody synchronises, or no longer does."""
+
+
+def elapsed_source(platform: str = sys.platform) -> Callable[[], int]:
+    """Clock of the time elapsed in this boot in ns, sleep included, which nobody sets.
+
+    Linux and macOS have one beside the usual monotonic clock, which stops in their sleep. That of Windows
+    (GetTickCount64, from Python 3.13 on QueryPerformanceCounter) counts on; elsewhere sleep is not counted.
+    """
+    name = {"linux": "CLOCK_BOOTTIME", "darwin": "CLOCK_MONOTONIC_RAW"}.get(platform, "")
+    clock_id = getattr(time, name, None)
+    return time.monotonic_ns if clock_id is None else partial(time.clock_gettime_ns, clock_id)
+
+
+elapsed_ns = elapsed_source()
+
+
+def is_synchronised(platform: str = sys.platform) -> bool:
+    """Whether somebody keeps the system's UTC right, as the kernel knows it; False where nobody can tell.
+
+    Only Linux is asked, for its estimate of the error: the flag that it also has is set by some for another
+    reason.
+    """
+    if platform != "linux":
+        return False
+    import ctypes
+
+    class Timex(ctypes.Structure):
+        """The beginning of ``struct timex`` (adjtimex(2)); ``modes`` 0 only reads."""
+
+        _fields_ = (
+            ("modes", ctypes.c_uint),
+            ("offset", ctypes.c_long),
+            ("freq", ctypes.c_long),
+            ("maxerror", ctypes.c_long),
+            ("rest", ctypes.c_byte * 256),
+        )
+
+    told = Timex()
+    try:
+        answered = ctypes.CDLL(None).adjtimex(ctypes.byref(told)) >= 0
+    except (OSError, AttributeError):
+        return False
+    return bool(answered and told.maxerror < KERNEL_GIVES_UP_US)

@@ -1,0 +1,68 @@
+"""Experiment time that jumps to the next due time, or walks there at a pace so that a person can watch."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from daq_service.clock.wall import IDLE_INTERVAL_S
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+
+class SimulatedClock:
+    """Experiment time that passes only while somebody waits.
+
+    Parameters
+    ----------
+    start_utc_ns
+        First reading; a resumed experiment passes the time of its last committed row.
+    pace_h_per_s
+        Hours of experiment a second of wall time; None jumps.
+    sleep
+        Waits a number of seconds; injected by tests.
+    """
+
+    def __init__(
+        self,
+        start_utc_ns: int,
+        *,
+        pace_h_per_s: float | None = None,
+        sleep: Callable[[float], None] = time.sleep,
+        wall_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        if pace_h_per_s is not None and not pace_h_per_s > 0.0:
+            raise ValueError(f"pace_h_per_s is {pace_h_per_s}; it must be positive, or None to jump")
+        self._utc_ns = start_utc_ns
+        self._pace_h_per_s = pace_h_per_s
+        self._sleep = sleep
+        self._wall_ns = wall_ns
+        # Where experiment time met wall time last: pacing is measured from here, so that the
+        # time spent on striking and storing is part of the pace and not added to it.
+        self._anchor = (start_utc_ns, wall_ns())
+
+    def utc_ns(self) -> int:
+        """Experiment time."""
+        return self._utc_ns
+
+    def mono_ns(self) -> int:
+        """Experiment time again: a simulated clock is never set back."""
+        return self._utc_ns
+
+    def finish_now(self) -> None:
+        """Stop pacing: jump from here on."""
+        self._pace_h_per_s = None
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        """Jump, or walk at the pace, to ``utc_ns``; a time in the past is reached at once."""
+        while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
+            due_wall_ns = (
+                self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
+            )
+            left_s = (due_wall_ns - self._wall_ns()) / NS_PER_S
+            if left_s <= 0.0:
+                break
+            if not idle():
+                return False
+            self._sleep(min(left_s, IDLE_INTERVAL_S))
+        self._utc_ns = max(self._utc_ns, utc_ns)
+        return idle()

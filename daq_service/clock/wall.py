@@ -1,0 +1,161 @@
+"""The clock of a test in real time: elapsed time, which no step of UTC moves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from daq_service.clock.boot import boot_name
+from daq_service.clock.machine import elapsed_ns, is_synchronised
+from daq_service.clock.time_line import Before, Step, TimeLine
+from daq_service.clock.written import format_utc
+from hardware_drivers.nanoseconds import NS_PER_S
+
+IDLE_INTERVAL_S = 0.05
+"""How often a waiting clock lets its caller look around; the Protocol allows 0.2 s."""
+LOOKS = 3
+TORN_NS = 100_000_000
+"""Between the looks at the two clocks; a machine that slept or stalled there is looked at again."""
+
+
+class WallClock:
+    """Experiment time of a test in real time (`hardware_drivers.instruments.Clock`).
+
+    Each reading looks at the system's UTC, too; `steps` hands over what was found. While that UTC is doubted
+    time stands still at what was stored last.
+
+    Parameters
+    ----------
+    before
+        What is known of an earlier recorder's time; None: time begins now.
+    system_ns, elapsed_ns, synchronised, boot, sleep
+        How the machine is asked and waited for; injected by tests.
+    """
+
+    def __init__(
+        self,
+        before: Before | None = None,
+        *,
+        system_ns: Callable[[], int] = time.time_ns,
+        elapsed_ns: Callable[[], int] = elapsed_ns,
+        synchronised: Callable[[], bool] = is_synchronised,
+        boot: Callable[[], str | None] = boot_name,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._system_ns, self._elapsed_ns = system_ns, elapsed_ns
+        self._synchronised, self._sleep = synchronised, sleep
+        self._boot = boot()
+        self._steps: list[Step] = []
+        system, elapsed = self._both()
+        self._line = TimeLine(utc_ns=system, elapsed_ns=elapsed)
+        self._doubted: Before | None = None
+        if before is not None and before.line is not None:
+            self._line = before.line
+        elif before is not None and before.doubt(system, synchronised=synchronised()):
+            self._doubted = before
+
+    def utc_ns(self) -> int:
+        """Experiment time."""
+        if self._doubted is not None:
+            return self._doubted.last_utc_ns
+        system, elapsed = self._both()
+        before, self._line = self._line, self._line.at(system, elapsed)
+        if self._line.ahead_ns != before.ahead_ns:
+            self._steps.append(
+                self._told(self._line.ahead_ns - before.ahead_ns, "the system's clock was set")
+            )
+        return self._line.utc_ns
+
+    def mono_ns(self) -> int:
+        """Time elapsed in this boot, sleep included."""
+        return self._elapsed_ns()
+
+    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+        """Wait in short steps; a laptop's sleep only changes the steps left."""
+        while (left_ns := utc_ns - self.utc_ns()) > 0:
+            if not idle():
+                return False
+            self._sleep(min(left_ns / NS_PER_S, IDLE_INTERVAL_S))
+        return idle()
+
+    def line(self) -> TimeLine | None:
+        """Experiment time and elapsed time of one moment, for a later recorder; None while it is doubted."""
+        self.utc_ns()
+        return None if self._doubted is not None else self._line
+
+    def steps(self) -> list[Step]:
+        """Hand over the steps found since this was asked last."""
+        found, self._steps = self._steps, []
+        return found
+
+    # While the system's UTC is doubted ---------------------------------------------------------------
+
+    def wait_while_doubted(self, idle: Callable[[str], bool]) -> Step | None:
+        """Wait until the system's UTC can be believed, or is trusted.
+
+        Parameters
+        ----------
+        idle
+            Called with the reason at least every 0.2 s; False ends the wait.
+
+        Returns
+        -------
+        Step or None
+            How time goes on; None where nothing was doubted, or still is.
+        """
+        waited = self._doubted is not None
+        while self._doubted is not None:
+            system, elapsed = self._both()
+            reason = self._doubted.doubt(system, synchronised=self._synchronised())
+            if not reason:
+                self._go_on(system, elapsed)
+            elif not idle(reason):
+                return None
+            elif self._doubted is not None:
+                self._sleep(IDLE_INTERVAL_S)
+        return self._told(0, "the system's clock is believed") if waited else None
+
+    def trust(self) -> str:
+        """Believe the system's UTC on a person's word, never before what is stored; say how time goes on.
+
+        Raises
+        ------
+        ValueError
+            Nobody doubts it.
+        """
+        if self._doubted is None:
+            raise ValueError("the system's clock is believed already")
+        self._go_on(*self._both())
+        return self._told(0, "the system's clock is trusted").message
+
+    def _go_on(self, system_ns: int, elapsed_ns: int) -> None:
+        assert self._doubted is not None, "only a doubted clock is believed anew"
+        utc_ns = max(system_ns, self._doubted.last_utc_ns)
+        self._line = TimeLine(utc_ns=utc_ns, elapsed_ns=elapsed_ns, ahead_ns=system_ns - utc_ns)
+        self._doubted = None
+
+    # -------------------------------------------------------------------------------------------------
+
+    def _both(self) -> tuple[int, int]:
+        """System's UTC and elapsed time of one moment."""
+        for _ in range(LOOKS):
+            elapsed, system = self._elapsed_ns(), self._system_ns()
+            if self._elapsed_ns() - elapsed < TORN_NS:
+                break
+        return system, elapsed
+
+    def _told(self, step_ns: int, what: str) -> Step:
+        step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
+        utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns
+        by = f" by {step_s:+.3f} s" if step_ns else ""
+        side = "ahead of it" if ahead_s > 0.0 else "behind it"
+        beside = f"; the system's clock is {abs(ahead_s):.3f} s {side}" if ahead_s else ""
+        return Step(
+            step_s=step_s,
+            ahead_s=ahead_s,
+            system_utc_ns=system_ns,
+            experiment_utc_ns=utc_ns,
+            boot=self._boot,
+            message=f"{what}{by} to {format_utc(system_ns, 3)}; the test goes on at {format_utc(utc_ns, 3)} "
+            f"by elapsed time{beside}",
+        )

@@ -1,0 +1,29 @@
+"""Times as people write them: RFC 3339, UTC."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from hardware_drivers.nanoseconds import NS_PER_S
+
+
+def parse_utc(text: str) -> int:
+    """RFC 3339 time to integer nanoseconds of UTC.
+
+    Raises
+    ------
+    ValueError
+        Not a time, or a time without an offset.
+    """
+    moment = datetime.fromisoformat(text)
+    if moment.tzinfo is None:
+        raise ValueError(f"{text!r} has no UTC offset; write it like 2024-01-01T00:00:00Z")
+    delta = moment.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)
+    return (delta.days * 86_400 + delta.seconds) * NS_PER_S + delta.microseconds * 1000
+
+
+def format_utc(utc_ns: int, decimals: int = 9) -> str:
+    """Integer nanoseconds of UTC to RFC 3339 (ISO 8601), cut to ``decimals`` (0 to 9) of the seconds."""
+    whole, rest = divmod(utc_ns, NS_PER_S)
+    stamp = datetime.fromtimestamp(whole, tz=UTC).strftime("%Y-%m-%dT%H:%M:%S")
+    return stamp + (f".{rest:09d}"[: decimals + 1] if decimals else "") + "Z"

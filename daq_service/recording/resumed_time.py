@@ -1,0 +1,71 @@
+"""What a data folder knows of the time when a recorder starts, and when a test may begin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.clock import Before, format_utc, parse_utc
+from daq_service.errors import UsageError
+from daq_service.processes.heartbeat import Beat, time_line_of
+from hardware_drivers.nanoseconds import NS_PER_S
+
+CLOCK_STEP, CLOCK_BELIEVED = "clock_step", "clock_believed"
+"""Events that tell how far the system's clock is ahead of the test's time."""
+
+EARLIEST_UTC = "2025-01-01T00:00:00Z"
+"""Nobody had this software before: a machine without a clock of its own starts in 1970, 2000 or 2010."""
+
+
+def time_before(
+    catalogue: RecorderCatalogue,
+    beat: Beat | None,
+    *,
+    opened_utc_ns: Sequence[int] = (),
+    boot: str | None,
+    elapsed_ns: int,
+    doubt_after_h: float,
+) -> Before:
+    """Gather it from the newest rows and, on the same boot, from the last sign of life.
+
+    The heartbeat is a hint that a power cut may take; but then the boot is another one, and its pair of times
+    worth nothing. What the system's clock was ahead by is what was told, and stored, last.
+
+    Parameters
+    ----------
+    beat
+        Last sign of life of an earlier recorder.
+    opened_utc_ns
+        Of the last shots that the journal knows and the catalogue does not yet.
+    boot, elapsed_ns
+        This boot, and what has elapsed of it.
+    """
+    line = time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns)
+    told = catalogue.last_told(CLOCK_STEP, CLOCK_BELIEVED)
+    if line is not None and told is not None and told.payload["boot"] == boot:
+        line = replace(line, ahead_ns=round(told.payload["ahead_s"] * NS_PER_S))
+    newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
+    return Before(
+        last_utc_ns=max(
+            newest[0].utc_ns if newest else catalogue.experiment_row().epoch_utc_ns, *opened_utc_ns, 0
+        ),
+        line=line,
+        doubt_after_h=doubt_after_h,
+    )
+
+
+def hour_0(system_ns: int) -> int:
+    """Let a test in real time begin now.
+
+    Raises
+    ------
+    UsageError
+        The system's clock is not set.
+    """
+    if system_ns < parse_utc(EARLIEST_UTC):
+        raise UsageError(
+            f"the system's clock says {format_utc(system_ns, 0)}, which is before {EARLIEST_UTC}; set it, "
+            "then begin the test"
+        )
+    return system_ns

@@ -1,0 +1,60 @@
+"""A computer whose clocks pass only while somebody sleeps: set, drifting, started again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from daq_service.clock import Before, WallClock
+
+NS_PER_S = 1_000_000_000
+NS_PER_H = 3600 * NS_PER_S
+
+
+class Machine:
+    """Its system's UTC, the time elapsed in its boot, and what happens to them.
+
+    Parameters
+    ----------
+    utc_ns
+        What its clock says at first.
+    drift_ppm
+        By how much that runs ahead.
+    """
+
+    def __init__(self, utc_ns: int, *, drift_ppm: int = 0) -> None:
+        self.utc_ns, self.drift_ppm = utc_ns, drift_ppm
+        self.elapsed_ns, self.boot, self.synchronised = 500 * NS_PER_S, "boot 1", False
+        self._planned: list[tuple[int, Callable[[], None]]] = []
+
+    def after(self, hours: float, action: Callable[[], None]) -> None:
+        """Let something happen when so much more has elapsed."""
+        self._planned.append((self.elapsed_ns + round(hours * NS_PER_H), action))
+
+    def set_clock(self, by_h: float) -> None:
+        """Step the system's UTC."""
+        self.utc_ns += round(by_h * NS_PER_H)
+
+    def start_again(self, utc_ns: int) -> None:
+        """Boot, with a clock that says ``utc_ns``."""
+        self.utc_ns, self.elapsed_ns, self.boot = utc_ns, 30 * NS_PER_S, f"{self.boot} again"
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass, and happen what is planned for it."""
+        passed_ns = round(seconds * NS_PER_S)
+        self.elapsed_ns += passed_ns
+        self.utc_ns += passed_ns + passed_ns * self.drift_ppm // 1_000_000
+        ripe = [action for when_ns, action in self._planned if when_ns <= self.elapsed_ns]
+        self._planned = [item for item in self._planned if item[0] > self.elapsed_ns]
+        for action in ripe:
+            action()
+
+    def clock(self, before: Before | None = None) -> WallClock:
+        """Return the clock of a recorder that starts on this machine."""
+        return WallClock(
+            before,
+            system_ns=lambda: self.utc_ns,
+            elapsed_ns=lambda: self.elapsed_ns,
+            synchronised=lambda: self.synchronised,
+            boot=lambda: self.boot,
+            sleep=self.sleep,
+        )
