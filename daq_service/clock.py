@@ -103,6 +103,15 @@ def boot_id() -> str:
     return boot_name() or _PROCESS_FRAME
 
 
+def since_boot_ns() -> int:
+    """Time of this boot, sleep included where the system counts it; no step of UTC moves it."""
+    if sys.platform == "linux":
+        return time.clock_gettime_ns(time.CLOCK_BOOTTIME)
+    if sys.platform == "darwin":  # there Python's monotonic time stands still in sleep
+        return time.clock_gettime_ns(time.CLOCK_MONOTONIC)
+    return time.monotonic_ns()
+
+
 class WallClock:
     """UTC and monotonic time of this machine."""
 

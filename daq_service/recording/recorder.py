@@ -31,7 +31,7 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
-from daq_service.errors import RigError
+from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -131,6 +131,7 @@ class Recorder:
             "before": not_running_because,
             "versions": self._provenance["versions"],
         }
+        self._backlog.put(self._orders.begin)
         self._say("recorder_started", started)
         self._set_damaged_aside()
         for number, due in enumerate(self._plan):
@@ -157,6 +158,13 @@ class Recorder:
         self._doing = "waiting for orders; every set is taken"
         while self._idle():
             self._stop.wait(LINGER_S)
+
+    def leave(self) -> None:
+        """Tell whoever gave an order that was not begun: nobody will carry it out."""
+        try:
+            self._orders.close("the recorder has ended")
+        except (StorageError, OSError) as error:
+            log.warning("open orders are not answered; the next recorder does it: %s", error)
 
     # One set -----------------------------------------------------------------------------------
 

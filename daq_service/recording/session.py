@@ -106,6 +106,7 @@ def record(
             left_alone=left_alone,
             listen_every_s=listen_every_s,
         )
+        stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)
         if finished:
             tell("finished")

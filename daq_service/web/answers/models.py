@@ -132,6 +132,8 @@ class AlarmRow(Answer):
 class CommandRow(Answer):
     """An operator's order and the recorder's answer."""
 
+    expires_in_s: float | None = Field(description="Then nobody will carry it out; null: it is not pending")
+
 
 class Page(Answer):
     """Frame of every listing."""

@@ -1,7 +1,7 @@
 // Wires the page: history first, then events and waveforms as they come. The API is the only source
 // of what is drawn; an event only says what to read again.
 
-import { all, get, hasData, post } from "./api.js";
+import { all, get, hasData } from "./api.js";
 import { SolimonAlarms } from "./alarms.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
@@ -9,6 +9,7 @@ import { fixed, hour, scientific, significant, utc } from "./format.js";
 import { showEnvironment } from "./environment.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
+import { order } from "./orders.js";
 import { Retired } from "./retired.js";
 import { EventStream, WaveformStream } from "./streams.js";
 import { Tiles } from "./tiles.js";
@@ -415,10 +416,11 @@ byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
   button.disabled = true;
   try {
-    await post("/commands", { kind: "finish_now", author: "dashboard" });
+    await order("finish_now", {}, (word) => setText(button, word));
     setText(button, "Finishing");
   } catch (error) {
     button.disabled = false;
+    setText(button, "Finish now");
     notice(/** @type {Error} */ (error).message, "alarm");
   }
 });
