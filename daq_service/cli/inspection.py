@@ -16,6 +16,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.clock import format_utc, parse_utc
+from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.processes.data_folder import data_folder, settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
@@ -132,6 +133,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         return
     click.echo(f"data      {folder}")
     click.echo(f"recorder  {facts['recorder']}")
+    if facts["supply"] is not None:
+        click.echo(f"supply    {facts['supply']['description']}")
     if facts["held"]:
         click.echo(f"on hold   {facts['held']}; nothing strikes until it is released")
     if facts["counts"] is None:
@@ -144,11 +147,14 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
 
 def describe_status(folder: Path) -> dict[str, Any]:
     """Read the recorder's state, the counts, and the last word on each position."""
+    drive = look_at_drive(folder)
+    supply = None if drive is None else {**asdict(drive), "description": described(drive)}
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             told = catalogue.last_told(*TELLING)
             return {
                 "recorder": look_at_recorder(folder, [told.kind] if told else []).description,
+                "supply": supply,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
@@ -156,4 +162,4 @@ def describe_status(folder: Path) -> dict[str, Any]:
             }
     except NoDataYetError:
         nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
-        return {"recorder": look_at_recorder(folder, []).description, **nothing}
+        return {"recorder": look_at_recorder(folder, []).description, "supply": supply, **nothing}

@@ -31,6 +31,7 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import boot_id
+from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
@@ -80,6 +81,7 @@ class Recorder:
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
+        remote_drive: RemoteDrive | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -108,7 +110,8 @@ class Recorder:
         self._orphans = {index: file for index, file in archive.sets().items() if index not in done}
         self._damaged: dict[int, str] = {}
         self._told_trouble = ""
-        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
+        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive)
+        drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
             hour=self._hour,
@@ -117,7 +120,7 @@ class Recorder:
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             positions=settings.names_of(SOLITARY_WAVE),
-            supply=self._ledger.drive if rig.supply is not None else None,
+            supply=drive if drive is not None and drive.has_supply else None,
         )
         self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
 
@@ -147,7 +150,9 @@ class Recorder:
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
         self._wait_for_the_disk()
         finished = not self._stop.is_set()
-        supply = "" if self._ledger.drive is None else self._ledger.drive.end()
+        # A supervisor that was killed is no end of the test: the drive's process watches the supply.
+        left = self._ledger.drive is None or self._left_alone.is_set()
+        supply = "" if left or self._ledger.drive is None else self._ledger.drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
         self._say("schedule_done" if finished else stopped, farewell)
