@@ -29,7 +29,7 @@ from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_LOCK, hold_lock
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.instruments import PowerSupply
+from hardware_drivers.instruments import Clock, PowerSupply
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SupplyParameters
 
@@ -60,12 +60,21 @@ def fingerprint(parameters: SupplyParameters) -> str:
 
 
 def what_now(
-    *, silent_s: float, unwatched_s: float, output: str, owes: bool, off_for_good: bool, stays: bool
+    *,
+    silent_s: float,
+    alone_s: float,
+    unwatched_s: float,
+    output: str,
+    owes: bool,
+    off_for_good: bool,
+    stays: bool,
 ) -> Verdict:
     """Decide by how long no recorder was heard.
 
     Parameters
     ----------
+    silent_s, alone_s
+        Since one was heard, also by a process before this one; and since this one heard one, or began.
     output, owes
         What the output does, and whether it could not be switched off yet.
     off_for_good
@@ -74,7 +83,7 @@ def what_now(
         It does not leave by itself.
     """
     if output == "off" and not owes:
-        return "leave" if silent_s >= min(unwatched_s, LEAVE_AFTER_S) and not stays else "stay"
+        return "leave" if alone_s >= min(unwatched_s, LEAVE_AFTER_S) and not stays else "stay"
     return "switch off" if silent_s >= unwatched_s and not off_for_good else "stay"
 
 
@@ -96,7 +105,7 @@ class DriveProcess:
         folder: Path,
         *,
         stays: bool = False,
-        clock: WallClock | None = None,
+        clock: Clock | None = None,
     ) -> None:
         self._clock = clock or SleeplessClock()
         self._parameters, self._folder, self._stays = parameters, folder, stays
@@ -105,7 +114,7 @@ class DriveProcess:
             supply, self._clock, parameters, DriveState() if before is None else before.state
         )
         now_ns = self._clock.mono_ns()
-        self._heard_ns = now_ns
+        self._heard_ns = self._met_ns = now_ns
         if before is not None and before.boot_id == boot_name() is not None:
             grace_s = min(GRACE_S, parameters.unwatched_s)
             self._heard_ns = max(
@@ -120,9 +129,11 @@ class DriveProcess:
         """Read what is due, keep what has changed, and see whether anybody watches."""
         self._drive.tick()
         state = self._drive.state
-        silent_s = (self._clock.mono_ns() - self._heard_ns) / NS_PER_S
+        now_ns = self._clock.mono_ns()
+        silent_s = (now_ns - self._heard_ns) / NS_PER_S
         verdict = what_now(
             silent_s=silent_s,
+            alone_s=(now_ns - self._met_ns) / NS_PER_S,
             unwatched_s=self._parameters.unwatched_s,
             output=self._drive.output(),
             owes=self._drive.owes_switching_off,
@@ -187,12 +198,14 @@ class DriveProcess:
 
     def answer(self, request: Message) -> Message:
         """Do what a recorder asks, and tell how the drive stands; being asked is being watched."""
-        self._heard_ns = self._clock.mono_ns()
+        self._heard_ns = self._met_ns = self._clock.mono_ns()
         failed: dict[str, Any] = {}
         try:
             self._obey(request)
         except (InstrumentError, ValueError, LookupError, TypeError) as error:
             failed = {"error": str(error)}
+        if request["do"] != "look":
+            self._drive.tick()  # what is told is read after the order
         self.keep()
         row = self._drive.row(0, 0.0)
         return {

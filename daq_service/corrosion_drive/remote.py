@@ -227,18 +227,24 @@ class RemoteDrive:
     def conditions(self) -> tuple[DriveCondition, ...]:
         """Possible alarms as told last, but for the loss of whoever told them."""
         told = () if self._told is None else self._told["conditions"]
-        found = [DriveCondition(**condition) for condition in told]
+        found = {condition["name"]: DriveCondition(**condition) for condition in told}
+        tripped = found.get("interlock_tripped")
+        if self._tripped is not None and (tripped is None or not tripped.active):
+            found["interlock_tripped"] = DriveCondition(
+                name="interlock_tripped",
+                active=True,
+                message=f"{self._tripped}; the process of the drive has not heard it yet",
+            )
         missing_s = self._mono_s() - (self._begun_s if self._told is None else self._told_s)
         gone = self._connection is None and (self._told is not None or missing_s >= COMES_WITHIN_S)
-        if not (gone or missing_s >= answered_within_s(self._parameters)):
-            return tuple(found)
-        lost = DriveCondition(
-            name="supply_lost",
-            active=True,
-            message="what the output does is unknown: the process of the drive does not answer, for "
-            f"{missing_s:.0f} s now",
-        )
-        return (lost, *(condition for condition in found if condition.name != "supply_lost"))
+        if gone or missing_s >= answered_within_s(self._parameters):
+            found["supply_lost"] = DriveCondition(
+                name="supply_lost",
+                active=True,
+                message="what the output does is unknown: the process of the drive does not answer, for "
+                f"{missing_s:.0f} s now",
+            )
+        return tuple(found.values())
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Row of a set, as told last; without an answer the output is unknown and its time, too."""
@@ -252,7 +258,11 @@ class RemoteDrive:
             return unknown
         row = replace(unknown, **self._told["row"])
         since_s = self._mono_s() - self._told_s
-        aged = replace(row, supply_age_s=None if row.supply_age_s is None else row.supply_age_s + since_s)
+        aged = replace(
+            row,
+            supply_age_s=None if row.supply_age_s is None else row.supply_age_s + since_s,
+            supply_tripped=self._tripped,
+        )
         if self._connection is not None and since_s < answered_within_s(self._parameters):
             return aged
         return replace(

@@ -11,7 +11,9 @@ from support.served_web import served, served_app
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.corrosion_drive.charge import DriveState
+from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
@@ -110,6 +112,15 @@ def see_the_supply_and_climate(filled, page):
     climate = strip.locator('[data-quality="stale"]')
     expect(climate).to_contain_text("Stale")
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
+    off = DriveState(tripped="nobody watched: no recorder was heard for 600 s", unwatched=True)
+    write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
+    filled.add_environment(N_SETS)
+    now = strip.locator('[data-quality="lost"]')
+    expect(now).to_contain_text("Supply now")
+    expect(now).to_contain_text(
+        "unknown; off when it was read last; switched off and kept off: nobody watched"
+    )
+    (filled.folder / DRIVE_FILE).unlink()
 
 
 def see_the_live_record(filled, page):

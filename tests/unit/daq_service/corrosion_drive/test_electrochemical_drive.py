@@ -1,6 +1,7 @@
 """The corrosion drive on a scripted supply and a clock that the test moves."""
 
 import pytest
+from support.scripted_supply import PlainSupply, ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.tables import environment
@@ -8,7 +9,7 @@ from daq_service.corrosion_drive.charge import Charge, DriveState, restored_stat
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
-from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.measurement import ClimateReading
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
 
 INTERVAL_S = 10.0
@@ -24,55 +25,6 @@ PARAMETERS = SupplyParameters(
     interlock_lost_after_s=300.0,
 )
 CLIMATE = ClimateParameters(line=LINE, identity="ANY", log_interval_s=60.0)
-
-
-class PlainSupply:
-    """Says what the test wants; notes everything that is asked of it."""
-
-    tripped_protections = ()
-
-    def __init__(self, clock):
-        self.clock = clock
-        self.on = False
-        self.current_a = 0.2
-        self.set = {"set_voltage_v": 10.0, "set_current_limit_a": 1.0}
-        self.error = None
-        self.calls = []
-
-    def _call(self, name):
-        self.calls.append(name)
-        if self.error is not None:
-            raise self.error
-
-    def read(self, timeout_s):
-        assert timeout_s == PARAMETERS.read_timeout_s
-        self._call("read")
-        return SupplyReading(
-            stamp=self.clock.stamp(),
-            voltage_v=10.0 if self.on else 0.0,
-            current_a=self.current_a if self.on else 0.0,
-            output_on=self.on,
-        )
-
-    def energise(self, voltage_v, current_limit_a):
-        self._call(f"energise {voltage_v:g} V {current_limit_a:g} A")
-        self.on = True
-
-    def make_safe(self):
-        self._call("make_safe")
-        self.on = False
-
-    def identity(self):
-        return {}
-
-
-class ScriptedSupply(PlainSupply):
-    """The same, and tells what is set."""
-
-    def read_back(self, timeout_s):
-        assert timeout_s == PARAMETERS.read_timeout_s
-        self._call("read_back")
-        return {**self.set, "output": "on" if self.on else "off"}
 
 
 class ScriptedProbe:
