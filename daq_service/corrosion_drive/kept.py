@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, since_boot_ns
 from daq_service.corrosion_drive.charge import Charge, DriveState
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
-from daq_service.shared_file import HINT_SUFFIX, read_hint, write_durably
+from daq_service.shared_file import read_hint, write_durably
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -71,8 +71,9 @@ def write_kept(folder: Path, kept: Kept) -> None:
     OSError
         The disk does not take it.
     """
-    path = folder / DRIVE_FILE
-    write_durably(path, json.dumps(asdict(kept)).encode(), temporary=path.with_suffix(HINT_SUFFIX))
+    # Not the suffix of hints, which a recorder that starts sweeps away.
+    temporary = (folder / DRIVE_FILE).with_suffix(".new")
+    write_durably(folder / DRIVE_FILE, json.dumps(asdict(kept)).encode(), temporary=temporary)
 
 
 def read_kept(folder: Path) -> Kept | None:

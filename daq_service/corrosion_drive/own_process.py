@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 TICK_S = 0.05
 KEEP_EVERY_S = 5.0
 """Charge and newest reading are kept so often; what the interlock does at once."""
+KEEP_AGAIN_S = 1.0
+"""After the disk refused it."""
 LEAVE_AFTER_S = 10.0
 """A recorder that is started again finds the process that it had."""
 GRACE_S = 30.0
@@ -178,6 +180,7 @@ class DriveProcess:
             if not self._disk:
                 log.error("charge and interlock are not kept: %s", error)
             self._disk = str(error)
+            self._kept_ns -= round((KEEP_EVERY_S - KEEP_AGAIN_S) * NS_PER_S)
 
     def end(self) -> None:
         """Leave the supply to nobody: what is not read as off is switched off.
