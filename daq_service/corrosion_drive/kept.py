@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import time
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ from typing import Any
 from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, since_boot_ns
 from daq_service.corrosion_drive.charge import Charge, DriveState
-from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
+from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, hold_lock, is_owned, lock_text
 from daq_service.shared_file import read_hint, write_durably
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -54,6 +56,32 @@ class Kept:
         if self.boot_id == boot is not None:
             return max(0.0, (since_boot_ns() - self.boot_ns) / NS_PER_S)
         return max(0.0, (time.time_ns() - self.utc_ns) / NS_PER_S)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """How the process of the drive is reached: its port, its key in hexadecimal, and what it drives."""
+
+    port: int
+    key: str
+    fingerprint: str
+
+
+def own_drive(folder: Path, address: Address) -> AbstractContextManager[None]:
+    """Hold the drive's lock, with an address that only this user reads; `BusyError` if another one does."""
+    text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
+    return hold_lock(folder, DRIVE_LOCK, text, who="process of the drive", mode=0o600)
+
+
+def address_of(folder: Path) -> Address:
+    """Read the address of the process that holds the lock.
+
+    Raises
+    ------
+    ValueError, TypeError
+        It has not written it yet, or another user's process has.
+    """
+    return Address(**json.loads(lock_text(folder, DRIVE_LOCK).partition("\n")[2]))
 
 
 def kept_now(state: DriveState, **told: Any) -> Kept:

@@ -8,13 +8,10 @@ moves. It never energises but at an order that a recorder hands on, and it leave
 from __future__ import annotations
 
 import hashlib
-import json
 import logging
-import os
 import secrets
 import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -24,10 +21,9 @@ from daq_service.clock import WallClock, boot_name, since_boot_ns
 from daq_service.corrosion_drive.channel import Message, Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
-from daq_service.corrosion_drive.kept import Kept, kept_now, read_kept, write_kept
+from daq_service.corrosion_drive.kept import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from daq_service.errors import RigError
-from daq_service.processes.data_folder import DRIVE_LOCK, hold_lock
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Clock, PowerSupply
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -272,7 +268,7 @@ def own_supply(
     key = secrets.token_bytes(32)
     with (
         Server(key) as server,
-        _owned(folder, server.port, key, fingerprint(parameters)),
+        own_drive(folder, Address(port=server.port, key=key.hex(), fingerprint=fingerprint(parameters))),
         open_supply(parameters) as supply,
     ):
         process = DriveProcess(supply, parameters, folder, stays=stays)
@@ -289,15 +285,3 @@ def own_supply(
         else:
             process.end()
         return process.leaves
-
-
-@contextmanager
-def _owned(folder: Path, port: int, key: bytes, agreed: str) -> Iterator[None]:
-    address: Mapping[str, Any] = {
-        "process": os.getpid(),
-        "port": port,
-        "key": key.hex(),
-        "fingerprint": agreed,
-    }
-    with hold_lock(folder, DRIVE_LOCK, json.dumps(address), who="process of the drive", mode=0o600):
-        yield

@@ -7,7 +7,6 @@ process does not answer, what the output does is unknown. Nothing here repeats a
 from __future__ import annotations
 
 import itertools
-import json
 import logging
 import subprocess
 import time
@@ -21,9 +20,9 @@ from daq_service.clock import since_boot_ns
 from daq_service.corrosion_drive.channel import Connection, connect
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import DriveCondition, no_supply
-from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.corrosion_drive.kept import address_of, kept_now, write_kept
 from daq_service.corrosion_drive.own_process import fingerprint
-from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned, lock_text
+from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SupplyParameters
@@ -125,9 +124,9 @@ class RemoteDrive:
                 self._look_s = now_s  # it comes up within a moment
             return
         try:
-            address = json.loads(lock_text(self._folder, DRIVE_LOCK))
-            self._connection = connect(address["port"], bytes.fromhex(address["key"]))
-            if address["fingerprint"] != fingerprint(self._parameters):
+            address = address_of(self._folder)
+            self._connection = connect(address.port, bytes.fromhex(address.key))
+            if address.fingerprint != fingerprint(self._parameters):
                 self._send("hand over", why="the recorder has another configuration or version")
                 self._disconnect()
                 return

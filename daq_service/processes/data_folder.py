@@ -187,6 +187,8 @@ def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None 
 
     Parameters
     ----------
+    text
+        Its first line names the owner to a person; what comes behind is told to nobody.
     who
         What kind of process holds it.
     mode
@@ -217,9 +219,9 @@ def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None 
                 is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
             )
         except OSError as error:
+            owner, _, _ = lock_text(folder, name).partition("\n")
             raise BusyError(
-                f"another {who} owns {folder} ({lock_text(folder, name)}); stop it first, or choose another "
-                "folder with --data-dir"
+                f"another {who} owns {folder} ({owner}); stop it first, or choose another folder with --data-dir"
             ) from error
         with suppress(OSError):  # a full disk: the lock counts, not the text
             file.truncate(0)

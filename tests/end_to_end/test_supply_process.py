@@ -1,6 +1,5 @@
 """The drive in a process of its own: whatever ends around it, the supply is never left on unwatched."""
 
-import json
 import os
 import signal
 import subprocess
@@ -178,7 +177,7 @@ class Test:
 
     def drive(self) -> int:
         """Process number of the drive that runs."""
-        return int(json.loads(lock_text(self.folder, DRIVE_LOCK))["process"])
+        return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
     def drive_has_left(self) -> bool:
         return is_owned(self.folder, DRIVE_LOCK) is False
@@ -336,3 +335,30 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None
         ended(process, "Ctrl-C")
     assert process.returncode == 130
     assert test.switchings() == [True, False], "off at the end"
+
+
+def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_end(test: Test) -> None:
+    prepare_data_folder(test.folder)
+    config = write_configuration(test.settings(), test.folder)
+    command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
+    test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        try:
+            until(lambda: (now := look_at_drive(test.folder)) is not None and now.state == "on", "a reading")
+            second = subprocess.run(command, capture_output=True, text=True, check=False)
+            process.terminate()
+            ended(process, "SIGTERM")
+        finally:
+            process.kill()
+    assert second.returncode == 5
+    assert f"another process of the drive owns {test.folder} (process {process.pid}); " in second.stderr
+    assert "key" not in second.stderr + (test.folder / "logs" / "drive.log").read_text(encoding="utf-8")
+    assert process.returncode == 130
+    assert test.switchings() == [True, False]
+
+
+def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "[rig.supply]" in refused.stderr

@@ -285,8 +285,9 @@ def moved(kept: Any, **changes: Any) -> Any:
     [
         (lambda kept: {"boot_ns": kept.boot_ns - 100 * 10**9}, 102.0),
         (lambda kept: {"boot_id": "another", "utc_ns": kept.utc_ns - 3600 * 10**9}, 3602.0),
+        (lambda kept: {}, 2.0),  # a moment ago, but its process has gone
     ],
-    ids=["in this boot", "before the reboot"],
+    ids=["in this boot", "before the reboot", "just now"],
 )
 def test_whoever_looks_is_told_how_old_it_is(
     tmp_path: Path, changes: Callable[[Any], dict[str, Any]], age_s: float

@@ -1,6 +1,5 @@
 """The recorder's side of the drive's process: found, started, asked; and the channel between them."""
 
-import json
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -13,10 +12,9 @@ from support.serial_rig import TestClock
 
 from daq_service.corrosion_drive.channel import HOST, Server, opened, sealed
 from daq_service.corrosion_drive.charge import Charge, DriveState
-from daq_service.corrosion_drive.kept import read_kept
+from daq_service.corrosion_drive.kept import Address, own_drive, read_kept
 from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
-from daq_service.processes.data_folder import DRIVE_LOCK, hold_lock
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
@@ -59,10 +57,8 @@ class Bench:
     def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)) -> None:
         """Let the process begin."""
         self.server = self.life.enter_context(Server(KEY))
-        address = {"process": 1, "port": self.server.port, "key": KEY.hex(), "fingerprint": agreed}
-        self.life.enter_context(
-            hold_lock(self.folder, DRIVE_LOCK, json.dumps(address), who="drive", mode=0o600)
-        )
+        address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
+        self.life.enter_context(own_drive(self.folder, address))
         self.process = DriveProcess(self.supply, PARAMETERS, self.folder)
 
     def is_killed(self) -> None:
@@ -237,7 +233,9 @@ def test_a_line_is_opened_with_the_key_that_sealed_it() -> None:
     assert opened(KEY, line.replace(b"look", b"evil")) is None
 
 
-@pytest.mark.parametrize("said", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"])
+@pytest.mark.parametrize(
+    "said", [sealed(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
+)
 def test_a_stranger_is_sent_away_and_keeps_nobody_waiting(said: bytes) -> None:
     answered: list[Any] = []
 
