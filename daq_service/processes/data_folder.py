@@ -221,7 +221,8 @@ def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None 
         except OSError as error:
             owner, _, _ = lock_text(folder, name).partition("\n")
             raise BusyError(
-                f"another {who} owns {folder} ({owner}); stop it first, or choose another folder with --data-dir"
+                f"another {who} owns {folder} ({owner}); stop it first, or choose another "
+                "folder with --data-dir"
             ) from error
         with suppress(OSError):  # a full disk: the lock counts, not the text
             file.truncate(0)
