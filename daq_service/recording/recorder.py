@@ -151,8 +151,8 @@ class Recorder:
         self._wait_for_the_disk()
         finished = not self._stop.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
-        left = self._ledger.drive is None or self._left_alone.is_set()
-        supply = "" if left or self._ledger.drive is None else self._ledger.drive.end()
+        drive = None if self._left_alone.is_set() else self._ledger.drive
+        supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
         self._say("schedule_done" if finished else stopped, farewell)
