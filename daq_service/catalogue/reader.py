@@ -28,11 +28,16 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.catalogue.tables import alarms, commands, events, sets, shots, table_of
+from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.methods import PULSE_ECHO
+from hardware_drivers.nanoseconds import NS_PER_S
 
 R = TypeVar("R", bound=Row)
 OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, VerdictRow)
 Scope = Literal["set", "shot"]
+
+ORDER_WITHIN_S = 60.0
+"""An order that nobody has begun to carry out within this time expires, if its giver says nothing else."""
 
 
 class Filters(TypedDict, total=False):
@@ -45,6 +50,7 @@ class Filters(TypedDict, total=False):
     position: str | None
     set_index: int | None
     state: str | None
+    states: Collection[str] | None
     scope: Scope | None
     active: bool | None
     topics: Collection[str] | None
@@ -60,6 +66,7 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
     "active": lambda table, active: table.c.state != "normal" if active else table.c.state == "normal",
+    "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
@@ -286,8 +293,15 @@ class Catalogue:
         """One command, None where there is no such id."""
         return self._newest_row(CommandRow, commands.c.id == command_id)
 
-    def add_command(self, author: str, kind: str, arguments: dict[str, Any]) -> int:
+    def add_command(
+        self, author: str, kind: str, arguments: dict[str, Any], *, within_s: float = ORDER_WITHIN_S
+    ) -> int:
         """Write an operator's order for the recorder and return its id.
+
+        Parameters
+        ----------
+        within_s
+            An order that is not begun within this time expires.
 
         Raises
         ------
@@ -295,14 +309,18 @@ class Catalogue:
             Nothing was written.
         """
         with translated(self._path, "writing a command"), writing(self._for_commands()) as connection:
+            now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
             result = connection.execute(
                 insert(commands),
                 {
-                    "wall_utc_ns": time.time_ns(),
+                    "wall_utc_ns": now_ns,
                     "author": author,
                     "kind": kind,
                     "arguments": arguments,
                     "state": "pending",
+                    "deadline_wall_utc_ns": now_ns + within_ns,
+                    "deadline_boot_ns": elapsed_ns() + within_ns,
+                    "boot_id": boot_name(),
                 },
             )
             return int(result.inserted_primary_key[0])  # type: ignore[index]

@@ -21,7 +21,7 @@ LimitName = Literal["f_predictive", "paper_mean_3sd"]
 Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
-CommandState = Literal["pending", "done", "refused"]
+CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "stale", "lost", "absent"]
 
@@ -238,7 +238,10 @@ class EventRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CommandRow(Row):
-    """An operator's order, and the recorder's answer."""
+    """An operator's order, and the recorder's answer.
+
+    ``started`` is stored before the act: what a recorder died over is never carried out a second time.
+    """
 
     id: int
     wall_utc_ns: int
@@ -248,6 +251,9 @@ class CommandRow(Row):
     state: CommandState
     result: str | None = None
     finished_wall_utc_ns: int | None = None
+    deadline_wall_utc_ns: int | None = None  # not begun by then, it expires
+    deadline_boot_ns: Annotated[int | None, "The same in ns of the boot `boot_id`, sleep included"] = None
+    boot_id: str | None = None  # None where the system names no boot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

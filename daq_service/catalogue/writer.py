@@ -19,6 +19,7 @@ from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
     CommandRow,
+    CommandState,
     EnvironmentRow,
     EventRow,
     ExperimentRow,
@@ -31,6 +32,8 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.tables import alarms, commands, experiment, sets, shots, table_of, verdicts
+
+ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -173,28 +176,43 @@ class RecorderCatalogue(Catalogue):
 
     # Commands
 
-    def pending_commands(self) -> list[CommandRow]:
-        """Orders that wait for an answer, oldest first."""
-        return self.rows(CommandRow, state="pending")
+    def open_commands(self) -> list[CommandRow]:
+        """Orders that have no answer yet, oldest first: pending or started."""
+        return self.rows(CommandRow, states={"pending", "started"})
 
-    def finish_command(self, command_id: int, state: str, result: str | None = None) -> None:
-        """Answer an order: ``state`` is "done" or "refused".
+    def start_command(self, command_id: int) -> None:
+        """Note that an order is about to be carried out.
 
         Raises
         ------
         CatalogueConflictError
-            No such order, or it was answered before.
+            No such order, or it was started before.
         """
-        if state not in ("done", "refused"):
-            raise CatalogueConflictError(f"state is {state!r}; a finished command is 'done' or 'refused'")
+        self._advance_command(command_id, "pending", state="started")
+
+    def finish_command(self, command_id: int, state: CommandState, result: str | None = None) -> None:
+        """Answer an order.
+
+        Raises
+        ------
+        CatalogueConflictError
+            No such order, or it was answered before; or ``state`` is no answer.
+        """
+        if state not in ANSWERS:
+            raise CatalogueConflictError(f"state is {state!r}; an answer is one of {', '.join(ANSWERS)}")
+        self._advance_command(
+            command_id, "pending", "started", state=state, result=result, finished_wall_utc_ns=time.time_ns()
+        )
+
+    def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
         statement = (
-            update(commands)
-            .where(commands.c.id == command_id, commands.c.state == "pending")
-            .values(state=state, result=result, finished_wall_utc_ns=time.time_ns())
+            update(commands).where(commands.c.id == command_id, commands.c.state.in_(before)).values(**values)
         )
         with self._writing("answering a command") as connection:
             if connection.execute(statement).rowcount != 1:
-                raise CatalogueConflictError(f"{self._path}: there is no pending command {command_id}")
+                raise CatalogueConflictError(
+                    f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
+                )
 
 
 def plain(value: Any) -> Any:

@@ -16,6 +16,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.clock import format_utc, parse_utc
+from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.processes.data_folder import data_folder, settings_and_folder
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
@@ -138,6 +139,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
     if ahead_s is not None and abs(ahead_s) > 1.0:
         side = "ahead of" if ahead_s > 0.0 else "behind"
         click.echo(f"clock     this computer's is {abs(ahead_s):.0f} s {side} the test's time")
+    if facts["supply"] is not None:
+        click.echo(f"supply    {facts['supply']['description']}")
     if facts["held"]:
         click.echo(f"on hold   {facts['held']}; nothing strikes until it is released")
     if facts["counts"] is None:
@@ -150,6 +153,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
 
 def describe_status(folder: Path) -> dict[str, Any]:
     """Read the recorder's state, the counts, and the last word on each position."""
+    drive = look_at_drive(folder)
+    supply = None if drive is None else {**asdict(drive), "description": described(drive)}
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             told = catalogue.last_told(*TELLING)
@@ -158,6 +163,7 @@ def describe_status(folder: Path) -> dict[str, Any]:
             return {
                 "recorder": recorder.description,
                 "system_ahead_s": None if now_ns is None else (time.time_ns() - now_ns) / NS_PER_S,
+                "supply": supply,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
@@ -166,4 +172,5 @@ def describe_status(folder: Path) -> dict[str, Any]:
     except NoDataYetError:
         nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
         recorder = look_at_recorder(folder, [])
-        return {"recorder": recorder.description, "system_ahead_s": None, **nothing}
+        clock: dict[str, Any] = {"system_ahead_s": None}
+        return {"recorder": recorder.description, **clock, "supply": supply, **nothing}

@@ -119,6 +119,17 @@ def serve(**options: Any) -> None:
         sys.exit(serve_alone(**options))
 
 
+@cli.command()
+@CONFIG
+@DATA_DIR
+@click.option("--for-recorder", is_flag=True, hidden=True)
+def drive(**options: Any) -> None:
+    """Own the corrosion drive's port beside a recorder, which starts this by itself; never energises."""
+    from daq_service.cli.run import drive_alone
+
+    sys.exit(drive_alone(**options))
+
+
 @cli.command("check-config")
 @CONFIG
 @DATA_DIR

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import gc
 import logging
-import logging.handlers
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -22,8 +23,15 @@ from daq_service.errors import (
     SolimonError,
     StorageUnavailableError,
     TriedAgainError,
+    UsageError,
 )
-from daq_service.processes.child import leave_when_pipe_closes, log_to, stop_on_signals, tell_supervisor
+from daq_service.processes.child import (
+    leave_when_pipe_closes,
+    log_to,
+    start_detached,
+    stop_on_signals,
+    tell_supervisor,
+)
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_and_folder, sweep
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 from daq_service.settings.tree import Settings
@@ -117,15 +125,21 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
+    from daq_service.corrosion_drive.remote import RemoteDrive
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder, anew=not restarted_because)
-    with stop_on_signals() as stop, own_data_folder(folder):
+    with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as left:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
+            drive = None
+            if settings.rig.supply is not None:
+                drive = left.enter_context(
+                    RemoteDrive(settings.rig.supply, folder, partial(start_drive, settings, folder))
+                )
             finished = record(
                 settings,
                 folder,
@@ -136,6 +150,7 @@ def record_alone(
                 linger=linger,
                 left_alone=left_alone,
                 acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
+                remote_drive=drive,
             )
         except SolimonError as error:
             log.error("%s", error)
@@ -148,16 +163,57 @@ def record_alone(
 
 @contextmanager
 def _open_rig_to_stay(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    """Open the rig; the garbage collector need not look again at what stays until the process ends."""
+    """Open the rig but for the supply, whose port belongs to the process of the drive.
+
+    The garbage collector need not look again at what stays until the process ends.
+    """
     from daq_service.rig.open_rig import open_rig
 
-    with open_rig(settings, clock, epoch_utc_ns) as rig:
+    without_supply = settings.rig.model_copy(update={"supply": None})
+    with open_rig(settings.model_copy(update={"rig": without_supply}), clock, epoch_utc_ns) as rig:
         gc.freeze()
         yield rig
 
 
 def _print_acknowledgement(shot_id: int) -> None:
     tell_supervisor("shot_acknowledged", shot_id=shot_id)
+
+
+def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
+    """Start the process of the drive so that it outlives this one, with the settings that this one has."""
+    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(folder), "--for-recorder"]
+    return start_detached(command, settings.model_dump_json().encode())
+
+
+def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:
+    """Own the supply's port: log it, keep the interlock, and switch off when no recorder watches."""
+    from daq_service.clock import WallClock
+    from daq_service.corrosion_drive.own_process import own_supply
+    from daq_service.rig.open_rig import open_supply
+
+    if for_recorder:
+        assert data_dir is not None, "a recorder says which folder"
+        settings, folder = Settings.model_validate_json(sys.stdin.buffer.read()), data_dir
+    else:
+        settings, folder = settings_and_folder(config, data_dir)
+        prepare_data_folder(folder)
+    parameters = settings.rig.supply
+    if parameters is None:
+        raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
+    log_to(folder / "logs" / "drive.log")
+    with stop_on_signals() as stop:
+        try:
+            left = own_supply(
+                parameters,
+                folder,
+                partial(open_supply, clock=WallClock()),
+                stop,
+                stays=not for_recorder,
+            )
+        except SolimonError as error:
+            log.error("%s", error)
+            raise
+        return EXIT_OK if left else EXIT_INTERRUPTED
 
 
 def _tell_person(event: str, **values: object) -> None:

@@ -58,6 +58,8 @@ class DriveState:
     ----------
     tripped
         Why the interlock is open; None: it is closed.
+    unwatched
+        It is open because nobody watched.
     output_on
         How the output was left; None: unknown, what is found counts as intended.
     booked_utc_ns
@@ -66,6 +68,7 @@ class DriveState:
 
     charge: Charge = Charge()
     tripped: str | None = None
+    unwatched: bool = False
     output_on: bool | None = None
     booked_utc_ns: int | None = None
 

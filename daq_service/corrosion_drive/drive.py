@@ -1,7 +1,7 @@
 """The corrosion drive while a test runs: what was measured, what charge has flowed, and the interlock.
 
-The recorder calls `tick` whenever it is idle. One call reads one instrument at most, so it lasts no
-longer than that instrument's timeout; nothing here waits or runs by itself.
+Its owner calls `tick` all the time: the process of the drive (`own_process`), or a recorder in a test. One
+call asks the supply once, so it lasts no longer than its timeout; nothing here waits or runs by itself.
 
 Only a person's order switches the output on. The interlock switches it off and stays tripped until the
 next such order, also over a restart. It needs the line: while that is lost it can only say so, and it
@@ -18,11 +18,11 @@ from typing import Literal, Protocol, runtime_checkable
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
 from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
-from hardware_drivers.errors import ConfigurationError, InstrumentError
-from hardware_drivers.instruments import ClimateProbe, Clock, PowerSupply
-from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import Clock, PowerSupply
+from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
+from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,13 @@ log = logging.getLogger(__name__)
 class DriveCondition:
     """What the drive says of one possible alarm."""
 
-    name: Literal["supply_lost", "supply_off_unexpectedly", "supply_limit", "interlock_tripped"]
+    name: Literal[
+        "supply_lost",
+        "supply_off_unexpectedly",
+        "supply_limit",
+        "interlock_tripped",
+        "supply_unwatched",
+    ]
     active: bool
     message: str
 
@@ -55,49 +61,66 @@ class TellsProtections(Protocol):
         ...
 
 
+class SupplyDrive(Protocol):
+    """The drive as a recorder sees it: here, or in a process of its own (`remote`)."""
+
+    def tick(self) -> None:
+        """Do what is due; an instrument's error is noted and never raised."""
+        ...
+
+    def conditions(self) -> tuple[DriveCondition, ...]:
+        """Possible alarms, each with whether it stands."""
+        ...
+
+    def row(self, set_index: int, due_h: float) -> EnvironmentRow:
+        """Row of a set: means since `begin_window`, totals since hour 0; without climate."""
+        ...
+
+    def begin_window(self) -> None:
+        """Start the means anew, once the last row is stored."""
+        ...
+
+    def energise(
+        self, author: str, *, voltage_v: float | None = None, current_limit_a: float | None = None
+    ) -> None:
+        """Switch the output on at a person's order, and close the interlock."""
+        ...
+
+    def switch_off(self, author: str) -> None:
+        """Switch the output off at a person's order; the interlock stays as it is."""
+        ...
+
+    def trip(self, reason: str) -> bool:
+        """Open the interlock; True if the output was read back as off."""
+        ...
+
+
 class ElectrochemicalDrive:
-    """Logs supply and climate, integrates the charge, and keeps the interlock.
+    """Logs the supply, integrates the charge, and keeps the interlock.
 
     Parameters
     ----------
-    supply, parameters
-        None where the test has no supply: then only the climate is logged.
-    climate, climate_parameters
-        None where there is no probe.
     clock
-        The experiment's clock; its monotonic time says when a reading is due.
+        Its monotonic time says when a reading is due.
     state
         What the last run left; see `charge.restored_state`.
     """
 
     def __init__(
-        self,
-        supply: PowerSupply | None,
-        climate: ClimateProbe | None,
-        clock: Clock,
-        parameters: SupplyParameters | None,
-        state: DriveState,
-        *,
-        climate_parameters: ClimateParameters | None = None,
+        self, supply: PowerSupply, clock: Clock, parameters: SupplyParameters, state: DriveState
     ) -> None:
-        if (supply is None) != (parameters is None) or (climate is None) != (climate_parameters is None):
-            raise ValueError("an instrument and its parameters are given together or not at all")
         self._supply, self._parameters = supply, parameters
-        self._climate, self._climate_parameters = climate, climate_parameters
         self._clock = clock
         now_ns = clock.mono_ns()
-        self._supply_log = ReadingLog(parameters.log_interval_s if parameters else 1.0, now_ns)
-        climate_interval_s = climate_parameters.log_interval_s if climate_parameters else 1.0
-        self._climate_log = ReadingLog(climate_interval_s, now_ns)
+        self._supply_log = ReadingLog(parameters.log_interval_s, now_ns)
         self._charge = state.charge
-        self._tripped = state.tripped
+        self._tripped, self._unwatched = state.tripped, state.unwatched
         self._intended_on = state.output_on
         self._ordered_ns = now_ns
         self._booked_utc_ns = state.booked_utc_ns
         self._newest: SupplyReading | None = None
         self._window: list[SupplyReading] = []
-        self._air: ClimateReading | None = None
-        self._limit_a = parameters.current_limit_a if parameters else 0.0
+        self._limit_a = parameters.current_limit_a
         self._high_readings = 0
         self._must_switch_off = False
         self._must_read_back, self._read_back_next = True, False
@@ -109,35 +132,45 @@ class ElectrochemicalDrive:
         return self._tripped
 
     @property
+    def owes_switching_off(self) -> bool:
+        """The output could not be switched off yet; each further reading tries again."""
+        return self._must_switch_off
+
+    @property
+    def state(self) -> DriveState:
+        """What whoever comes after this process must know."""
+        return DriveState(
+            charge=self._charge,
+            tripped=self._tripped,
+            unwatched=self._unwatched,
+            output_on=self._intended_on,
+            booked_utc_ns=self._booked_utc_ns,
+        )
+
+    @property
+    def window_length(self) -> int:
+        """Number of readings in the means."""
+        return len(self._window)
+
+    @property
     def found(self) -> Mapping[str, float | str]:
         """What was set on the supply at the start, or after it was lost: reported, never changed."""
         return self._found
 
-    # Called by the recorder while it is idle -----------------------------------------------------
+    # Called by its owner all the time ------------------------------------------------------------
 
     def tick(self) -> None:
-        """Do what is due, one instrument at most; an instrument's error is noted and never raised."""
+        """Do what is due; an instrument's error is noted and never raised."""
         now_ns = self._clock.mono_ns()
-        if self._supply is not None and self._supply_log.due(now_ns):
+        if self._supply_log.due(now_ns):
             self._supply_log.attempted(now_ns)
             try:
                 self._attend(self._supply, now_ns)
             except InstrumentError as error:
                 self._note_failure(error, now_ns)
-        elif self._climate is not None and self._climate_log.due(now_ns):
-            self._climate_log.attempted(now_ns)
-            assert self._climate_parameters is not None, "given with its probe"
-            try:
-                self._air = self._climate.read(self._climate_parameters.read_timeout_s)
-            except InstrumentError as error:
-                log.warning("climate: %s", error)
-                self._climate_log.trouble = str(error)
-            else:
-                self._climate_log.succeeded(self._clock.mono_ns())
 
     def _attend(self, supply: PowerSupply, now_ns: int) -> None:
         """Switch off if that is still owed; else read back once after every loss; else read."""
-        assert self._parameters is not None, "given with its supply"
         if self._must_switch_off:
             supply.make_safe()
             self._must_switch_off = False
@@ -157,7 +190,6 @@ class ElectrochemicalDrive:
                 self._supply_log.look_again_at_once(now_ns)
 
     def _take(self, reading: SupplyReading) -> None:
-        assert self._parameters is not None, "given with its supply"
         self._book(reading)
         self._window.append(reading)
         self._newest = reading
@@ -177,7 +209,6 @@ class ElectrochemicalDrive:
             )
 
     def _book(self, reading: SupplyReading) -> None:
-        assert self._parameters is not None, "given with its supply"
         if self._newest is not None:
             self._charge = add_interval(
                 self._charge,
@@ -197,7 +228,6 @@ class ElectrochemicalDrive:
             log.warning("supply: %s", error)
         self._supply_log.trouble = str(error)
         self._must_read_back = True
-        assert self._parameters is not None, "given with its supply"
         silent_s = self._supply_log.silent_s(now_ns)
         if self._intended_on is not False and silent_s >= self._parameters.interlock_lost_after_s:
             # Not reachable now: it is switched off as soon as it answers.
@@ -226,7 +256,7 @@ class ElectrochemicalDrive:
         """
         if not author.strip():
             raise ValueError("an order to energise needs its author")
-        supply, parameters = self._given_supply()
+        supply, parameters = self._supply, self._parameters
         voltage_v = parameters.voltage_v if voltage_v is None else voltage_v
         limit_a = parameters.current_limit_a if current_limit_a is None else current_limit_a
         now_ns = self._clock.mono_ns()
@@ -237,7 +267,7 @@ class ElectrochemicalDrive:
             self._intended_on, self._must_read_back = None, True  # what it left is read, and taken as it is
             raise
         log.warning("output switched on by %s: %g V, at most %g A", author, voltage_v, limit_a)
-        self._tripped, self._must_switch_off = None, False
+        self._tripped, self._unwatched, self._must_switch_off = None, False, False
         self._intended_on, self._limit_a, self._high_readings = True, limit_a, 0
         self._ordered_ns = self._clock.mono_ns()
 
@@ -253,22 +283,25 @@ class ElectrochemicalDrive:
         """
         if not author.strip():
             raise ValueError("an order to switch off needs its author")
-        supply, _ = self._given_supply()
         self._supply_log.look_again_at_once(self._clock.mono_ns())
-        supply.make_safe()
+        self._supply.make_safe()
         log.warning("output switched off by %s", author)
         self._intended_on, self._must_switch_off = False, False
 
-    def trip(self, reason: str) -> bool:
+    def trip(self, reason: str, *, unwatched: bool = False) -> bool:
         """Open the interlock: switch off now, or as soon as the supply answers, and stay off.
+
+        Parameters
+        ----------
+        unwatched
+            Because nobody watched.
 
         Returns
         -------
         bool
-            True if the output was read back as off; False if that is still owed (also without a supply).
+            True if the output was read back as off; False if that is still owed.
         """
-        if self._supply is None:
-            return False
+        self._unwatched = self._unwatched or unwatched
         self._latch(reason)
         return self._switch_off_now()
 
@@ -279,7 +312,6 @@ class ElectrochemicalDrive:
         self._intended_on, self._must_switch_off, self._high_readings = False, True, 0
 
     def _switch_off_now(self) -> bool:
-        assert self._supply is not None, "only called with a supply"
         now_ns = self._clock.mono_ns()
         self._must_switch_off = True
         try:
@@ -291,25 +323,16 @@ class ElectrochemicalDrive:
         self._supply_log.look_again_at_once(now_ns)
         return True
 
-    def _given_supply(self) -> tuple[PowerSupply, SupplyParameters]:
-        if self._supply is None or self._parameters is None:
-            raise ConfigurationError("this test has no supply; configure [rig.supply]")
-        return self._supply, self._parameters
-
     # What it says --------------------------------------------------------------------------------
 
     def output(self) -> SupplyState:
         """Output as last read; unknown as soon as the newest reading is not good."""
-        if self._supply is None:
-            return "absent"
         if self._newest is None or self._supply_log.quality(self._clock.mono_ns()) != "good":
             return "unknown"
         return "on" if self._newest.output_on else "off"
 
     def conditions(self) -> tuple[DriveCondition, ...]:
-        """Possible alarms of the supply, each with whether it stands; none without a supply."""
-        if self._supply is None or self._parameters is None:
-            return ()
+        """Possible alarms of the supply, each with whether it stands."""
         now_ns = self._clock.mono_ns()
         quality, reading = self._supply_log.quality(now_ns), self._newest
         # A reading from before the order says nothing of how it was carried out.
@@ -352,21 +375,20 @@ class ElectrochemicalDrive:
                 active=self._tripped is not None,
                 message=f"{self._tripped}{owed}" if self._tripped is not None else "the interlock is closed",
             ),
+            DriveCondition(
+                name="supply_unwatched",
+                active=self._unwatched,
+                message=f"{self._tripped}{owed}" if self._unwatched else "the supply is watched",
+            ),
         )
 
-    def begin_window(self) -> None:
-        """Start the means anew, once the last summary is stored."""
-        self._window.clear()
-
-    def summary(self) -> dict[str, float | str | None]:
-        """Columns of the catalogue's ``environment`` but for what says which set it is (`row`)."""
-        of_the_set = ("id", "set_index", "due_h")
-        return {name: value for name, value in values(self.row(0, 0.0)).items() if name not in of_the_set}
+    def begin_window(self, n_told: int | None = None) -> None:
+        """Start the means anew, once the last row is stored; readings behind the ``n_told`` in it stay."""
+        del self._window[:n_told]
 
     def row(self, set_index: int, due_h: float) -> EnvironmentRow:
         """Row of a set in ``environment``: means since `begin_window`, totals since hour 0."""
-        now_ns = self._clock.mono_ns()
-        log_, no_supply, air = self._supply_log, self._supply is None, self._air
+        now_ns, log_ = self._clock.mono_ns(), self._supply_log
         voltages_v = [reading.voltage_v for reading in self._window]
         currents_a = [reading.current_a for reading in self._window]
         # A silence that lasts is unknown time already, before a reading ends it.
@@ -375,8 +397,8 @@ class ElectrochemicalDrive:
             set_index=set_index,
             due_h=due_h,
             supply_state=self.output(),
-            supply_quality="absent" if no_supply else log_.quality(now_ns),
-            supply_age_s=None if no_supply else log_.age_s(now_ns),
+            supply_quality=log_.quality(now_ns),
+            supply_age_s=log_.age_s(now_ns),
             supply_tripped=self._tripped,
             voltage_v=_mean(voltages_v),
             voltage_min_v=min(voltages_v, default=None),
@@ -384,13 +406,26 @@ class ElectrochemicalDrive:
             current_a=_mean(currents_a),
             current_min_a=min(currents_a, default=None),
             current_max_a=max(currents_a, default=None),
-            charge_coulomb=None if no_supply else self._charge.coulomb,
-            unknown_s=None if no_supply else self._charge.unknown_s + open_s,
-            climate_quality="absent" if self._climate is None else self._climate_log.quality(now_ns),
-            climate_age_s=None if self._climate is None else self._climate_log.age_s(now_ns),
-            temperature_c=None if air is None else air.temperature_c,
-            relative_humidity=None if air is None else air.relative_humidity,
+            charge_coulomb=self._charge.coulomb,
+            unknown_s=self._charge.unknown_s + open_s,
+            climate_quality="absent",
         )
+
+
+def no_supply(set_index: int, due_h: float) -> EnvironmentRow:
+    """Row of a set without a supply."""
+    return EnvironmentRow(
+        set_index=set_index,
+        due_h=due_h,
+        supply_state="absent",
+        supply_quality="absent",
+        climate_quality="absent",
+    )
+
+
+def summary(row: EnvironmentRow) -> dict[str, float | str | None]:
+    """Columns of ``environment`` but for what says which set it is."""
+    return {name: value for name, value in values(row).items() if name not in ("id", "set_index", "due_h")}
 
 
 def _mean(numbers: Sequence[float]) -> float | None:

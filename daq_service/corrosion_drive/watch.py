@@ -1,7 +1,8 @@
 """The corrosion drive beside the line: read while the recorder is idle, a row a set, alarms at once.
 
-`ElectrochemicalDrive` measures and switches; here its conditions become alarms in the catalogue the
-moment they change, so that an interlock that tripped between two sets is known, also after a crash.
+A `SupplyDrive` measures and switches, as a rule in a process of its own; here its conditions become alarms in
+the catalogue the moment they change, so that an interlock that tripped between two sets is known, also after
+a crash. The climate probe is read here.
 """
 
 from __future__ import annotations
@@ -13,9 +14,11 @@ from dataclasses import replace
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, Severity
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, EventRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.corrosion_drive.climate import ClimateLog
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive, SupplyDrive, no_supply, summary
+from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.settings.tree import RigSettings
@@ -30,6 +33,7 @@ SEVERITIES: Mapping[str, Severity] = {
     "supply_off_unexpectedly": "medium",
     "supply_limit": "medium",
     "interlock_tripped": "critical",
+    "supply_unwatched": "high",
 }
 
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
@@ -44,6 +48,8 @@ class DriveWatch:
         The recorder's current alarms by position and kind.
     store
         Stores a transaction and takes its alarms over.
+    remote
+        The drive in a process of its own; None: the rig's supply is driven here.
     """
 
     def __init__(
@@ -53,26 +59,38 @@ class DriveWatch:
         catalogue: Catalogue,
         alarms: Alarms,
         store: Callable[[Transaction], None],
+        remote: RemoteDrive | None = None,
     ) -> None:
         self._alarms = alarms
         self._store = store
         self._clock = rig.clock
         self._off_at_end = settings.supply is not None and settings.supply.off_at_end
-        self._drive = ElectrochemicalDrive(
-            rig.supply,
-            rig.climate,
-            rig.clock,
-            settings.supply,
-            _state_before(settings.supply, catalogue, alarms),
-            climate_parameters=settings.climate,
-        )
+        self._drive: SupplyDrive | None = remote
+        if settings.supply is not None:
+            state = _state_before(settings.supply, catalogue, alarms)
+            if remote is not None:
+                remote.begin(state)
+            elif rig.supply is not None:
+                self._drive = ElectrochemicalDrive(rig.supply, rig.clock, settings.supply, state)
+        self._climate = None
+        if rig.climate is not None and settings.climate is not None:
+            self._climate = ClimateLog(rig.climate, rig.clock, settings.climate)
+
+    @property
+    def has_supply(self) -> bool:
+        """Whether there is anything to switch."""
+        return self._drive is not None
 
     def tick(self, hour: float) -> None:
-        """Read what is due, at most one instrument, and store what became of an alarm."""
-        self._drive.tick()
-        self._carry_alarms(hour)
+        """Read what is due, and store what became of an alarm."""
+        if self._climate is not None:
+            self._climate.tick()
+        if self._drive is not None:
+            self._drive.tick()
+            self._carry_alarms(hour)
 
     def _carry_alarms(self, hour: float) -> None:
+        assert self._drive is not None, "only called with a supply"
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = Transaction()
         for found in self._drive.conditions():
@@ -83,7 +101,7 @@ class DriveWatch:
                 severity=SEVERITIES[found.name],
                 present=found.active,
                 message=found.message,
-                proof=self._drive.summary() if found.active else {},
+                proof=self.summary() if found.active else {},
             )
             change = update(self._alarms.get((None, found.name)), condition, moment)
             if change is not None:
@@ -99,12 +117,17 @@ class DriveWatch:
 
     def summary(self) -> Mapping[str, float | str | None]:
         """Return what supply and probe said since the last stored set."""
-        return self._drive.summary()
+        return summary(self._row(0, 0.0))
 
     def add_row(self, transaction: Transaction, due: DueSet, moment: Moment) -> None:
         """Add a set's row; the means begin anew after it."""
-        transaction.add_environment(self._drive.row(due.set_index, due.due_h), moment)
-        self._drive.begin_window()
+        transaction.add_environment(self._row(due.set_index, due.due_h), moment)
+        if self._drive is not None:
+            self._drive.begin_window()
+
+    def _row(self, set_index: int, due_h: float) -> EnvironmentRow:
+        row = no_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
+        return row if self._climate is None else self._climate.added_to(row)
 
     # Orders --------------------------------------------------------------------------------------
 
@@ -118,6 +141,7 @@ class DriveWatch:
         ValueError
             It was not done, and why.
         """
+        assert self._drive is not None, "a test without a supply forbids the order"
         try:
             self._drive.energise(author, voltage_v=voltage_v, current_limit_a=current_limit_a)
         except InstrumentError as error:
@@ -133,6 +157,7 @@ class DriveWatch:
         ValueError
             What the output does is unknown.
         """
+        assert self._drive is not None, "a test without a supply forbids the order"
         try:
             self._drive.switch_off(author)
         except InstrumentError as error:
@@ -142,12 +167,13 @@ class DriveWatch:
 
     def trip(self, reason: str, hour: float) -> None:
         """Open the interlock: a hole lets the solution through and the current with it."""
-        self._drive.trip(reason)
-        self._carry_alarms(hour)
+        if self._drive is not None:
+            self._drive.trip(reason)
+            self._carry_alarms(hour)
 
     def end(self) -> str:
         """Switch off at the end of a test if configured; what was done, empty if nothing."""
-        if not self._off_at_end:
+        if not self._off_at_end or self._drive is None:
             return ""
         try:
             self._drive.switch_off("the end of the test")

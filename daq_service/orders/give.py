@@ -1,7 +1,7 @@
 """``hold``, ``release``, ``retire``, ``reinstate``, ``supply``: orders without a browser.
 
 A row of ``commands`` is written and the recorder's answer awaited; the recorder alone decides. An order
-that is not answered in time stays: a recorder that was busy or is started again carries it out.
+that it has not begun in time expires: nobody carries it out later.
 """
 
 from __future__ import annotations
@@ -17,12 +17,15 @@ import click
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
+from daq_service.orders.deadline import look_at_order
 from daq_service.orders.kinds import read_order
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 
-ANSWER_WITHIN_S = 30.0
+BEGUN_WITHIN_S = 30.0
 """A recorder looks several times a second, but not while it waits for a record or stores a set."""
+CARRIED_OUT_WITHIN_S = 120.0
+"""An order that was begun is waited for: a supply that does not answer takes the time of many replies."""
 LOOK_EVERY_S = 0.1
 LONGEST_AUTHOR = 80
 
@@ -35,7 +38,8 @@ def give_order(
     note: str,
     author: str | None,
     as_json: bool,
-    within_s: float = ANSWER_WITHIN_S,
+    within_s: float = BEGUN_WITHIN_S,
+    carried_out_within_s: float = CARRIED_OUT_WITHIN_S,
     wait: Callable[[float], None] = time.sleep,
     **arguments: str | float | None,
 ) -> int:
@@ -47,6 +51,8 @@ def give_order(
     ----------
     author
         None: the name of this user.
+    within_s, carried_out_within_s
+        Time to begin it, after which it expires, and time from there to the answer.
     wait
         Waits a number of seconds between two looks for the answer; injected by tests.
     **arguments
@@ -55,7 +61,7 @@ def give_order(
     Raises
     ------
     BusyError
-        No recorder runs there (nothing is written), or it gave no answer in time (the order stays).
+        No recorder runs there (nothing is written), the order expired, or what became of it is not known.
     UsageError
         The arguments are none of this kind, or the recorder refused, with its reason.
     StorageError
@@ -67,18 +73,20 @@ def give_order(
     _, folder = settings_and_folder(config, data_dir)
     with open_catalogue(folder) as catalogue:
         _check_somebody_listens(folder, catalogue)
-        order_id = catalogue.add_command(author, kind, given)
-        row = _answered(catalogue, order_id, within_s, wait)
+        order_id = catalogue.add_command(author, kind, given, within_s=within_s)
+        row = _answered(catalogue, order_id, carried_out_within_s, wait)
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
         click.echo(json.dumps({name: getattr(row, name) for name in names}))
     if row.state == "refused":
         raise UsageError(f"the recorder refused to {kind}: {row.result}")
-    if row.state == "pending":
+    if row.state == "started":
         raise BusyError(
-            f"the recorder has not answered within {within_s:g} s; order {order_id} ({kind}) stays and is "
-            "carried out when it looks again: `solimon status` tells what it does"
+            f"the recorder began order {order_id} ({kind}) and has not answered within "
+            f"{carried_out_within_s:g} s; look before you give it again: `solimon status` tells what it does"
         )
+    if row.state != "done":
+        raise BusyError(f"order {order_id} ({kind}) {row.state}: {row.result}")
     if not as_json:
         click.echo(row.result)
     return EXIT_OK
@@ -94,14 +102,19 @@ def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
 
 
 def _answered(
-    catalogue: Catalogue, order_id: int, within_s: float, wait: Callable[[float], None]
+    catalogue: Catalogue, order_id: int, carried_out_within_s: float, wait: Callable[[float], None]
 ) -> CommandRow:
-    """Row of the order once it is answered, or as it stands when the time is over."""
-    deadline = time.monotonic() + within_s
+    """Row of the order once it is answered or has expired, or as it stands when the time is over."""
+    begun_s: float | None = None
     while True:
-        row = catalogue.command(order_id)
-        assert row is not None, "it was just written"
-        if row.state != "pending" or time.monotonic() >= deadline:
+        found = look_at_order(catalogue, order_id)
+        assert found is not None, "it was just written"
+        row, _ = found
+        if row.state == "started" and begun_s is None:
+            begun_s = time.monotonic()
+        if row.state not in ("pending", "started"):
+            return row
+        if begun_s is not None and time.monotonic() >= begun_s + carried_out_within_s:
             return row
         wait(LOOK_EVERY_S)
 

@@ -130,7 +130,7 @@ class Order(Strict):
     """What a person asks of a running test."""
 
     needs_recorder: ClassVar[bool] = True
-    """False: it may also be given where the next recorder will look."""
+    """False: one that has finished may be given it, too; if that lingers it obeys, else the order expires."""
     kind: str
     author: Author = "operator"
     arguments: Any = NoArguments()

@@ -1,21 +1,36 @@
-"""The recorder's side: orders are rows of ``commands``, carried out and answered one at a time."""
+"""The recorder's side: orders are rows of ``commands``, carried out and answered one at a time.
+
+An order is marked as started before it is carried out, and what is found open at a start is closed: one that
+its recorder died over is told as failed, and nobody carries it out again. One that was not begun by its
+deadline, or before its recorder ended, expires.
+"""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import CommandRow
+from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
-from daq_service.errors import UsageError
+from daq_service.errors import StorageError, UsageError
+from daq_service.orders.deadline import as_it_stands, expired_because, left_now_s
 from daq_service.orders.kinds import Facts, read_order
 from daq_service.orders.running_test import RunningTest
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
+Answer = tuple[CommandState, str]
+
+FAILED: Answer = (
+    "failed",
+    "the recorder ended while carrying it out; look before you give it again",
+)
+HARMLESS_TWICE = ("stop", "supply_off")
+"""Carried out also where the disk does not take the mark before."""
 LISTEN_EVERY_S = 0.2
 """A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 
@@ -27,6 +42,8 @@ class OrderListener:
     ----------
     listen_every_s
         Shortest time between two looks, on the machine's monotonic clock.
+    left_s
+        Tells the time that an order has left, in real time whatever clock the test runs on.
     """
 
     def __init__(
@@ -36,13 +53,16 @@ class OrderListener:
         *,
         listen_every_s: float = LISTEN_EVERY_S,
         mono_ns: Callable[[], int] = time.monotonic_ns,
+        left_s: Callable[[CommandRow], float] = left_now_s,
     ) -> None:
         self._catalogue = catalogue
         self._test = test
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
         self._mono_ns = mono_ns
+        self._left_s = left_s
+        self._begun = False
         self._listened_ns: int | None = None
-        self._answers: dict[int, tuple[str, str]] = {}
+        self._answers: dict[int, Answer] = {}
         # Whatever ended the last recorder: a restart never ends a hold.
         self._held = catalogue.held() or ""
 
@@ -51,23 +71,51 @@ class OrderListener:
         """Who holds the test and why; empty while it runs. A hold outlives a restart."""
         return self._held
 
+    def begin(self) -> None:
+        """Close what an earlier recorder left open: nothing of it is carried out any more."""
+        if not self._begun:
+            self.close("it was given before this recorder began")
+            self._begun = True
+
+    def close(self, why: str) -> None:
+        """Answer every open order without carrying it out."""
+        for row in self._catalogue.open_commands():
+            left_open = FAILED if row.state == "started" else ("expired", expired_because(why))
+            self._finish(row, self._answers.get(row.id, left_open))
+
     def listen(self) -> None:
         """Carry out what is waiting; a refused order is answered with the reason."""
+        self.begin()
         now_ns = self._mono_ns()
         if self._listened_ns is not None and now_ns - self._listened_ns < self._listen_every_ns:
             return
         self._listened_ns = now_ns
-        for row in self._catalogue.pending_commands():
+        for row in self._catalogue.open_commands():
             # Once: an answer that the disk did not take must not switch a supply on a second time.
             if row.id not in self._answers:
                 self._answers[row.id] = self._carried_out(row)
             # What is stored says it, as after a restart.
             self._held = self._catalogue.held() or ""
-            self._catalogue.finish_command(row.id, *self._answers[row.id])
-            del self._answers[row.id]
+            self._finish(row, self._answers[row.id])
 
-    def _carried_out(self, row: CommandRow) -> tuple[str, str]:
+    def _finish(self, row: CommandRow, answer: Answer) -> None:
+        self._catalogue.finish_command(row.id, *answer)
+        self._answers.pop(row.id, None)
+        if answer[0] in ("expired", "failed"):
+            log.warning("order %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
+
+    def _carried_out(self, row: CommandRow) -> Answer:
         """Carry an order out; its state and result."""
+        if row.state == "pending" and self._left_s(row) > 0.0:
+            try:
+                self._catalogue.start_command(row.id)
+            except StorageError:
+                if row.kind not in HARMLESS_TWICE:
+                    raise
+        # Asked again: whoever still found it pending at its deadline was told that nobody begins it.
+        standing = as_it_stands(replace(row, state="pending"), self._left_s(row))
+        if standing.state == "expired":
+            return "expired", standing.result or ""
         try:
             order = read_order(row.kind, row.author, row.arguments)
             result = order.carry_out(self._test, row.id, self._facts())

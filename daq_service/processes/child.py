@@ -8,10 +8,11 @@ import logging
 import logging.handlers
 import os
 import signal
+import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 
@@ -126,6 +127,31 @@ def leave_when_pipe_closes(stop: threading.Event) -> threading.Event:
 
     threading.Thread(target=watch, name="supervisor-pipe", daemon=True).start()
     return left_alone
+
+
+def start_detached(command: Sequence[str], given: bytes) -> subprocess.Popen[bytes]:
+    """Start a program that no signal to this one's terminal reaches and that outlives it.
+
+    Parameters
+    ----------
+    given
+        What it reads from its standard input.
+    """
+    flags = 0
+    if sys.platform == "win32":
+        flags = subprocess.DETACHED_PROCESS | subprocess.CREATE_NEW_PROCESS_GROUP
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        creationflags=flags,
+    )
+    assert process.stdin is not None
+    with suppress(OSError), process.stdin as standard_input:  # it has ended already: its log says why
+        standard_input.write(given)
+    return process
 
 
 def tell_supervisor(event: str, **values: object) -> None:

@@ -12,7 +12,7 @@ import os
 import sys
 import uuid
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
 from typing import IO
@@ -82,6 +82,8 @@ OWN_NAMES = frozenset(
     {
         "catalogue.sqlite",
         CONFIGURATION_FILE,
+        "drive.json",
+        "drive.lock",
         "heartbeat.json",
         "recorder.lock",
         "sets",
@@ -92,6 +94,7 @@ OWN_NAMES = frozenset(
     }
 )
 LOCK_FILE = "recorder.lock"
+DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
 
 
@@ -179,18 +182,35 @@ def _refuse_foreign_files(folder: Path) -> None:
         )
 
 
+def own_data_folder(folder: Path) -> AbstractContextManager[None]:
+    """Hold the recorder's lock; `BusyError` if another one does."""
+    return hold_lock(folder, LOCK_FILE, f"process {os.getpid()}", who="recorder")
+
+
 @contextmanager
-def own_data_folder(folder: Path) -> Iterator[None]:
-    """Hold the recorder's lock.
+def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None = None) -> Iterator[None]:
+    """Hold a lock of the folder, with a text for whoever reads it meanwhile.
+
+    Parameters
+    ----------
+    text
+        Its first line names the owner to a person; what comes behind is told to nobody.
+    who
+        What kind of process holds it.
+    mode
+        Rights of the file; None: those of the user's other files.
 
     Raises
     ------
     BusyError
-        Another recorder holds it.
+        Another process holds it.
     """
-    path = folder / LOCK_FILE
+    path = folder / name
     with ExitStack() as stack:
         try:
+            if mode is not None:
+                patiently(lambda: path.touch(mode))
+                path.chmod(mode)
             file = stack.enter_context(patiently(lambda: path.open("a+b")))
         except OSError as error:
             raise StorageUnavailableError(
@@ -205,21 +225,28 @@ def own_data_folder(folder: Path) -> Iterator[None]:
                 is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
             )
         except OSError as error:
+            owner, _, _ = lock_text(folder, name).partition("\n")
             raise BusyError(
-                f"another recorder owns {folder} ({_owner(path)}); stop it first, or choose another "
+                f"another {who} owns {folder} ({owner}); stop it first, or choose another "
                 "folder with --data-dir"
             ) from error
         with suppress(OSError):  # a full disk: the lock counts, not the text
             file.truncate(0)
-            file.write(b"\0" * _OWNER_OFFSET + f"process {os.getpid()}".encode())
+            file.write(b"\0" * _OWNER_OFFSET + text.encode())
             file.flush()
         yield
 
 
-def is_owned(folder: Path) -> bool | None:
-    """Tell whether a recorder runs on a folder; None where its lock cannot be looked at."""
+def is_owned(folder: Path, name: str = LOCK_FILE) -> bool | None:
+    """Tell whether a recorder runs on a folder; None where its lock cannot be looked at.
+
+    Parameters
+    ----------
+    name
+        Another lock: whether somebody holds that one.
+    """
     try:
-        with (folder / LOCK_FILE).open("rb") as file:
+        with (folder / name).open("rb") as file:
             return is_locked(file)
     except FileNotFoundError:
         return False
@@ -228,12 +255,13 @@ def is_owned(folder: Path) -> bool | None:
         return None
 
 
-def _owner(path: Path) -> str:
+def lock_text(folder: Path, name: str) -> str:
+    """Return what the owner of a lock wrote; a sentence where it cannot be read."""
     # On Windows the locked byte cannot be read by others, so what stands behind it is read alone.
     try:
-        with path.open("rb", buffering=0) as file:
+        with (folder / name).open("rb", buffering=0) as file:
             file.seek(_OWNER_OFFSET)
-            return file.read(200).decode("ascii", "replace") or "process unknown"
+            return file.read(1000).decode("ascii", "replace") or "process unknown"
     except OSError as error:
         return f"owner unreadable: {error.strerror}"
 

@@ -14,6 +14,7 @@ from daq_service.alarms.states import Condition, Moment, retired_positions, upda
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment
 from daq_service.judgement.methods import METHODS
@@ -39,7 +40,13 @@ class Ledger:
     """
 
     def __init__(
-        self, settings: Settings, archive: SetReader, catalogue: RecorderCatalogue, rig: Rig, cost: Cost
+        self,
+        settings: Settings,
+        archive: SetReader,
+        catalogue: RecorderCatalogue,
+        rig: Rig,
+        cost: Cost,
+        remote_drive: RemoteDrive | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -53,8 +60,8 @@ class Ledger:
         }
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self.drive = None
-        if rig.supply is not None or rig.climate is not None:
-            self.drive = DriveWatch(settings.rig, rig, catalogue, self.alarms, self.commit)
+        if rig.supply is not None or rig.climate is not None or remote_drive is not None:
+            self.drive = DriveWatch(settings.rig, rig, catalogue, self.alarms, self.commit, remote_drive)
 
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""

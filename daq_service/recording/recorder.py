@@ -32,7 +32,8 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import WallClock, boot_id
-from daq_service.errors import RigError
+from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -89,6 +90,7 @@ class Recorder:
         acknowledged: Callable[[int], None] = lambda shot_id: None,
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
+        remote_drive: RemoteDrive | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -130,7 +132,8 @@ class Recorder:
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
         self._told_trouble = self._told_compaction = ""
-        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost)
+        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive)
+        drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
             hour=self._hour,
@@ -139,7 +142,7 @@ class Recorder:
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             positions=settings.names_of(SOLITARY_WAVE),
-            supply=self._ledger.drive if rig.supply is not None else None,
+            supply=drive if drive is not None and drive.has_supply else None,
         )
         self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
 
@@ -153,6 +156,7 @@ class Recorder:
             "before": not_running_because,
             "versions": self._provenance["versions"],
         }
+        self._backlog.put(self._orders.begin)
         self._say("recorder_started", started)
         self._set_damaged_aside()
         absences = self._wait_for_a_set_clock(not_running_because)
@@ -169,7 +173,9 @@ class Recorder:
         self._wait_for_the_disk()
         self._wait_for_the_files()
         finished = not self._stop.is_set()
-        supply = "" if self._ledger.drive is None else self._ledger.drive.end()
+        # A supervisor that was killed is no end of the test: the drive's process watches the supply.
+        drive = None if self._left_alone.is_set() else self._ledger.drive
+        supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
         self._say("schedule_done" if finished else stopped, farewell)
@@ -180,6 +186,13 @@ class Recorder:
         self._doing = "waiting for orders; every set is taken"
         while self._idle():
             self._stop.wait(LINGER_S)
+
+    def leave(self) -> None:
+        """Tell whoever gave an order that was not begun: nobody will carry it out."""
+        try:
+            self._orders.close("the recorder has ended")
+        except (StorageError, OSError) as error:
+            log.warning("open orders are not answered; the next recorder does it: %s", error)
 
     # One set -----------------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
+from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
@@ -52,6 +53,7 @@ def record(
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[Before], Clock] = WallClock,
+    remote_drive: RemoteDrive | None = None,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -73,6 +75,8 @@ def record(
         Wait before each further try to open the rig of a test that has begun; the last one repeats.
     wall_clock
         Makes the clock of a test in real time, of what is known of the time before.
+    remote_drive
+        The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
 
     Returns
     -------
@@ -137,7 +141,9 @@ def record(
             compaction=compaction,
             acknowledged=acknowledged,
             listen_every_s=listen_every_s,
+            remote_drive=remote_drive,
         )
+        stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)
         if finished:
             tell("finished")
@@ -151,7 +157,8 @@ def longest_call_s(rig: RigSettings) -> float:
     boards = rig.daqmx
     over_grpc = rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
     longest_s = boards.longest_call_s if over_grpc and boards is not None else 0.0
-    return max(rig.read_timeout_s, longest_s)
+    order_s = 0.0 if rig.supply is None else COMES_WITHIN_S + answered_within_s(rig.supply)
+    return max(rig.read_timeout_s, longest_s, order_s)
 
 
 def _open_patiently(

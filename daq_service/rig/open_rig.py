@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
@@ -16,9 +16,19 @@ from daq_service.acquisition.take_set import strikes_after
 from daq_service.clock import boot_id
 from daq_service.errors import UsageError
 from daq_service.settings.tree import RigSettings, Settings
-from hardware_drivers.instruments import Acquired, Clock, Digitizer, Echo, PulseEchoUnit, Rig, SelfCalibrating
+from hardware_drivers.instruments import (
+    Acquired,
+    Clock,
+    Digitizer,
+    Echo,
+    PowerSupply,
+    PulseEchoUnit,
+    Rig,
+    SelfCalibrating,
+)
 from hardware_drivers.measurement import ShotKey, Stamp
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.serial_port.parameters import SupplyParameters
 
 CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
 """Where the doubles of a demonstration are told which shot comes and what hour it is."""
@@ -172,25 +182,30 @@ def _playback(settings: Settings, clock: Clock) -> Iterator[Rig]:
 @contextmanager
 def _with_serial_instruments(rig: Rig, settings: RigSettings, stack: ExitStack) -> Iterator[Rig]:
     """Add the electrochemical drive and the climate probe; leave everything safe."""
-    boot = boot_id()
-
-    def stamp() -> Stamp:
-        return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot)
-
     if settings.supply is not None:
-        from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
-
-        supply = ScpiPowerSupply(settings.supply, stamp=stamp)
-        stack.callback(supply.close)
-        rig = replace(rig, supply=supply)
+        rig = replace(rig, supply=stack.enter_context(open_supply(settings.supply, rig.clock)))
     if settings.climate is not None:
         from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
-        probe = ScpiClimateProbe(settings.climate, stamp=stamp)
+        probe = ScpiClimateProbe(settings.climate, stamp=_stamps(rig.clock))
         stack.callback(probe.close)
         rig = replace(rig, climate=probe)
     with rig:
         yield rig
+
+
+@contextmanager
+def open_supply(parameters: SupplyParameters, clock: Clock) -> Iterator[PowerSupply]:
+    """Drive of the corrosion; its port is opened by the first call, and nothing is switched here."""
+    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+    with closing(ScpiPowerSupply(parameters, stamp=_stamps(clock))) as supply:
+        yield supply
+
+
+def _stamps(clock: Clock) -> Callable[[], Stamp]:
+    boot = boot_id()
+    return lambda: Stamp(utc_ns=clock.utc_ns(), mono_ns=clock.mono_ns(), boot_id=boot)
 
 
 # Doubles: the vendor's libraries with the twin below them ------------------------------------------

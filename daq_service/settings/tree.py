@@ -50,6 +50,7 @@ HASHED_OUT: Mapping[str, Any] = {
             "interlock_readings",
             "interlock_lost_after_s",
             "off_at_end",
+            "unwatched_s",
         },
         "climate": {"line", "log_interval_s", "read_timeout_s"},
     },

@@ -10,6 +10,8 @@ from annotated_types import Ge, Gt, Le
 from hardware_drivers.bounds import bounded
 
 USB_SERIAL_PREFIX = "serial:"
+ORDER_REPLIES = 12
+"""An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
 
 
 @bounded
@@ -94,9 +96,17 @@ class SupplyParameters:
     """So many readings in a row at or above `interlock_current_a` trip it."""
     off_at_end: bool = True
     """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
-    leaves it as it is: the corrosion goes on, and only a person's order would switch it on again."""
+    leaves it as it is for `unwatched_s`, as does `false` at the end: the corrosion goes on, and only a
+    person's order would switch it on again."""
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
+    unwatched_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
+    """Without a recorder for so long, the output is switched off and stays off until a person's order."""
+
+    @property
+    def longest_order_s(self) -> float:
+        """Longest time that an order takes, and switching off again where it fails."""
+        return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
         check_identity(self.identity)

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.serial_port.instrument import SerialInstrument
-from hardware_drivers.serial_port.parameters import SupplyParameters
+from hardware_drivers.serial_port.parameters import ORDER_REPLIES, SupplyParameters
 
 log = logging.getLogger(__name__)
 
 ERROR_QUEUE_LENGTH = 32
 """SCPI queues hold some 20 entries; one that never empties is a fault."""
-ORDER_REPLIES = 12
-"""An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
 
 
 class ScpiPowerSupply(SerialInstrument[SupplyParameters]):

@@ -1,5 +1,6 @@
 """The dashboard in a headless browser: what it draws is what the API says, without a reload."""
 
+import re
 import shutil
 
 import numpy as np
@@ -10,13 +11,16 @@ from support.served_web import served, served_app
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.corrosion_drive.charge import DriveState
+from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 
 pytestmark = pytest.mark.browser
 
 N_SETS = 60
+SENT = re.compile(r"Sent, expires in \d+ s")
 SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
 
 
@@ -108,6 +112,15 @@ def see_the_supply_and_climate(filled, page):
     climate = strip.locator('[data-quality="stale"]')
     expect(climate).to_contain_text("Stale")
     expect(climate).to_contain_text("Relative humidity\N{EN DASH}")
+    off = DriveState(tripped="nobody watched: no recorder was heard for 600 s", unwatched=True)
+    write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
+    filled.add_environment(N_SETS)
+    now = strip.locator('[data-quality="lost"]')
+    expect(now).to_contain_text("Supply now")
+    expect(now).to_contain_text(
+        "unknown; off when it was read last; switched off and kept off: nobody watched"
+    )
+    (filled.folder / DRIVE_FILE).unlink()
 
 
 def see_the_live_record(filled, page):
@@ -176,8 +189,8 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
     alarms.get_by_role("button", name="Acknowledge").click()
-    expect(alarms.get_by_role("button")).to_have_text("Sent")
-    (command,) = filled.catalogue.pending_commands()
+    expect(alarms.get_by_role("button")).to_have_text(SENT)
+    (command,) = filled.catalogue.open_commands()
     assert (command.kind, command.arguments["alarm_id"]) == ("acknowledge_alarm", alarm_id)
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
@@ -200,16 +213,24 @@ def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page)
 def test_finish_now_becomes_an_order(filled, service, open_page):
     page = open_page(service.url)
     page.get_by_role("button", name="Finish now").click()
-    expect(page.locator("#finish")).to_have_text("Finishing")
-    assert [row.kind for row in filled.catalogue.pending_commands()] == ["finish_now"]
+    expect(page.locator("#finish")).to_have_text(SENT)
+    assert [row.kind for row in filled.catalogue.open_commands()] == ["finish_now"]
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     expect(page.locator("#connection")).to_have_text("Test finished")
     expect(page.locator("#finish")).to_be_hidden()
 
 
+def test_an_order_that_nobody_begins_expires_on_the_page(filled, service, open_page, monkeypatch):
+    page = open_page(service.url)
+    monkeypatch.setattr("daq_service.orders.deadline.left_now_s", lambda row: 0.0)
+    page.get_by_role("button", name="Finish now").click()
+    expect(page.locator("#notice")).to_contain_text("finish_now expired: not carried out, and nobody will")
+    expect(page.locator("#finish")).to_have_text("Finish now")
+
+
 def answer(filled, kind, arguments, state="done", result=""):
     """Answer the one waiting order as the recorder does."""
-    (command,) = filled.catalogue.pending_commands()
+    (command,) = filled.catalogue.open_commands()
     assert (command.kind, command.author, command.arguments) == (kind, "dashboard", arguments)
     filled.catalogue.finish_command(command.id, state, result)
 
@@ -223,10 +244,10 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     page.locator("#hold").click()
     page.get_by_role("button", name="Cancel").click()
     expect(page.locator("#hold-dialog")).to_be_hidden()
-    assert filled.catalogue.pending_commands() == []
+    assert filled.catalogue.open_commands() == []
     page.locator("#hold").click()
     page.get_by_role("button", name="Hold now").click()
-    expect(page.locator("#hold")).to_have_text("Sent")
+    expect(page.locator("#hold")).to_have_text(SENT)
     answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     expect(page.locator("#hold")).to_have_text("Hold")
@@ -234,7 +255,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.get_by_label("Reason")).to_be_focused()
     page.keyboard.type("hands in the rig")
     page.keyboard.press("Enter")
-    expect(page.locator("#hold")).to_have_text("Sent")
+    expect(page.locator("#hold")).to_have_text(SENT)
     answer(filled, "hold", {"note": "hands in the rig"})
     at = filled.due[N_SETS - 1].due_utc_ns
     filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
@@ -244,7 +265,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     # Whoever opens the page later sees it too.
     expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
-    expect(page.locator("#release")).to_have_text("Sent")
+    expect(page.locator("#release")).to_have_text(SENT)
     answer(filled, "release", {"note": ""})
     filled.say("release", at, held="", author="dashboard")
     expect(banner).to_be_hidden()
@@ -260,7 +281,7 @@ def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, se
     tile = page.locator('.tile[data-position="C"]')
     expect(tile).to_have_attribute("data-state", "retired")
     page.get_by_role("button", name="Reinstate: position C").click()
-    expect(page.locator("#retired button")).to_have_text("Sent")
+    expect(page.locator("#retired button")).to_have_text(SENT)
     answer(filled, "reinstate", {"position": "C", "note": ""})
     filled.reinstate("C")
     expect(page.locator("#retired")).to_be_hidden()

@@ -13,6 +13,7 @@ import pytest
 from support.small_experiment import disturbed_rig, rows_of, run
 from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
+from support.waiting import ended, until
 
 import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
@@ -341,12 +342,16 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
 def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if (key.position, key.set_index, key.shot_index) == ("C", 0, 2):
+            orders.append(_order(tmp_path, "release"))
             raise ConfigurationError("the range is refused")
         return acquired
 
+    orders: list[int] = []
     with pytest.raises(RigError, match="the range is refused") as failure:
         run(small_settings(), tmp_path, rig=disturbed_rig(disturb))
     assert failure.value.exit_code == 3
+    state, words = _answer(tmp_path, orders[0])
+    assert (state, "the recorder has ended" in words) == ("expired", True)
     assert len(read_set(set_files(tmp_path)[0]).shots) == 5
     with open_catalogue(tmp_path) as catalogue:
         states = {row.position: row.state for row in catalogue.rows(SetRow)}
@@ -448,6 +453,11 @@ def _order(folder: Path, kind: str, **arguments: Any) -> int:
         return catalogue.add_command("ann", kind, arguments)
 
 
+def _starts(folder: Path) -> int:
+    with open_catalogue(folder) as catalogue:
+        return sum(event.kind == "recorder_started" for event in catalogue.events_after(0, ["service"]))
+
+
 def _answer(folder: Path, command_id: int) -> tuple[str, str]:
     with open_catalogue(folder) as catalogue:
         row = catalogue.command(command_id)
@@ -459,6 +469,10 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     thinning = {"B": {"onset_h": 0.0, "reference_h": 1.0, "depth_fraction": 0.5, "hole_h": 1.0}}
     settings = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 3.0})
     assert run(settings, tmp_path)
+    paced = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4})
+    recorder = threading.Thread(target=run, args=(paced, tmp_path))
+    recorder.start()
+    until(lambda: _starts(tmp_path) == 2, "the second start")
     orders = {
         "unknown": _order(tmp_path, "self_destruct"),
         "seen": _order(tmp_path, "acknowledge_alarm", alarm_id=1, note="plate inspected"),
@@ -467,8 +481,7 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
         "finish": _order(tmp_path, "finish_now"),
         "stop": _order(tmp_path, "stop"),
     }
-    paced = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4})
-    assert not run(paced, tmp_path)
+    ended(recorder, "the stop")
     answers = {name: _answer(tmp_path, order) for name, order in orders.items()}
     assert answers["unknown"][0] == "refused"
     assert "unknown order" in answers["unknown"][1]

@@ -4,7 +4,8 @@ import pytest
 from support.serial_rig import NO_TERMINALS, SerialRig
 
 from daq_service.corrosion_drive.charge import DriveState, restored_state
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.corrosion_drive.climate import ClimateLog
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
 from simulator.doubles.serial.instruments import Cell
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
@@ -21,18 +22,16 @@ class DriveRig(SerialRig):
         self.drive = self.new_drive(DriveState())
 
     def new_drive(self, state):
-        return ElectrochemicalDrive(
-            self.supply,
-            self.climate,
-            self.clock,
-            self.supply_parameters,
-            state,
-            climate_parameters=self.climate_parameters,
-        )
+        self.climate_log = ClimateLog(self.climate, self.clock, self.climate_parameters)
+        return ElectrochemicalDrive(self.supply, self.clock, self.supply_parameters, state)
+
+    def summary(self):
+        return summary(self.climate_log.added_to(self.drive.row(0, 0.0)))
 
     def run(self, seconds):
         for _ in range(round(seconds)):
             self.drive.tick()
+            self.climate_log.tick()
             self.clock.advance(1.0)
 
     def active(self):
@@ -49,7 +48,7 @@ def rig(tmp_path):
 
 
 def test_charge_and_climate_come_from_the_instruments(rig):
-    row = rig.drive.summary()
+    row = rig.summary()
     assert row["supply_state"] == "on"
     assert row["charge_coulomb"] == pytest.approx(90.0 * CURRENT_A, rel=1e-4)  # printed digits and drift
     assert row["temperature_c"] == pytest.approx(22.0, abs=0.1)  # a day's slow swing
@@ -67,7 +66,7 @@ def test_an_unplugged_supply_is_unknown_then_lost_then_found_on(rig):
     assert rig.drive.output() == "on"
     assert rig.active() == set()
     assert rig.drive.found["set_voltage_v"] == 10.0
-    assert rig.drive.summary()["unknown_s"] > 30.0
+    assert rig.summary()["unknown_s"] > 30.0
     assert rig.switched() == [(True, "command")]
 
 
@@ -106,13 +105,13 @@ def test_a_short_circuit_trips_the_interlock(rig):
 
 @pytest.mark.parametrize("fault", [{"garbage": 1}, {"hold": 1}, {"silent": True}])
 def test_one_bad_answer_is_no_alarm_and_costs_no_charge(rig, fault):
-    before = rig.drive.summary()["charge_coulomb"]
+    before = rig.summary()["charge_coulomb"]
     rig.instruments.supply_link.inject(**fault)
     rig.run(10.0)
     assert rig.active() == set()
     rig.instruments.supply_link.clear_faults()
     rig.run(20.0)
-    row = rig.drive.summary()
+    row = rig.summary()
     assert (row["supply_state"], row["unknown_s"]) == ("on", 0.0)
     assert row["charge_coulomb"] - before == pytest.approx(30.0 * CURRENT_A, rel=1e-4)  # as above
 

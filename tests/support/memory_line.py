@@ -152,9 +152,12 @@ class QuietHeartbeat:
 
     def __init__(self) -> None:
         self.told: list[str] = []
+        self.at_the_first: Callable[[], None] = lambda: None
 
     def beat(self, doing: str) -> None:
         self.told.append(doing)
+        act, self.at_the_first = self.at_the_first, lambda: None
+        act()
 
 
 class NoPicture:
@@ -175,6 +178,8 @@ class Line:
     instruments: list[ScriptedInstruments] = field(default_factory=list)
     heartbeat: QuietHeartbeat | Heartbeat = field(default_factory=QuietHeartbeat)
     listen_every_s: float = LISTEN_EVERY_S
+    given: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
+    runs: bool = False
 
     def run(
         self,
@@ -231,7 +236,12 @@ class Line:
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
             )
-            return recorder.run(not_running_because=cause)
+            self.runs, self.heartbeat.at_the_first = True, self._give_orders
+            try:
+                return recorder.run(not_running_because=cause)
+            finally:
+                recorder.leave()
+                self.runs = False
 
     def features_of(self, shot: Shot) -> ShotFeatures:
         """Features by the shot's key, as the script told them."""
@@ -260,11 +270,17 @@ class Line:
         with open_catalogue(self.folder, writer=writer) as catalogue:
             yield catalogue
 
-    def order(self, kind: str, author: str = "Ada", **arguments: Any) -> int:
-        """Give an order before or while a recorder runs."""
-        with self.catalogue(writer=True) as catalogue:
-            self.epoch_ns(catalogue)  # an order is given to a test that has begun
-            return catalogue.add_command(author, kind, {"note": "", **arguments})
+    def order(self, kind: str, author: str = "Ada", **arguments: Any) -> None:
+        """Give an order to the recorder that runs, or to the next one as soon as it does."""
+        self.given.append((author, kind, {"note": "", **arguments}))
+        if self.runs:
+            self._give_orders()
+
+    def _give_orders(self) -> None:
+        with self.catalogue() as catalogue:
+            for given in self.given:
+                catalogue.add_command(*given)
+        self.given.clear()
 
     def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
         """Rows of a table, of one position where it has one; of a baseline without when it was written."""

@@ -21,7 +21,7 @@ from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.cli.doctor.trial import Trial, require_position, strike_once
 from daq_service.errors import BusyError
-from daq_service.processes.data_folder import data_folder
+from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
@@ -82,20 +82,24 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
         yield from _left_alone(settings.rig)
     else:
         missing = {check.name for check in software if check.state == "fail"}
-        yield from rig_checks(settings, missing, progress)
+        yield from rig_checks(settings, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK)))
     progress("clocks and sleep")
     yield from machine_checks(
         settings.clock.kind, started_wall_s=started_wall_s, started_mono_s=started_mono_s
     )
 
 
-def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Iterator[Check]:
+def rig_checks(
+    settings: Settings, missing: set[str], progress: Progress, *, driven: bool = False
+) -> Iterator[Check]:
     """Yield the checks of the instruments.
 
     Parameters
     ----------
     missing
         Packages that are not there or too old: what needs them is skipped.
+    driven
+        A process of the drive owns the supply's port.
     """
     rig = settings.rig
     if rig.kind != "daqmx":
@@ -116,7 +120,9 @@ def rig_checks(settings: Settings, missing: set[str], progress: Progress) -> Ite
     if (rig.supply is not None or rig.climate is not None) and not _usable({"pyserial"}, missing):
         yield _needs_package("instruments on serial lines")
         return
-    if rig.supply is not None:
+    if rig.supply is not None and driven:
+        yield _skipped("supply", "its own process has the port", "see `solimon status`")
+    elif rig.supply is not None:
         progress("supply; nothing is switched")
         yield from supply_checks(rig.supply)
     if rig.climate is not None:

@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import LimitName, Quality, Severity
+from daq_service.catalogue.rows import LimitName, Quality, ReadingQuality, Severity, SupplyState
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
 
@@ -132,6 +132,8 @@ class AlarmRow(Answer):
 class CommandRow(Answer):
     """An operator's order and the recorder's answer."""
 
+    expires_in_s: float | None = Field(description="Then nobody will carry it out; null: it is not pending")
+
 
 class Page(Answer):
     """Frame of every listing."""
@@ -187,11 +189,24 @@ class EnvironmentPage(Page):
     items: list[EnvironmentRow]
 
 
+class SupplyNow(Answer):
+    """The supply at this moment, as the process that owns it keeps it: also while no recorder runs."""
+
+    state: SupplyState = Field(description="`unknown` where the newest reading says nothing of now")
+    quality: ReadingQuality
+    last: SupplyState = Field(description="What the newest reading said")
+    age_s: float | None = Field(description="Of the newest reading; null: there was none")
+    tripped: str | None = Field(description="Why it was switched off and is kept off; null: it was not")
+    unwatched: bool = Field(description="It was switched off because no recorder watched")
+    process: bool | None = Field(description="Somebody owns the supply's port; null: that cannot be told")
+
+
 class EnvironmentNow(Answer):
-    """Supply and climate around the newest set."""
+    """Supply and climate around the newest set, and the supply now."""
 
     as_of: AsOf
     latest: EnvironmentRow | None
+    supply_now: SupplyNow | None = Field(description="null: this folder's test has had no supply")
 
 
 class BaselineList(Answer):

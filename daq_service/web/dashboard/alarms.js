@@ -1,10 +1,10 @@
 // The alarm list: what waits for an operator first, each with its proof.
 
-import { get, post } from "./api.js";
+import { post } from "./api.js";
 import { el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
-import { order } from "./orders.js";
+import { follow, order } from "./orders.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
 const RANK = { critical: 0, high: 1, medium: 2, low: 3 };
@@ -113,33 +113,19 @@ export class SolimonAlarms extends HTMLElement {
 
   /** @param {number} id */
   async acknowledge(id) {
-    this.orders.set(id, "Sending");
-    this.render();
-    try {
-      const command = await post(`/alarms/${id}/acknowledge`, { author: "dashboard" });
-      this.orders.set(id, "Sent");
+    const say = (/** @type {string} */ word) => {
+      if (this.orders.get(id) === word) return;
+      this.orders.set(id, word);
       this.render();
-      await this.follow(id, command.id);
+    };
+    say("Sending");
+    try {
+      // The recorder's event brings the new state.
+      await follow(await post(`/alarms/${id}/acknowledge`, { author: "dashboard" }), say);
     } catch (error) {
       this.orders.delete(id);
       this.render();
       this.dispatchEvent(new CustomEvent("trouble", { detail: String(/** @type {Error} */ (error).message) }));
     }
-  }
-
-  /** Until the recorder has answered; its event brings the new state. @param {number} id @param {number} command */
-  async follow(id, command) {
-    for (let attempt = 0; attempt < 20; attempt++) {
-      await new Promise((resolve) => setTimeout(resolve, 500));
-      const row = await get(`/commands/${command}`);
-      if (row.state === "done") return;
-      if (row.state === "refused") {
-        this.orders.delete(id);
-        this.render();
-        throw new Error(row.result ?? "the recorder refused the acknowledgement");
-      }
-    }
-    this.orders.set(id, "Waiting for the recorder");
-    this.render();
   }
 }

@@ -1,4 +1,4 @@
-// Supply and climate around the newest set, each with its quality and age; nothing where neither is configured.
+// Supply and climate around the newest set, and the supply now, each with its quality and age; else nothing.
 
 import { el } from "./dom.js";
 import { fixed, hour, quantity } from "./format.js";
@@ -16,10 +16,10 @@ function current(current_a) {
   return current_a !== null && Math.abs(current_a) >= 1 ? quantity(current_a, 1, 3, "A") : quantity(current_a, 1e3, 2, "mA");
 }
 
-/** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values */
-function group(name, quality, age_s, values) {
+/** @param {string} name @param {string} quality @param {number | null} age_s @param {[string, string][]} values @param {string} since */
+function group(name, quality, age_s, values, since = "before") {
   const look = QUALITIES[quality] ?? { word: quality, icon: "dash", tone: "" };
-  const age = age_s === null ? "" : `read ${fixed(age_s, age_s < 10 ? 1 : 0)} s before`;
+  const age = age_s === null ? "" : `read ${fixed(age_s, age_s < 10 ? 1 : 0)} s ${since}`;
   const part = el(
     "div",
     { class: "environment-group", "data-quality": quality },
@@ -29,11 +29,20 @@ function group(name, quality, age_s, values) {
   return part;
 }
 
-/** @param {HTMLElement} root @param {any} row the newest one, or null */
-export function showEnvironment(root, row) {
-  root.hidden = row === null;
-  if (row === null) return;
+/** The output at this moment, also while no recorder runs. @param {any} now */
+function supplyNow(now) {
+  const output = now.quality === "good" ? now.state : `${now.state}; ${now.last} when it was read last`;
+  return group("Supply now", now.quality, now.age_s, [["Output", now.tripped === null ? output : `${output}; switched off and kept off: ${now.tripped}`]], "ago");
+}
+
+/** @param {HTMLElement} root @param {any} answer of /environment/latest */
+export function showEnvironment(root, answer) {
+  const row = answer.latest;
+  root.hidden = row === null && answer.supply_now === null;
+  if (root.hidden) return;
   const parts = [el("h2", { id: "environment-title", class: "sr-only", text: "Supply and climate" })];
+  if (answer.supply_now !== null) parts.push(supplyNow(answer.supply_now));
+  if (row === null) return root.replaceChildren(...parts);
   if (row.supply_quality !== "absent") {
     const state = row.supply_tripped === null ? row.supply_state : `${row.supply_state}, interlock open: ${row.supply_tripped}`;
     parts.push(

@@ -1,7 +1,7 @@
 // Wires the page: history first, then events and waveforms as they come. The API is the only source
 // of what is drawn; an event only says what to read again.
 
-import { all, get, hasData, post } from "./api.js";
+import { all, get, hasData } from "./api.js";
 import { SolimonAlarms } from "./alarms.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
@@ -9,6 +9,7 @@ import { fixed, hour, scientific, significant, utc } from "./format.js";
 import { showEnvironment } from "./environment.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
+import { order } from "./orders.js";
 import { Retired } from "./retired.js";
 import { EventStream, WaveformStream } from "./streams.js";
 import { Tiles } from "./tiles.js";
@@ -21,6 +22,7 @@ customElements.define("solimon-alarms", SolimonAlarms);
 const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
 const RETRY_MS = 1000;
+const SUPPLY_MS = 5000;
 const WAITING_MS = 300;
 
 /** Columns a chart needs, by method. @type {Record<string, string[]>} */
@@ -47,6 +49,7 @@ const state = {
   /** @type {Map<string, any>} fits by position and field */ fits: new Map(),
   connected: false,
   ready: false,
+  hasSupply: false,
   refreshes: 0,
 };
 /** What is to be read again. */
@@ -209,7 +212,7 @@ async function refresh() {
   if (withAlarms) readings.push(all("/alarms?limit=200").then((items) => alarmList.update(items)));
   if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), showInfo())));
   readings.push(get("/transducers").then((answer) => (tiles.update(answer), retired.update(answer), showClock(answer.as_of))));
-  if (withEnvironment) readings.push(get("/environment/latest").then((answer) => showEnvironment(byId("environment"), answer.latest)));
+  if (withEnvironment) readings.push(readEnvironment());
   await Promise.all(readings);
   for (const position of changed) dirty.fits.add(position);
   if (performance.now() - fitsReadAt > FIT_REFRESH_MS) await readFits();
@@ -218,6 +221,12 @@ async function refresh() {
   state.refreshes += 1;
   if (byId("notice").dataset.tone === "alarm") notice("");
   drawAll();
+}
+
+async function readEnvironment() {
+  const answer = await get("/environment/latest");
+  state.hasSupply = answer.supply_now !== null;
+  showEnvironment(byId("environment"), answer);
 }
 
 /** @param {string} position @param {boolean} whole false: only what is newer than what is here */
@@ -415,15 +424,18 @@ byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
   button.disabled = true;
   try {
-    await post("/commands", { kind: "finish_now", author: "dashboard" });
+    await order("finish_now", {}, (word) => setText(button, word));
     setText(button, "Finishing");
   } catch (error) {
     button.disabled = false;
+    setText(button, "Finish now");
     notice(/** @type {Error} */ (error).message, "alarm");
   }
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 setInterval(() => tiles.tick(), 1000);
+// Where no recorder runs no event comes, and the supply's own process may switch off.
+setInterval(() => state.hasSupply && readEnvironment().catch(() => undefined), SUPPLY_MS);
 setTheme(THEMES.includes(localStorage.getItem("solimon-theme") ?? "") ? /** @type {string} */ (localStorage.getItem("solimon-theme")) : "auto");
 
 /** Read-only view of what is shown, for tests and for the curious. */

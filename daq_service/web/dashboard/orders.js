@@ -1,9 +1,9 @@
-// Orders to the recorder: written over REST, then followed until the recorder has answered.
+// Orders to the recorder: written over REST, then followed until they are answered or have expired.
 
 import { get, post } from "./api.js";
 
 const LOOK_MS = 300;
-const LOOKS = 60;
+const LOOKS = 600;
 
 /**
  * Give an order and wait for its answer; events bring what it changes.
@@ -13,14 +13,23 @@ const LOOKS = 60;
  */
 export async function order(kind, args, say) {
   say("Sending");
-  const command = await post("/commands", { kind, author: "dashboard", arguments: args });
-  say("Sent");
+  await follow(await post("/commands", { kind, author: "dashboard", arguments: args }), say);
+}
+
+/**
+ * Until the recorder has answered, or nobody will any more; the deadline is counted by the service's clock.
+ *
+ * @param {any} row of /commands @param {(word: string) => void} say
+ */
+export async function follow(row, say) {
   for (let look = 0; look < LOOKS; look++) {
-    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
-    const row = await get(`/commands/${command.id}`);
     if (row.state === "done") return;
-    if (row.state === "refused") throw new Error(row.result ?? `the recorder refused to ${kind}`);
+    if (row.state === "refused") throw new Error(row.result ?? `the recorder refused to ${row.kind}`);
+    if (row.state !== "pending" && row.state !== "started") throw new Error(`${row.kind} ${row.state}: ${row.result}`);
+    // The recorder looks between two strikes: one that is storing a set may take a while.
+    say(row.state === "started" ? "Being carried out" : `Sent, expires in ${Math.ceil(row.expires_in_s)} s`);
+    await new Promise((resolve) => setTimeout(resolve, LOOK_MS));
+    row = await get(`/commands/${row.id}`);
   }
-  // The recorder looks between two strikes: one that is storing a set may take a while.
-  say("Waiting for the recorder");
+  throw new Error(`the recorder began to ${row.kind} and has not answered; look before you order it again`);
 }

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 from fastapi import APIRouter
 
 from daq_service.catalogue.rows import EnvironmentRow
+from daq_service.corrosion_drive.kept import look_at_drive
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import EnvironmentNow, EnvironmentPage, problems
 from daq_service.web.context import ContextOf
@@ -28,7 +31,13 @@ add_listing(
     responses=problems(503),
 )
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
-    """Tell the newest row; null where there is none."""
+    """Tell the newest row, and how the supply stands now; null where there is none."""
     fresh = context.freshness()
-    row = context.catalogue().last_environment()
-    return JsonAnswer({"as_of": fresh.as_of(), "latest": None if row is None else fresh.row(row)})
+    row, drive = context.catalogue().last_environment(), look_at_drive(context.data_folder)
+    return JsonAnswer(
+        {
+            "as_of": fresh.as_of(),
+            "latest": None if row is None else fresh.row(row),
+            "supply_now": None if drive is None else asdict(drive),
+        }
+    )

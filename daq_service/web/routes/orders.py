@@ -9,6 +9,7 @@ from pydantic import Field
 from starlette.responses import Response
 
 from daq_service.catalogue.rows import AlarmRow, values
+from daq_service.orders.deadline import look_at_order
 from daq_service.orders.kinds import (
     LARGEST_ID,
     AcknowledgeAlarm,
@@ -42,7 +43,7 @@ ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
     "/commands", operation_id="create_command", status_code=202, response_model=CommandRow, responses=ACCEPTED
 )
 def create_command(command: AnyOrder, context: ContextOf, request: Request) -> Response:
-    """Write an order; it is carried out when the recorder reads it (see its `state`)."""
+    """Write an order; the recorder carries it out within 60 s, or it expires (see its `state`)."""
     return _written(context, command)
 
 
@@ -95,9 +96,11 @@ def _written(context: Context, order: Order) -> Response:
 
 
 def _row(context: Context, command_id: int) -> dict[str, Any]:
-    row = context.catalogue().command(command_id)
-    if row is None:
+    found = look_at_order(context.catalogue(), command_id)
+    if found is None:
         raise not_found(
             f"There is no command {command_id}.", "Ids come from the answer that accepted the command."
         )
-    return with_utc(values(row), 0)
+    row, seconds_left = found
+    expires_in_s = seconds_left if row.state == "pending" else None
+    return with_utc({**values(row), "expires_in_s": expires_in_s}, 0)

@@ -34,6 +34,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.tables import features, sets
+from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
 
 HASH = "ab" * 32
@@ -575,14 +576,14 @@ def test_alarms_are_listed_by_position_and_state(writer, reader):
 
 def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
     command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
-    (pending,) = writer.pending_commands()
+    (pending,) = writer.open_commands()
     assert (pending.id, pending.author, pending.arguments) == (
         command_id,
         "operator",
         {"alarm_id": 3, "note": "seen"},
     )
     writer.finish_command(command_id, "refused", "alarm 3 is normal")
-    assert writer.pending_commands() == []
+    assert writer.open_commands() == []
     answered = reader.command(command_id)
     assert (answered.state, answered.result) == ("refused", "alarm 3 is normal")
     assert answered.finished_wall_utc_ns >= answered.wall_utc_ns
@@ -591,11 +592,22 @@ def test_a_command_goes_to_the_recorder_and_its_answer_back(writer, reader):
 
 def test_a_command_is_answered_once_and_in_words_of_the_contract(writer, reader):
     command_id = reader.add_command("operator", "stop", {})
-    with pytest.raises(CatalogueConflictError, match="'done' or 'refused'"):
+    with pytest.raises(CatalogueConflictError, match="done, refused, expired, failed"):
         writer.finish_command(command_id, "finished")
+    writer.start_command(command_id)
+    assert [row.state for row in writer.open_commands()] == ["started"]
+    with pytest.raises(CatalogueConflictError, match=f"no command {command_id} that is pending"):
+        writer.start_command(command_id)
     writer.finish_command(command_id, "done")
-    with pytest.raises(CatalogueConflictError, match=f"no pending command {command_id}"):
+    with pytest.raises(CatalogueConflictError, match=f"no command {command_id} that is pending or started"):
         writer.finish_command(command_id, "done")
+
+
+def test_a_command_has_a_deadline_in_utc_and_in_this_boot(reader):
+    row = reader.command(reader.add_command("operator", "stop", {}, within_s=7.0))
+    assert row.deadline_wall_utc_ns - row.wall_utc_ns == 7 * 10**9
+    assert 0 < row.deadline_boot_ns - elapsed_ns() <= 7 * 10**9
+    assert row.boot_id == boot_name()
 
 
 # Questions ------------------------------------------------------------------------------------

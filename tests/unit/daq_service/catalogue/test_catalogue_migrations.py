@@ -19,6 +19,7 @@ from daq_service.catalogue import connection, open_catalogue
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
 from daq_service.catalogue.rows import EnvironmentRow, ShotRow
 from daq_service.catalogue.tables import metadata
+from daq_service.orders.deadline import look_at_order
 
 
 def schema_of(path):
@@ -27,7 +28,11 @@ def schema_of(path):
     rows = database.execute("SELECT name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
     database.close()
     return {
-        name: re.sub(r"\s+", " ", sql).replace('"', "").replace("( ", "(").replace(" )", ")")
+        name: re.sub(r"\s+", " ", sql)
+        .replace('"', "")
+        .replace("( ", "(")
+        .replace(" )", ")")
+        .replace(" ,", ",")
         for name, sql in rows
         if name != "alembic_version" and not name.startswith("sqlite_")
     }
@@ -103,6 +108,7 @@ def make_first_catalogue(path):
             (7, 0, "B", 0, 0, 1, 1, "boot", 99, 1, "[]"),
             (8, 0, "B", 1, 0, 2, 2, "boot", 98, 0, '["clipped"]'),
         ],
+        "commands": [(5, 3, "ann", "supply_on", "{}", "pending", None, None)],
         "events": [(41, 5, 6, "sets", "set_done", "B", 0, "{}")],
         "alarms": [
             (
@@ -155,6 +161,9 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     assert rows_of(path, "alembic_version") == [(migrations.SCHEMA_REVISION,)]
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
+        # Nobody carries out what was ordered before the update.
+        order, left_s = look_at_order(catalogue, 5)
+        assert (order.state, left_s) == ("expired", 0.0)
         assert [row.outcome for row in catalogue.rows(ShotRow, position="B", set_index=0)] == ["accepted"] * 2
     migrated, described = schema_of(path), tmp_path / "described.sqlite"
     engine = create_engine(f"sqlite:///{described}")

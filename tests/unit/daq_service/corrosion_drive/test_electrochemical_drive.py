@@ -1,13 +1,15 @@
 """The corrosion drive on a scripted supply and a clock that the test moves."""
 
 import pytest
+from support.scripted_supply import PlainSupply, ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.tables import environment
 from daq_service.corrosion_drive.charge import Charge, DriveState, restored_state
-from daq_service.corrosion_drive.drive import ElectrochemicalDrive
+from daq_service.corrosion_drive.climate import ClimateLog
+from daq_service.corrosion_drive.drive import ElectrochemicalDrive, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
-from hardware_drivers.measurement import ClimateReading, SupplyReading
+from hardware_drivers.measurement import ClimateReading
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
 
 INTERVAL_S = 10.0
@@ -23,55 +25,6 @@ PARAMETERS = SupplyParameters(
     interlock_lost_after_s=300.0,
 )
 CLIMATE = ClimateParameters(line=LINE, identity="ANY", log_interval_s=60.0)
-
-
-class PlainSupply:
-    """Says what the test wants; notes everything that is asked of it."""
-
-    tripped_protections = ()
-
-    def __init__(self, clock):
-        self.clock = clock
-        self.on = False
-        self.current_a = 0.2
-        self.set = {"set_voltage_v": 10.0, "set_current_limit_a": 1.0}
-        self.error = None
-        self.calls = []
-
-    def _call(self, name):
-        self.calls.append(name)
-        if self.error is not None:
-            raise self.error
-
-    def read(self, timeout_s):
-        assert timeout_s == PARAMETERS.read_timeout_s
-        self._call("read")
-        return SupplyReading(
-            stamp=self.clock.stamp(),
-            voltage_v=10.0 if self.on else 0.0,
-            current_a=self.current_a if self.on else 0.0,
-            output_on=self.on,
-        )
-
-    def energise(self, voltage_v, current_limit_a):
-        self._call(f"energise {voltage_v:g} V {current_limit_a:g} A")
-        self.on = True
-
-    def make_safe(self):
-        self._call("make_safe")
-        self.on = False
-
-    def identity(self):
-        return {}
-
-
-class ScriptedSupply(PlainSupply):
-    """The same, and tells what is set."""
-
-    def read_back(self, timeout_s):
-        assert timeout_s == PARAMETERS.read_timeout_s
-        self._call("read_back")
-        return {**self.set, "output": "on" if self.on else "off"}
 
 
 class ScriptedProbe:
@@ -98,19 +51,19 @@ class Bench:
             setattr(self.supply, name, value)
         self.probe = ScriptedProbe(self.clock)
         self.drive = ElectrochemicalDrive(
-            self.supply,
-            self.probe,
-            self.clock,
-            PARAMETERS,
-            DriveState() if state is None else state,
-            climate_parameters=CLIMATE,
+            self.supply, self.clock, PARAMETERS, DriveState() if state is None else state
         )
+        self.climate = ClimateLog(self.probe, self.clock, CLIMATE)
 
     def run(self, seconds):
         """Tick every 0.5 s, as an idle recorder does."""
         for _ in range(round(seconds / 0.5)):
             self.drive.tick()
+            self.climate.tick()
             self.clock.advance(0.5)
+
+    def summary(self):
+        return summary(self.climate.added_to(self.drive.row(0, 0.0)))
 
     def active(self):
         return {condition.name for condition in self.drive.conditions() if condition.active}
@@ -130,13 +83,14 @@ def energised():
 # Reading -------------------------------------------------------------------------------------------
 
 
-def test_one_call_reads_one_instrument_at_most():
+def test_one_call_asks_the_supply_once_at_most():
     bench = Bench()
     total = 0
     for _ in range(600):
         bench.drive.tick()
-        calls = len(bench.supply.calls) + bench.probe.calls
+        calls = len(bench.supply.calls)
         assert calls - total <= 1
+        bench.climate.tick()
         total = calls
         bench.clock.advance(0.5)
     assert bench.supply.calls.count("read") == 30
@@ -155,20 +109,19 @@ def test_a_recorder_that_was_busy_reads_once_and_not_in_a_burst(energised):
 
 
 def test_charge_is_the_integral_of_the_measured_current(energised):
-    before = energised.drive.summary()["charge_coulomb"]
+    before = energised.summary()["charge_coulomb"]
     energised.supply.current_a = 0.4
     energised.run(120.0)
     # A reading every 10 s: 0.2 A until the one before the change, 0.4 A from the one after, 0.3 A between.
-    flowed = energised.drive.summary()["charge_coulomb"] - before
+    flowed = energised.summary()["charge_coulomb"] - before
     assert flowed == pytest.approx(0.3 * 10.0 + 0.4 * 110.0, rel=1e-6)  # stamps differ by nanoseconds
-    assert energised.drive.summary()["unknown_s"] == 0.0
+    assert energised.summary()["unknown_s"] == 0.0
 
 
 def test_the_summary_has_the_columns_of_the_catalogue(energised):
     columns = set(environment.columns.keys()) - {"id", "set_index", "due_h"}
-    assert set(energised.drive.summary()) == columns
-    without = ElectrochemicalDrive(None, None, energised.clock, None, DriveState())
-    assert set(without.summary()) == columns
+    assert set(energised.summary()) == columns
+    assert set(summary(no_supply(0, 0.0))) == columns
 
 
 def test_a_window_holds_the_readings_of_its_set(energised):
@@ -176,41 +129,31 @@ def test_a_window_holds_the_readings_of_its_set(energised):
     for current_a in (0.2, 0.5, 0.3):
         energised.supply.current_a = current_a
         energised.run(INTERVAL_S)
-    row = energised.drive.summary()
+    row = energised.summary()
     assert (row["current_min_a"], row["current_max_a"]) == (0.2, 0.5)
     assert row["current_a"] == pytest.approx(1.0 / 3.0, rel=1e-12)  # rounding of a mean
     assert (row["voltage_v"], row["voltage_min_v"], row["voltage_max_v"]) == (10.0, 10.0, 10.0)
     assert (row["temperature_c"], row["relative_humidity"], row["climate_quality"]) == (21.5, 0.4, "good")
     energised.drive.begin_window()
-    row = energised.drive.summary()
+    row = energised.summary()
     assert row["current_a"] is None
     assert row["current_max_a"] is None
     assert row["charge_coulomb"] > 0.0, "totals go on"
 
 
-def test_without_instruments_it_says_absent_and_does_nothing():
-    bench = Bench()
-    drive = ElectrochemicalDrive(None, None, bench.clock, None, DriveState())
-    drive.tick()
-    row = drive.summary()
+def test_without_a_supply_it_says_absent():
+    row = summary(no_supply(0, 0.0))
     assert (row["supply_state"], row["supply_quality"], row["climate_quality"]) == ("absent",) * 3
     assert row["charge_coulomb"] is None
-    assert drive.conditions() == ()
-    assert drive.trip("hole at B") is False
-    assert drive.tripped is None
-    with pytest.raises(ConfigurationError, match=r"\[rig.supply\]"):
-        drive.energise("Ada")
-    with pytest.raises(ValueError, match="together"):
-        ElectrochemicalDrive(bench.supply, None, bench.clock, None, DriveState())
 
 
 def test_the_climate_goes_on_without_the_supply_and_the_other_way_round(energised):
     energised.supply.error = LOST
     energised.run(200.0)
-    assert energised.drive.summary()["climate_quality"] == "good"
+    assert energised.summary()["climate_quality"] == "good"
     energised.supply.error, energised.probe.error = None, ConnectionLostError("probe gone")
     energised.run(200.0)
-    row = energised.drive.summary()
+    row = energised.summary()
     assert (row["supply_quality"], row["climate_quality"]) == ("good", "lost")
     assert row["temperature_c"] == 21.5, "the last one, with its age"
     assert row["climate_age_s"] >= 180.0
@@ -221,7 +164,7 @@ def test_the_climate_goes_on_without_the_supply_and_the_other_way_round(energise
 
 def test_before_the_first_reading_nothing_is_known():
     bench = Bench()
-    row = bench.drive.summary()
+    row = bench.summary()
     assert (row["supply_state"], row["supply_quality"], row["supply_age_s"]) == ("unknown", "stale", None)
     assert bench.active() == set()
 
@@ -230,11 +173,11 @@ def test_before_the_first_reading_nothing_is_known():
 def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
     energised.supply.error = error
     energised.run(INTERVAL_S)
-    row = energised.drive.summary()
+    row = energised.summary()
     assert (row["supply_state"], row["supply_quality"]) == ("unknown", "stale"), "one answer missing"
     assert energised.active() == set(), "which is no alarm"
     energised.run(30.0)
-    row = energised.drive.summary()
+    row = energised.summary()
     assert (row["supply_state"], row["supply_quality"]) == ("unknown", "lost")
     # The newest reading was the fixture's last, 10 s before it ended.
     assert row["supply_age_s"] == pytest.approx(50.0, abs=0.5)  # half a second between ticks
@@ -244,17 +187,17 @@ def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
 
 
 def test_time_without_readings_is_booked_once_and_not_integrated(energised):
-    charge_c = energised.drive.summary()["charge_coulomb"]
+    charge_c = energised.summary()["charge_coulomb"]
     energised.supply.error = LOST
     energised.run(100.0)
     energised.supply.error = None
     energised.run(INTERVAL_S)
-    row = energised.drive.summary()
+    row = energised.summary()
     assert row["charge_coulomb"] == charge_c
     assert row["unknown_s"] == pytest.approx(110.0, abs=0.5)  # half a second between ticks
     assert row["supply_state"] == "on"
     energised.run(INTERVAL_S)
-    assert energised.drive.summary()["charge_coulomb"] > charge_c
+    assert energised.summary()["charge_coulomb"] > charge_c
 
 
 def test_what_is_found_after_a_loss_is_read_back_and_reported(energised):
@@ -283,7 +226,7 @@ def test_a_supply_that_cannot_tell_what_is_set_is_read_all_the_same(energised):
     energised.supply.calls.clear()
     energised.run(60.0)
     assert energised.supply.calls.count("read") == 6
-    assert energised.drive.summary()["unknown_s"] == 0.0
+    assert energised.summary()["unknown_s"] == 0.0
 
 
 # Interlock -----------------------------------------------------------------------------------------
@@ -296,7 +239,7 @@ def test_a_trip_switches_off_and_stays_until_a_person_orders(energised):
     assert not any(call.startswith("energise") for call in energised.supply.calls[1:])
     assert energised.active() == {"interlock_tripped"}
     assert energised.message("interlock_tripped") == "hole at B"
-    assert energised.drive.summary()["supply_tripped"] == "hole at B"
+    assert energised.summary()["supply_tripped"] == "hole at B"
     energised.drive.energise("Ada")
     energised.run(INTERVAL_S)
     assert energised.active() == set()
@@ -494,13 +437,13 @@ def test_a_restart_carries_charge_on_reads_the_supply_and_changes_nothing(energi
     bench.clock.now_ns = written_ns
     bench.clock.advance(1000.0)
     bench.run(INTERVAL_S)
-    after = bench.drive.summary()
+    after = bench.summary()
     assert after["charge_coulomb"] == row.charge_coulomb
     assert after["unknown_s"] == pytest.approx(row.unknown_s + 1000.0 + row.supply_age_s, abs=1.0)
     assert bench.supply.calls == ["read", "read_back"]
     assert bench.active() == set()
     bench.run(INTERVAL_S)
-    assert bench.drive.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
+    assert bench.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
 
 
 def test_a_supply_that_is_off_after_a_restart_is_told_and_stays_off():

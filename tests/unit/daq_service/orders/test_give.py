@@ -29,7 +29,7 @@ class Recorder:
         Heartbeat(folder, deadline_s=3600.0).beat("waiting")
 
     def look(self, seconds: float) -> None:
-        for row in self.catalogue.pending_commands():
+        for row in self.catalogue.open_commands():
             self.seen.append((row.kind, row.author, row.arguments))
             self.catalogue.finish_command(row.id, *self.answer)
 
@@ -89,17 +89,37 @@ def test_a_refusal_is_an_error_with_the_recorders_reason(
 def test_arguments_that_no_recorder_would_take_are_not_written(recorder: Recorder) -> None:
     with pytest.raises(UsageError, match=r"arguments\.voltage_v"):
         recorder.given("supply_on", voltage_v=-5.0)
-    assert recorder.catalogue.pending_commands() == recorder.seen == []
+    assert recorder.catalogue.open_commands() == recorder.seen == []
 
 
-def test_an_order_without_an_answer_stays(recorder: Recorder, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(BusyError, match=r"order 1 \(release\) stays") as silence:
+def test_an_order_that_nobody_begins_in_time_expires(
+    recorder: Recorder, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(
+        BusyError, match=r"order 1 \(release\) expired: not carried out, and nobody"
+    ) as silence:
         recorder.given("release", within_s=0.0, as_json=True)
     assert silence.value.exit_code == 5
-    assert json.loads(capsys.readouterr().out)["state"] == "pending"
+    assert json.loads(capsys.readouterr().out)["state"] == "expired"
     assert recorder.seen == []
-    recorder.look(0.0)
-    assert [kind for kind, _, _ in recorder.seen] == ["release"]
+
+
+def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder: Recorder) -> None:
+    with pytest.raises(
+        BusyError, match=r"began order 1 \(hold\) .* look before you give it again"
+    ) as silence:
+        recorder.given(
+            "hold",
+            carried_out_within_s=0.0,
+            wait=lambda seconds: recorder.catalogue.start_command(1),
+        )
+    assert silence.value.exit_code == 5
+
+
+def test_an_order_that_its_recorder_died_over_is_told_as_failed(recorder: Recorder) -> None:
+    recorder.answer = ("failed", "the recorder ended while carrying it out")
+    with pytest.raises(BusyError, match=r"order 1 \(hold\) failed: the recorder ended"):
+        recorder.given("hold")
 
 
 def killed(recorder: Recorder) -> None:
@@ -143,7 +163,7 @@ def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
         recorder.given("hold")
-    assert recorder.catalogue.pending_commands() == []
+    assert recorder.catalogue.open_commands() == []
 
 
 @pytest.mark.parametrize("told", [["schedule_done"], ["recorder_stopped", "recorder_started"]])

@@ -10,7 +10,7 @@ import pytest
 from support.begun_experiment import begun_catalogue
 
 from daq_service.archive import FolderArchive
-from daq_service.catalogue.errors import CatalogueBusyError
+from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.orders.obey import OrderListener
@@ -49,10 +49,10 @@ class Bench:
     def __init__(self, folder: Path, clock: Clock, switch: Switch | None) -> None:
         self.folder, self.clock, self.switch = folder, clock, switch
         self.catalogue = begun_catalogue(folder)
-        self.stop, self.now_ns = threading.Event(), 0
+        self.stop, self.now_ns, self.left_s = threading.Event(), 0, 60.0
         self.restart()
 
-    def restart(self) -> None:
+    def restart(self, *, begin: bool = True) -> None:
         """What a new recorder process finds."""
         rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
         self.ledger = Ledger(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
@@ -66,7 +66,15 @@ class Bench:
             positions=("B", "C", "D"),
             supply=self.switch,
         )
-        self.listener = OrderListener(self.catalogue, test, listen_every_s=0.2, mono_ns=lambda: self.now_ns)
+        self.listener = OrderListener(
+            self.catalogue,
+            test,
+            listen_every_s=0.2,
+            mono_ns=lambda: self.now_ns,
+            left_s=lambda row: self.left_s,
+        )
+        if begin:
+            self.listener.begin()
 
     def write(self, kind: str, **arguments: object) -> int:
         return self.catalogue.add_command("ann", kind, arguments)
@@ -139,6 +147,89 @@ def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
     bench.listener.listen()
     assert bench.answer(order_id) == ("done", "the supply is on")
     assert [what for what, *_ in bench.switch.done] == ["on"]
+
+
+def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench) -> None:
+    bench.left_s = 0.0
+    state, words = bench.obey("supply_on")
+    assert (state, words.split(":")[0]) == ("expired", "not carried out, and nobody will")
+    assert bench.switch is not None
+    assert bench.switch.done == []
+
+
+def test_an_order_whose_mark_is_stored_after_its_deadline_expires(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever still found it pending at its deadline was told that nobody begins it."""
+    start = bench.catalogue.start_command
+
+    def slow_disk(order_id: int) -> None:
+        start(order_id)
+        bench.left_s = 0.0
+
+    monkeypatch.setattr(bench.catalogue, "start_command", slow_disk)
+    assert bench.obey("supply_on")[0] == "expired"
+    assert bench.switch is not None
+    assert bench.switch.done == []
+
+
+@pytest.mark.parametrize("begin", [True, False], ids=["at the start", "at the first look"])
+def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
+    bench: Bench, begin: bool
+) -> None:
+    begun, waiting = bench.write("supply_on"), bench.write("release")
+    bench.catalogue.start_command(begun)  # ... and killed
+    bench.restart(begin=begin)
+    if not begin:  # the disk did not take it
+        bench.listener.listen()
+    assert bench.answer(begun) == (
+        "failed",
+        "the recorder ended while carrying it out; look before you give it again",
+    )
+    state, words = bench.answer(waiting)
+    assert (state, "it was given before this recorder began" in words) == ("expired", True)
+    assert bench.switch is not None
+    assert bench.switch.done == []
+    assert bench.obey("supply_on") == ("done", "the supply is on")
+
+
+def test_an_order_is_marked_before_it_is_carried_out(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[str] = []
+    assert bench.switch is not None
+    supply_on = bench.switch.supply_on
+
+    def seen(*author: Any, **set_to: Any) -> str:
+        found.append(bench.answer(1)[0])
+        return supply_on(*author, **set_to)
+
+    monkeypatch.setattr(bench.switch, "supply_on", seen)
+    assert bench.obey("supply_on")[0] == "done"
+    assert found == ["started"]
+
+
+def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(order_id: int) -> None:
+        raise CatalogueWriteError("the disk is full")
+
+    monkeypatch.setattr(bench.catalogue, "start_command", refused)
+    assert bench.obey("supply_off")[0] == "done"
+    bench.write("supply_on")
+    bench.now_ns += 200 * NS_PER_MS
+    with pytest.raises(CatalogueWriteError):
+        bench.listener.listen()
+    assert bench.switch is not None
+    assert [what for what, *_ in bench.switch.done] == ["off"]
+
+
+def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
+    order_id = bench.write("hold")
+    bench.listener.close("the recorder has ended")
+    state, words = bench.answer(order_id)
+    assert (state, "the recorder has ended" in words) == ("expired", True)
+    bench.restart()
+    assert bench.listener.held == ""
 
 
 def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:

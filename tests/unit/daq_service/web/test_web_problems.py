@@ -50,7 +50,7 @@ def problem(answer, status, name):
 
 
 def n_commands(filled):
-    return len(filled.catalogue.pending_commands())
+    return len(filled.catalogue.open_commands())
 
 
 # Reading
@@ -340,13 +340,13 @@ def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
     filled, api = lab
     problem(ordered(api, "release"), 409, "conflict")
     assert ordered(api, "hold", note="door open").status_code == 202
-    (row,) = filled.catalogue.pending_commands()
+    (row,) = filled.catalogue.open_commands()
     assert (row.kind, row.author, row.arguments) == ("hold", "Ada", {"note": "door open"})
     filled.say("hold", held="held by Ada: door open", author="Ada")
     refusal = problem(ordered(api, "hold"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
     assert ordered(api, "release").status_code == 202
-    kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
+    kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
     assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
 
 
@@ -362,7 +362,7 @@ def test_retire_and_reinstate_become_rows_and_are_refused_where_they_cannot_be(l
     refusal = problem(ordered(api, "retire", position="B"), 409, "conflict")
     assert "10 sets running with nothing at B" in refusal["detail"]
     assert ordered(api, "reinstate", position="B").status_code == 202
-    kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
+    kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
     assert kinds == [
         ("retire", {"position": "B", "note": "coil is hot"}),
         ("reinstate", {"position": "B", "note": ""}),
@@ -381,7 +381,7 @@ def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, la
     with served(filled.settings, tmp_path / "with") as service, service.client() as api:
         assert ordered(api, "supply_on", voltage_v=5.0).status_code == 202
         assert ordered(api, "supply_off").status_code == 202
-        kinds = [(row.kind, row.arguments) for row in filled.catalogue.pending_commands()]
+        kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
     filled.close()
     assert kinds == [
         ("supply_on", {"voltage_v": 5.0, "current_limit_a": None, "note": ""}),
@@ -397,7 +397,7 @@ def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
     filled, api = lab
     filled.say("recorder_stopped", filled.due[0].due_utc_ns)
     assert "has stopped" in problem(ordered(api, kind, **arguments), 409, "conflict")["detail"]
-    assert filled.catalogue.pending_commands() == []
+    assert filled.catalogue.open_commands() == []
 
 
 def test_order_that_is_not_json_is_refused(api):
@@ -415,5 +415,5 @@ def test_orders_need_somebody_to_carry_them_out(tmp_path):
         problem(api.post("/api/v1/commands", json={"kind": "finish_now"}), 409, "conflict")
         filled.say("schedule_done", filled.due[0].due_utc_ns)
         problem(api.post("/api/v1/commands", json={"kind": "stop"}), 409, "conflict")
-        assert filled.catalogue.pending_commands() == []
+        assert filled.catalogue.open_commands() == []
     filled.close()

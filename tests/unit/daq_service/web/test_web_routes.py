@@ -16,6 +16,9 @@ from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EnvironmentRow, EventRow, FeatureRow, SetRow, VerdictRow, values
 from daq_service.cli.inspection import print_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
+from daq_service.corrosion_drive.charge import DriveState
+from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.processes.data_folder import DRIVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
@@ -191,6 +194,27 @@ def test_environment_is_a_row_a_set_with_its_quality_and_age(api, filled):
     latest = get(api, "/api/v1/environment/latest")
     assert (latest["latest"]["set_index"], latest["latest"]["age_h"]) == (N_SETS - 1, 0.0)
     assert latest["as_of"]["now_h"] == 30.0
+    assert latest["supply_now"] is None
+
+
+def test_the_supply_is_told_as_its_process_keeps_it_with_its_age(api, filled):
+    write_kept(
+        filled.folder, kept_now(DriveState(tripped="hole at B"), output="off", age_s=2.0, good_for_s=30.0)
+    )
+    try:
+        now = get(api, "/api/v1/environment/latest")["supply_now"]
+    finally:
+        (filled.folder / DRIVE_FILE).unlink()
+    assert models.SupplyNow.model_validate(now)
+    assert now.pop("age_s") >= 2.0
+    assert now == {
+        "state": "unknown",
+        "quality": "lost",
+        "last": "off",
+        "tripped": "hole at B",
+        "unwatched": False,
+        "process": False,
+    }
 
 
 def test_without_supply_and_probe_the_environment_is_empty(tmp_path):

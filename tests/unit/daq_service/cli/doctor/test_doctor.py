@@ -282,7 +282,7 @@ def test_a_recorder_that_is_started_again_while_the_doctor_looks_finds_its_folde
     assert started(folder) == "", "a recorder was here"
     seen = []
 
-    def looking(*arguments: object) -> list[Check]:
+    def looking(*arguments: object, **driven: bool) -> list[Check]:
         seen.append(started(folder))
         return []
 

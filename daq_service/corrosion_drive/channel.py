@@ -1,0 +1,141 @@
+"""JSON lines between two processes of this machine: over its loopback interface, sealed with a shared key.
+
+Nobody waits in here for the other side but for an instant: a process that stands still, or a stranger who
+connects and says nothing, delays no line of ours.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import json
+import logging
+import selectors
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any, Self
+
+log = logging.getLogger(__name__)
+
+HOST = "127.0.0.1"
+CONNECT_WITHIN_S = 0.2
+"""The kernel accepts for a process that stands still."""
+LONGEST_LINE = 65_536
+MOST_CONNECTIONS = 16
+
+Message = Mapping[str, Any]
+
+
+def sealed(key: bytes, message: Message) -> bytes:
+    """Return the line of a message."""
+    body = json.dumps(message).encode()
+    return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
+
+
+def opened(key: bytes, line: bytes) -> dict[str, Any] | None:
+    """Return the message of a line; None where it was not sealed with this key."""
+    seal, _, body = line.rstrip(b"\n").partition(b" ")
+    if not hmac.compare_digest(seal, hmac.new(key, body, "sha256").hexdigest().encode()):
+        return None
+    message = json.loads(body)
+    return message if isinstance(message, dict) else None
+
+
+class Connection:
+    """One end of a connected socket; never blocks."""
+
+    def __init__(self, connected: socket.socket, key: bytes) -> None:
+        connected.setblocking(False)
+        self.socket, self._key, self._pending = connected, key, b""
+
+    def send(self, message: Message) -> None:
+        """Send a message.
+
+        Raises
+        ------
+        OSError
+            The other side is gone, or has not read for long.
+        """
+        line = sealed(self._key, message)
+        if self.socket.send(line) != len(line):
+            raise BlockingIOError("the other side does not read")
+
+    def received(self) -> list[dict[str, Any]]:
+        """Return what has come.
+
+        Raises
+        ------
+        OSError
+            The other side is gone, or has no key.
+        """
+        try:
+            piece = self.socket.recv(LONGEST_LINE)
+        except BlockingIOError:
+            return []
+        if not piece:
+            raise ConnectionResetError("the other side has closed")
+        *lines, self._pending = (self._pending + piece).split(b"\n")
+        messages = [opened(self._key, line) for line in lines]
+        if None in messages or len(self._pending) > LONGEST_LINE:
+            raise ConnectionRefusedError("the other side has another key")
+        return [message for message in messages if message is not None]
+
+    def close(self) -> None:
+        """Close it; harmless when closed."""
+        self.socket.close()
+
+
+def connect(port: int, key: bytes) -> Connection:
+    """Connect to a server of this machine.
+
+    Raises
+    ------
+    OSError
+        There is none.
+    """
+    return Connection(socket.create_connection((HOST, port), timeout=CONNECT_WITHIN_S), key)
+
+
+class Server:
+    """Answers whoever has the key; ``port`` is a free one."""
+
+    def __init__(self, key: bytes) -> None:
+        self._key = key
+        self._listener = socket.create_server((HOST, 0))
+        self._listener.setblocking(False)
+        self.port = int(self._listener.getsockname()[1])
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._listener, selectors.EVENT_READ, None)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for registered in list(self._selector.get_map().values()):
+            if registered.data is not None:
+                registered.data.close()
+        self._selector.close()
+        self._listener.close()
+
+    def serve(self, wait_s: float, answer: Callable[[Message], Message]) -> None:
+        """Answer each message that comes within a time, or has come."""
+        for ready, _ in self._selector.select(wait_s):
+            connection: Connection | None = ready.data
+            if connection is None:
+                self._accept()
+                continue
+            try:
+                for message in connection.received():
+                    connection.send(answer(message))
+            except (OSError, ValueError) as error:
+                log.debug("a connection ends: %s", error)
+                self._selector.unregister(connection.socket)
+                connection.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):  # whoever it was has gone
+            connection = Connection(self._listener.accept()[0], self._key)
+            if len(self._selector.get_map()) > MOST_CONNECTIONS:
+                connection.close()
+                return
+            self._selector.register(connection.socket, selectors.EVENT_READ, connection)

@@ -1,0 +1,49 @@
+"""The climate beside the specimen, logged at intervals."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+from daq_service.catalogue.rows import EnvironmentRow
+from daq_service.corrosion_drive.reading_log import ReadingLog
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import ClimateProbe, Clock
+from hardware_drivers.measurement import ClimateReading
+from hardware_drivers.serial_port.parameters import ClimateParameters
+
+log = logging.getLogger(__name__)
+
+
+class ClimateLog:
+    """Reads the probe and rates its newest reading."""
+
+    def __init__(self, probe: ClimateProbe, clock: Clock, parameters: ClimateParameters) -> None:
+        self._probe, self._clock, self._parameters = probe, clock, parameters
+        self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
+        self._air: ClimateReading | None = None
+
+    def tick(self) -> None:
+        """Read if it is due; an instrument's error is noted and never raised."""
+        now_ns = self._clock.mono_ns()
+        if not self._log.due(now_ns):
+            return
+        self._log.attempted(now_ns)
+        try:
+            self._air = self._probe.read(self._parameters.read_timeout_s)
+        except InstrumentError as error:
+            log.warning("climate: %s", error)
+            self._log.trouble = str(error)
+        else:
+            self._log.succeeded(self._clock.mono_ns())
+
+    def added_to(self, row: EnvironmentRow) -> EnvironmentRow:
+        """Add the newest reading, its quality and its age to a row."""
+        now_ns, air = self._clock.mono_ns(), self._air
+        return replace(
+            row,
+            climate_quality=self._log.quality(now_ns),
+            climate_age_s=self._log.age_s(now_ns),
+            temperature_c=None if air is None else air.temperature_c,
+            relative_humidity=None if air is None else air.relative_humidity,
+        )

@@ -1,0 +1,364 @@
+"""The drive in a process of its own: whatever ends around it, the supply is never left on unwatched."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.small_experiment import RigOpener, disturbed_rig, small_settings
+from support.stepped_clock import SteppedClock
+from support.waiting import ended, until
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
+from daq_service.cli.inspection import describe_status
+from daq_service.cli.run import start_drive
+from daq_service.clock import WallClock
+from daq_service.corrosion_drive.kept import look_at_drive
+from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.errors import RigError, StorageError
+from daq_service.processes.data_folder import (
+    DRIVE_LOCK,
+    is_owned,
+    lock_text,
+    own_data_folder,
+    prepare_data_folder,
+    write_configuration,
+)
+from daq_service.processes.heartbeat import read_heartbeat
+from daq_service.recording.session import record
+from daq_service.rig.open_rig import open_rig
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.measurement import ShotKey
+from simulator.doubles.serial.instruments import SerialInstruments, Supply
+from simulator.doubles.serial.link import pseudo_terminals_missing
+
+NO_TERMINALS = pseudo_terminals_missing()
+pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")
+
+SECOND_H = 1.0 / 3600.0
+SETS = 4
+WATCHED_S, UNWATCHED_S = 600.0, 1.0
+
+
+def settings_of(
+    instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int
+) -> Settings:
+    """A set a second on the twin, beside the supply."""
+    return small_settings(
+        clock={"kind": "wall"},
+        schedule={
+            "phases": [{"until_h": 600.0 * SECOND_H, "interval_h": SECOND_H}],
+            "end_h": sets * SECOND_H,
+            "shots_per_set": 2,
+            "shot_interval_s": 0.05,
+        },
+        baseline={"hours": 100.0},
+        rig={
+            "supply": {
+                "line": {"port": str(instruments.supply_link.path), "reply_timeout_s": 5.0},
+                "identity": "SOLIMON,DC SUPPLY DOUBLE",
+                "log_interval_s": 0.2,
+                "off_at_end": off_at_end,
+                "unwatched_s": unwatched_s,
+            }
+        },
+    )
+
+
+@contextmanager
+def without_supply(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+    """The twin; the supply belongs to another process."""
+    rig = settings.rig.model_copy(update={"supply": None})
+    with open_rig(settings.model_copy(update={"rig": rig}), clock, epoch_utc_ns) as opened:
+        yield opened
+
+
+@dataclass
+class Test:
+    """A test's folder and its supply, with recorders in this process and the drive in its own."""
+
+    __test__ = False
+
+    folder: Path
+    instruments: SerialInstruments
+    orders: list[int] = field(default_factory=list)
+
+    def settings(
+        self, *, unwatched_s: float = WATCHED_S, off_at_end: bool = True, sets: int = SETS
+    ) -> Settings:
+        return settings_of(self.instruments, unwatched_s=unwatched_s, off_at_end=off_at_end, sets=sets)
+
+    def order(self, kind: str, **arguments: Any) -> None:
+        with open_catalogue(self.folder) as catalogue:
+            self.orders.append(catalogue.add_command("Ada", kind, arguments))
+
+    def run(
+        self,
+        settings: Settings,
+        *,
+        after: Mapping[int, Callable[[], None]] | None = None,
+        rig: RigOpener = without_supply,
+        stop: threading.Event | None = None,
+        wall_clock: Callable[[], Clock] | None = None,
+    ) -> bool:
+        """Record to the end; something is done after the n-th set."""
+        prepare_data_folder(self.folder)
+
+        def tell(event: str, **values: Any) -> None:
+            if event == "progress":
+                (after or {}).get(values["done"], lambda: None)()
+
+        assert settings.rig.supply is not None
+        start = partial(start_drive, settings, self.folder)
+        with own_data_folder(self.folder), RemoteDrive(settings.rig.supply, self.folder, start) as drive:
+            return record(
+                settings,
+                self.folder,
+                rig,
+                stop=stop or threading.Event(),
+                tell=tell,
+                listen_every_s=0.0,
+                wall_clock=wall_clock or SteppedClock().start,
+                remote_drive=drive,
+            )
+
+    @contextmanager
+    def recording(self, settings: Settings) -> Iterator[None]:
+        """Record in real time beside the test, until it stops that."""
+        stop = threading.Event()
+        settings = settings.model_copy(
+            update={"schedule": settings.schedule.model_copy(update={"end_h": 600.0 * SECOND_H})}
+        )
+        recorder = threading.Thread(
+            target=self.run, args=(settings,), kwargs={"stop": stop, "wall_clock": WallClock}
+        )
+        recorder.start()
+        try:
+            until(lambda: look_at_drive(self.folder), "the drive")
+            yield
+        finally:
+            stop.set()
+            ended(recorder, "the stop")
+
+    def switchings(self) -> list[bool]:
+        return [change.on for change in self.instruments.output_changes()]
+
+    def alarms(self) -> dict[str, AlarmRow]:
+        with open_catalogue(self.folder) as catalogue:
+            return {row.kind: row for row in catalogue.rows(AlarmRow)}
+
+    def has_begun(self) -> bool:
+        """The recorder listens: it has told of a first set."""
+        try:
+            with open_catalogue(self.folder) as catalogue:
+                return bool(catalogue.rows(SetRow, limit=1))
+        except NoDataYetError:
+            return False
+
+    def charge_coulomb(self) -> float:
+        with open_catalogue(self.folder) as catalogue:
+            return max(row.charge_coulomb or 0.0 for row in catalogue.rows(EnvironmentRow))
+
+    def answers(self) -> list[str]:
+        with open_catalogue(self.folder) as catalogue:
+            rows = [catalogue.command(order) for order in self.orders]
+        return [row.state for row in rows if row is not None]
+
+    def drive(self) -> int:
+        """Process number of the drive that runs."""
+        return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
+
+    def drive_has_left(self) -> bool:
+        return is_owned(self.folder, DRIVE_LOCK) is False
+
+    def is_switched_off_unwatched(self) -> None:
+        """Wait for it, and look at what is told meanwhile."""
+        until(lambda: not self.instruments.supply.on, "the unwatched supply is off")
+        until(self.drive_has_left, "the process of the drive has left")
+        assert self.switchings() == [True, False]
+        now = look_at_drive(self.folder)
+        assert now is not None
+        assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
+        said = describe_status(self.folder)["supply"]["description"]
+        assert "switched off and kept off: nobody watched" in said
+
+
+@pytest.fixture
+def test(tmp_path: Path) -> Iterator[Test]:
+    (tmp_path / "ports").mkdir()
+    with SerialInstruments(tmp_path / "ports", supply=Supply(noise_v=0.0, noise_a=0.0)) as instruments:
+        test = Test(tmp_path / "data", instruments)
+        yield test
+        if is_owned(test.folder, DRIVE_LOCK):
+            os.kill(test.drive(), signal.SIGKILL)
+
+
+def test_the_end_switches_off_and_the_process_leaves(test: Test) -> None:
+    assert test.run(test.settings(unwatched_s=3.0), after={1: lambda: test.order("supply_on")})
+    assert test.answers() == ["done"]
+    assert test.switchings() == [True, False], "off when the recorder ends"
+    until(test.drive_has_left, "the process of the drive has left")
+    with open_catalogue(test.folder) as catalogue:
+        last = catalogue.rows(EnvironmentRow)[-1]
+    assert (last.supply_state, last.supply_quality) == ("on", "good")
+    assert last.charge_coulomb is not None
+    assert test.alarms() == {}
+
+
+def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_back(test: Test) -> None:
+    settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
+    assert test.run(settings, after={1: lambda: test.order("supply_on")})
+    test.is_switched_off_unwatched()
+    # The next recorder tells it, and energises nothing.
+    with test.recording(settings):
+        found = until(lambda: test.alarms() if "supply_unwatched" in test.alarms() else None, "the alarm")
+        assert found["supply_unwatched"].state == found["interlock_tripped"].state == "unacknowledged"
+        assert "nobody watched" in found["supply_unwatched"].message
+        assert test.switchings() == [True, False]
+        test.order("supply_on")
+        until(lambda: test.instruments.supply.on, "a person's order")
+        until(lambda: test.alarms()["supply_unwatched"].state == "returned_unacknowledged", "its return")
+
+
+@pytest.mark.parametrize("error", [RigError, StorageError], ids=["exit 3", "exit 4"])
+def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, error: type[Exception]) -> None:
+    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+        if key.set_index == 2:
+            raise error("it ends")
+        return acquired
+
+    @contextmanager
+    def rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+        bare = settings.rig.model_copy(update={"supply": None})
+        with disturbed_rig(disturb)(settings.model_copy(update={"rig": bare}), clock, epoch_utc_ns) as opened:
+            yield opened
+
+    with pytest.raises(error):
+        test.run(test.settings(unwatched_s=UNWATCHED_S), after={1: lambda: test.order("supply_on")}, rig=rig)
+    assert test.answers() == ["done"]
+    test.is_switched_off_unwatched()
+
+
+def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energises_nothing(test: Test) -> None:
+    settings = test.settings(off_at_end=False)
+    with test.recording(settings):
+        until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
+        until(test.has_begun, "the recorder")
+        test.order("supply_on")
+        until(lambda: test.answers() == ["done"], "the answer")
+        first = test.drive()
+        os.kill(first, signal.SIGKILL)
+        found = until(lambda: test.alarms() or None, "the alarm")
+        assert list(found) == ["supply_lost"]
+        assert "what the output does is unknown" in found["supply_lost"].message
+        until(lambda: test.alarms()["supply_lost"].state == "returned_unacknowledged", "another one")
+        assert test.drive() != first
+        assert test.instruments.supply.on, "it reads what the output does"
+        test.order("supply_off")
+        until(lambda: not test.instruments.supply.on, "the order")
+    assert test.switchings() == [True, False]
+
+
+def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Test) -> None:
+    settings = test.settings(off_at_end=False)
+    assert test.run(settings, after={1: lambda: test.order("supply_on")})
+    drive, charge = test.drive(), test.charge_coulomb()
+    with test.recording(settings):
+        until(lambda: test.charge_coulomb() > charge, "a set with its charge")
+        assert test.drive() == drive
+    assert test.switchings() == [True]
+    assert test.alarms() == {}
+
+
+@contextmanager
+def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+    """``solimon record`` or ``run`` on the test's folder, until a person's order has switched it on."""
+    prepare_data_folder(test.folder)
+    config = write_configuration(settings, test.folder)
+    command = [sys.executable, "-m", "daq_service.cli", word, str(config), "--data-dir", str(test.folder)]
+    command += ["--no-web"] if word == "run" else []
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+        try:
+            until(test.has_begun, "the recorder")
+            test.order("supply_on")
+            until(lambda: test.answers() == ["done"], "the answer")
+            yield process
+        finally:
+            process.kill()
+
+
+def recorder_of(test: Test) -> int:
+    beat = read_heartbeat(test.folder)
+    assert beat is not None
+    return beat.process
+
+
+@pytest.mark.parametrize(
+    ("word", "killed"),
+    [("record", ["recorder"]), ("run", ["supervisor"]), ("run", ["supervisor", "recorder"])],
+    ids=["recorder alone", "supervisor", "supervisor and recorder"],
+)
+def test_after_a_kill_it_is_switched_off_when_nobody_is_back(
+    test: Test, word: str, killed: list[str]
+) -> None:
+    settings = test.settings(unwatched_s=UNWATCHED_S, sets=600)
+    with started(test, word, settings) as process:
+        recorder = recorder_of(test)
+        for name in killed:
+            os.kill(process.pid if name == "supervisor" else recorder, signal.SIGKILL)
+        ended(process, "the kill")
+        test.is_switched_off_unwatched()
+        until(lambda: is_owned(test.folder) is False, "the recorder's end")
+
+
+def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None:
+    with started(test, "run", test.settings(sets=600)) as process:
+        drive, recorder = test.drive(), recorder_of(test)
+        os.kill(recorder, signal.SIGKILL)
+        until(lambda: recorder_of(test) != recorder, "another recorder")
+        before = test.charge_coulomb()
+        until(lambda: test.charge_coulomb() > before, "a set with its charge")
+        assert test.drive() == drive
+        assert test.switchings() == [True]
+        process.send_signal(signal.SIGINT)
+        ended(process, "Ctrl-C")
+    assert process.returncode == 130
+    assert test.switchings() == [True, False], "off at the end"
+
+
+def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_end(test: Test) -> None:
+    prepare_data_folder(test.folder)
+    config = write_configuration(test.settings(), test.folder)
+    command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
+    test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
+    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
+        try:
+            until(lambda: (now := look_at_drive(test.folder)) is not None and now.state == "on", "a reading")
+            second = subprocess.run(command, capture_output=True, text=True, check=False)
+            process.terminate()
+            ended(process, "SIGTERM")
+        finally:
+            process.kill()
+    assert second.returncode == 5
+    assert f"another process of the drive owns {test.folder} (process {process.pid}); " in second.stderr
+    assert "key" not in second.stderr + (test.folder / "logs" / "drive.log").read_text(encoding="utf-8")
+    assert process.returncode == 130
+    assert test.switchings() == [True, False]
+
+
+def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
+    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "[rig.supply]" in refused.stderr

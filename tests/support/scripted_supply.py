@@ -1,0 +1,55 @@
+"""A supply that says what a test wants, and notes everything that is asked of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hardware_drivers.measurement import SupplyReading
+
+
+class PlainSupply:
+    """On or off, at 10 V; ``error`` is what it answers."""
+
+    tripped_protections = ()
+
+    def __init__(self, clock: Any) -> None:
+        self.clock = clock
+        self.on = False
+        self.current_a = 0.2
+        self.set = {"set_voltage_v": 10.0, "set_current_limit_a": 1.0}
+        self.error: Exception | None = None
+        self.calls: list[str] = []
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if self.error is not None:
+            raise self.error
+
+    def read(self, timeout_s: float) -> SupplyReading:
+        self._call("read")
+        return SupplyReading(
+            stamp=self.clock.stamp(),
+            voltage_v=10.0 if self.on else 0.0,
+            current_a=self.current_a if self.on else 0.0,
+            output_on=self.on,
+        )
+
+    def energise(self, voltage_v: float, current_limit_a: float) -> None:
+        self._call(f"energise {voltage_v:g} V {current_limit_a:g} A")
+        self.on = True
+
+    def make_safe(self) -> None:
+        self._call("make_safe")
+        self.on = False
+
+    def identity(self) -> Mapping[str, str]:
+        return {}
+
+
+class ScriptedSupply(PlainSupply):
+    """The same, and tells what is set."""
+
+    def read_back(self, timeout_s: float) -> Mapping[str, float | str]:
+        self._call("read_back")
+        return {**self.set, "output": "on" if self.on else "off"}

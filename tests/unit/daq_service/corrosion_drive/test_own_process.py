@@ -1,0 +1,301 @@
+"""The process of the drive on a scripted supply and a clock that the test moves: also when nobody asks."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.scripted_supply import ScriptedSupply
+from support.serial_rig import TestClock
+
+from daq_service.clock import boot_name
+from daq_service.corrosion_drive.charge import Charge, DriveState
+from daq_service.corrosion_drive.kept import kept_now, look_at_drive, read_kept, write_kept
+from daq_service.corrosion_drive.own_process import GRACE_S, DriveProcess, what_now
+from daq_service.errors import RigError
+from daq_service.processes.data_folder import DRIVE_FILE
+from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+
+UNWATCHED_S = 600.0
+PARAMETERS = SupplyParameters(
+    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0, unwatched_s=UNWATCHED_S
+)
+LOST = ConnectionLostError("the supply at COM4 is gone")
+ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
+
+
+class UtcSteps(TestClock):
+    """A clock whose UTC may be set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ahead_ns = 0
+
+    def utc_ns(self) -> int:
+        return self.now_ns + self.ahead_ns
+
+
+class Bench:
+    """One supply, and the processes that own it one after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.clock = folder, UtcSteps()
+        self.supply = ScriptedSupply(self.clock)
+        self.restart()
+
+    def restart(self, **options: Any) -> None:
+        """Kill the process and start another one."""
+        self.process = DriveProcess(self.supply, PARAMETERS, self.folder, clock=self.clock, **options)
+
+    def ask(self, do: str = "look", **values: Any) -> dict[str, Any]:
+        return dict(self.process.answer({"id": 1, "do": do, **values}))
+
+    def run(self, seconds: float, *, step_s: float = 5.0) -> None:
+        """Run it alone."""
+        for _ in range(round(seconds / step_s)):
+            if self.process.leaves:
+                return
+            self.process.step()
+            self.clock.advance(step_s)
+
+    def active(self) -> set[str]:
+        return {told["name"] for told in self.ask()["conditions"] if told["active"]}
+
+    def energised(self) -> int:
+        return sum(call.startswith("energise") for call in self.supply.calls)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    bench = Bench(tmp_path)
+    bench.ask(**ON)
+    bench.run(60.0)
+    assert bench.supply.on
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("facts", "verdict"),
+    [
+        ({}, "stay"),
+        ({"silent_s": 599.9}, "stay"),
+        ({"silent_s": 600.0}, "switch off"),
+        ({"silent_s": 600.0, "output": "unknown"}, "switch off"),
+        ({"silent_s": 900.0, "output": "unknown", "off_for_good": True}, "stay"),  # it is owed
+        ({"silent_s": 900.0, "output": "off", "owes": True, "off_for_good": True}, "stay"),
+        ({"output": "off"}, "stay"),
+        ({"alone_s": 10.0, "output": "off"}, "leave"),
+        ({"silent_s": 900.0, "output": "off"}, "stay"),  # just begun: whoever started it will ask
+        ({"alone_s": 10.0, "output": "off", "stays": True}, "stay"),
+        ({"alone_s": 2.0, "output": "off", "unwatched_s": 2.0}, "leave"),
+    ],
+)
+def test_what_it_does_now(facts: dict[str, Any], verdict: str) -> None:
+    usual = {
+        "silent_s": 0.0,
+        "alone_s": 0.0,
+        "unwatched_s": UNWATCHED_S,
+        "output": "on",
+        "owes": False,
+        "off_for_good": False,
+        "stays": False,
+    }
+    assert what_now(**{**usual, **facts}) == verdict
+
+
+def test_an_unwatched_supply_is_switched_off_once_kept_off_and_left(bench: Bench) -> None:
+    bench.ask()
+    bench.run(UNWATCHED_S - 5.0)
+    assert bench.supply.on
+    bench.run(UNWATCHED_S)
+    assert not bench.supply.on
+    assert bench.process.leaves
+    kept = read_kept(bench.folder)
+    assert kept is not None
+    assert (kept.output, kept.state.unwatched, kept.state.output_on) == ("off", True, False)
+    assert kept.state.tripped is not None
+    assert kept.state.tripped.startswith("nobody watched: no recorder was heard for 600 s")
+    # The next recorder finds it in the next process, and only a person's order ends it.
+    bench.restart()
+    bench.run(5.0)
+    assert {"supply_unwatched", "interlock_tripped"} <= bench.active()
+    assert bench.energised() == 1
+    bench.ask(**ON)
+    bench.run(30.0)
+    assert bench.active() == set()
+    assert bench.supply.on
+
+
+def test_being_asked_is_being_watched(bench: Bench) -> None:
+    for _ in range(5):
+        bench.ask()
+        bench.run(UNWATCHED_S - 10.0)
+    assert bench.supply.on
+    assert bench.active() == set()
+
+
+def test_a_step_of_utc_neither_switches_off_nor_keeps_on(bench: Bench) -> None:
+    bench.ask()
+    bench.clock.ahead_ns = 86_400 * 10**9
+    bench.run(UNWATCHED_S - 5.0)
+    assert bench.supply.on
+    bench.clock.ahead_ns = -86_400 * 10**9
+    bench.run(20.0)
+    assert not bench.supply.on
+
+
+def test_a_lost_line_is_switched_off_when_it_answers_again_and_not_left_before(bench: Bench) -> None:
+    bench.supply.error = LOST
+    bench.run(10 * UNWATCHED_S)
+    assert not bench.process.leaves
+    assert look_at_drive(bench.folder).state == "unknown"  # type: ignore[union-attr]
+    bench.supply.error = None
+    bench.run(60.0)
+    assert not bench.supply.on
+    assert bench.process.leaves
+
+
+def test_a_process_that_is_killed_loses_no_interlock(bench: Bench) -> None:
+    bench.ask("trip", reason="hole at B")
+    assert not bench.supply.on
+    bench.supply.on = True  # at the front panel, while no process runs
+    bench.restart()
+    bench.run(20.0)
+    assert not bench.supply.on
+    assert bench.ask()["row"]["supply_tripped"] == "hole at B"
+
+
+def test_a_process_that_is_killed_leaves_the_output_and_the_next_one_counts_on(bench: Bench) -> None:
+    before = bench.ask()["row"]
+    bench.process.keep(at_once=True)
+    bench.clock.advance(100.0)
+    bench.restart()
+    bench.run(60.0)
+    after = bench.ask()["row"]
+    assert bench.supply.on
+    assert (bench.energised(), bench.supply.calls.count("make_safe")) == (1, 0)
+    assert after["charge_coulomb"] > before["charge_coulomb"] > 0.0
+    assert after["unknown_s"] >= 100.0
+    assert bench.active() == set()
+
+
+def test_a_process_that_is_started_again_and_again_counts_the_silence_before_it(bench: Bench) -> None:
+    bench.ask()
+    bench.run(UNWATCHED_S - 10.0)
+    bench.process.keep(at_once=True)
+    bench.restart()
+    bench.run(GRACE_S - 5.0)
+    assert bench.supply.on, "a recorder that starts it has a moment to be heard"
+    bench.run(20.0)
+    assert not bench.supply.on
+
+
+def test_an_order_that_comes_too_late_is_refused(bench: Bench) -> None:
+    bench.ask("switch off", author="Ada")
+    answer = bench.ask(**ON, until_boot_ns=bench.clock.now_ns - 1)
+    assert answer["error"] == "it came too late, nothing was done"
+    assert not bench.supply.on
+
+
+def test_handing_over_switches_nothing_and_obeys_nothing_more(bench: Bench) -> None:
+    bench.ask("switch off", author="Ada")
+    bench.ask("hand over", why="another configuration")
+    assert "error" in bench.ask(**ON)
+    assert bench.process.leaves
+    assert not bench.supply.on
+
+
+def test_a_request_that_makes_no_sense_is_answered(bench: Bench) -> None:
+    assert "error" in bench.ask("energise")
+    assert bench.energised() == 1
+
+
+def test_a_disk_that_takes_nothing_keeps_it_from_nothing(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_kept", full)
+    bench.ask()
+    bench.run(UNWATCHED_S + 60.0)
+    assert not bench.supply.on
+
+
+def test_told_to_end_it_switches_off(bench: Bench) -> None:
+    bench.process.end()
+    assert not bench.supply.on
+    kept = read_kept(bench.folder)
+    assert kept is not None
+    assert kept.state.tripped == "the process of the drive was told to end, and nobody else watches"
+
+
+def test_told_to_end_it_says_what_it_cannot_do(bench: Bench) -> None:
+    bench.supply.error = LOST
+    with pytest.raises(RigError, match="may still be on; switch it off by hand") as unsafe:
+        bench.process.end()
+    assert unsafe.value.exit_code == 3
+
+
+def test_a_supply_that_was_never_met_is_given_up(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.supply.error = LOST
+    bench.run(UNWATCHED_S - 10.0)
+    assert not bench.process.leaves
+    bench.run(60.0)
+    assert bench.process.leaves
+
+
+def test_a_supply_that_was_left_on_is_never_given_up(tmp_path: Path) -> None:
+    write_kept(tmp_path, kept_now(DriveState(output_on=True), heard_boot_ns=0))
+    bench = Bench(tmp_path)
+    bench.supply.error = LOST
+    bench.run(2 * UNWATCHED_S)
+    assert not bench.process.leaves
+
+
+# What is kept --------------------------------------------------------------------------------------
+
+
+def test_what_is_kept_is_read_back(tmp_path: Path) -> None:
+    state = DriveState(charge=Charge(coulomb=1.5), tripped="hole", unwatched=True, output_on=False)
+    kept = kept_now(state, output="off", age_s=1.0, heard_boot_ns=5, good_for_s=30.0)
+    write_kept(tmp_path, kept)
+    assert read_kept(tmp_path) == kept
+    assert read_kept(tmp_path / "absent") is None
+
+
+@pytest.mark.parametrize("content", ["", "{}", "[]", '{"state": {"charge": 7}}', '{"state": {"chargE": {}}}'])
+def test_what_is_torn_or_foreign_counts_as_nothing(
+    tmp_path: Path, content: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / DRIVE_FILE).write_text(content, encoding="utf-8")
+    assert read_kept(tmp_path) is None
+    assert "cannot be read" in caplog.text
+
+
+def moved(kept: Any, **changes: Any) -> Any:
+    return replace(kept, **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "age_s"),
+    [
+        (lambda kept: {"boot_ns": kept.boot_ns - 100 * 10**9}, 102.0),
+        (lambda kept: {"boot_id": "another", "utc_ns": kept.utc_ns - 3600 * 10**9}, 3602.0),
+        (lambda kept: {}, 2.0),  # a moment ago, but its process has gone
+    ],
+    ids=["in this boot", "before the reboot", "just now"],
+)
+def test_whoever_looks_is_told_how_old_it_is(
+    tmp_path: Path, changes: Callable[[Any], dict[str, Any]], age_s: float
+) -> None:
+    assert boot_name() is not None
+    kept = kept_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
+    write_kept(tmp_path, replace(kept, **changes(kept)))
+    now = look_at_drive(tmp_path)
+    assert now is not None
+    assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late
+    assert (now.state, now.quality, now.last, now.process) == ("unknown", "lost", "on", False)
