@@ -11,7 +11,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
-from daq_service.archive import Archive, ArchiveError
+from daq_service.archive import Archive, ArchiveError, SetNotFoundError
 from daq_service.archive.compaction import compact_set
 from daq_service.processes.worker import leave_with_parent
 
@@ -77,6 +77,10 @@ class Compaction:
         except BrokenProcessPool as error:
             log.warning("set %d has no file yet: its worker ended (%s)", set_index, error)
             self._executor = None
+        except SetNotFoundError:
+            log.debug("set %d is not in the journal: it has its file already", set_index)
+            self._archive.settle(set_index)
+            return
         except (ArchiveError, OSError) as error:
             log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
             self.trouble = f"{error}"

@@ -381,7 +381,7 @@ class Recorder:
             if not built:
                 built.append(build())
             self._ledger.commit(built[0])
-            if stored is not None and self._compaction is not None:
+            if stored is not None and self._compaction is not None and self._archive.keeps_open_sets:
                 self._compaction.put(stored)
 
         self._backlog.put(job, n_bytes=n_bytes)

@@ -15,6 +15,10 @@ from support.refusing_files import build, needs_a_preload, refusing
 from support.small_experiment import SMALL, rows_of, run, small_settings
 from support.waiting import until
 
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import SetRow
+
 pytestmark = needs_a_preload
 
 SHORT = {**SMALL["schedule"], "end_h": 3.0}
@@ -110,6 +114,14 @@ def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tm
         assert any(name.startswith("set_") for name in files)
 
 
+def n_sets(data: Path) -> int:
+    try:
+        with open_catalogue(data) as catalogue:
+            return len({row.set_index for row in catalogue.rows(SetRow)})
+    except NoDataYetError:
+        return 0
+
+
 @pytest.mark.parametrize(
     ("part", "number", "words"),
     [
@@ -131,7 +143,7 @@ def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path,
     recorder_log = data / "logs" / "recorder.log"
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:
-            until(lambda: len(list(data.glob("sets/*.h5"))) >= 2 or process.poll(), "the second set")
+            until(lambda: n_sets(data) >= 2 or process.poll(), "the second set")
             broken.touch()
             told = "stays in the journal" if part == "sets" else "not stored"
             until(lambda: told in recorder_log.read_text() or process.poll(), "the trouble")
