@@ -1,11 +1,15 @@
-"""What a worker process does for itself: deaf to the terminal, gone when the process that asked for it is."""
+"""Worker processes: deaf to the terminal, gone when their parent is, missed when they die."""
 
 from __future__ import annotations
 
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any
 
 
 def leave_with_parent() -> None:
@@ -23,3 +27,27 @@ def leave_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=leave, name="leave-with-parent", daemon=True).start()
+
+
+def one_worker(initializer: Callable[..., None] = leave_with_parent, *arguments: Any) -> ProcessPoolExecutor:
+    """Start a pool of one process, which its owner shuts down.
+
+    Parameters
+    ----------
+    initializer
+        Called in the process with ``arguments``; it has to call `leave_with_parent`.
+    """
+    executor = ProcessPoolExecutor(
+        max_workers=1,
+        # A fork would take along the recorder's threads' locks, its sockets and its lock on the folder.
+        mp_context=multiprocessing.get_context("spawn"),
+        initializer=initializer,
+        initargs=arguments,
+    )
+    # The process starts with its first task: now.
+    executor.submit(os.getpid)
+    if sys.platform != "win32":
+        # A worker that is killed while it answers leaves half an answer. The pool reads on, and would for
+        # ever as long as it holds the writing end itself: without it the pipe ends with the worker.
+        executor._result_queue._writer.close()  # type: ignore[attr-defined]
+    return executor

@@ -4,28 +4,20 @@ from __future__ import annotations
 
 import logging
 import math
-import multiprocessing
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 from daq_service.archive import Archive, ArchiveError, SetNotFoundError
 from daq_service.archive.compaction import compact_set
-from daq_service.processes.worker import leave_with_parent
+from daq_service.processes.worker import one_worker
 
 log = logging.getLogger(__name__)
 
 AGAIN_AFTER_S = 10.0
 """A set whose file could not be made stays in the journal, where it is safe."""
-
-
-def worker() -> Executor:
-    """Return one process that builds files."""
-    return ProcessPoolExecutor(
-        max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=leave_with_parent
-    )
 
 
 class Compaction:
@@ -42,7 +34,7 @@ class Compaction:
         folder: Path,
         archive: Archive,
         *,
-        start: Callable[[], Executor] = worker,
+        start: Callable[[], Executor] = one_worker,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._archive = folder, archive

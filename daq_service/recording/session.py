@@ -21,7 +21,8 @@ from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answ
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
-from daq_service.recording.compaction import Compaction, worker
+from daq_service.processes.worker import one_worker
+from daq_service.recording.compaction import Compaction
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
@@ -49,7 +50,7 @@ def record(
     linger: bool = False,
     left_alone: threading.Event | None = None,
     acknowledged: Callable[[int], None] = lambda shot_id: None,
-    compaction_worker: Callable[[], Executor] = worker,
+    compaction_worker: Callable[[], Executor] = one_worker,
     listen_every_s: float = LISTEN_EVERY_S,
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[Before], Clock] = WallClock,

@@ -10,14 +10,12 @@ The simulator is imported where it is needed: the worker starts while the record
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
 from typing import TYPE_CHECKING
 
-from daq_service.processes.worker import leave_with_parent
+from daq_service.processes.worker import leave_with_parent, one_worker
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
@@ -50,16 +48,7 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
 
 def twin_executor(settings: Settings) -> ProcessPoolExecutor:
     """One worker process that computes `records` of these settings; its owner shuts it down."""
-    executor = ProcessPoolExecutor(
-        max_workers=1,
-        # A fork would take along the recorder's threads' locks, its sockets and its lock on the folder.
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_prepare,
-        initargs=(settings.model_dump_json(),),
-    )
-    # The process starts with its first task: let it start while the recorder still opens its rig.
-    executor.submit(os.getpid)
-    return executor
+    return one_worker(_prepare, settings.model_dump_json())
 
 
 def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:

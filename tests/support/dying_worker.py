@@ -1,0 +1,16 @@
+"""What a worker does that is killed in the midst of its answer."""
+
+import os
+import signal
+from multiprocessing.connection import Connection
+
+
+def die_while_answering() -> bytes:
+    """Return an answer of which only the first bytes reach the other process."""
+
+    def send(self: Connection, content: bytes, write: object = None) -> None:
+        os.write(self.fileno(), bytes(content)[:3])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send = send
+    return bytes(100_000)
