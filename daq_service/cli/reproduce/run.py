@@ -8,13 +8,11 @@ interruption leaves what is finished.
 from __future__ import annotations
 
 import json
-import signal
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +30,7 @@ from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import new_folder
+from daq_service.processes.worker import one_worker
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
 from simulator.errors import SimulatorError
@@ -61,7 +60,7 @@ def reproduce(
         click.echo(text, err=True)
 
     with stop_on_signals() as stop, ExitStack() as stack:
-        executor = stack.enter_context(_pool())
+        executor = stack.enter_context(one_worker())
         try:
             result, finished = reproduce_into(
                 folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=say
@@ -141,18 +140,6 @@ def _needs_test(items: Sequence[Item]) -> bool:
 
 
 # The test and the models ---------------------------------------------------------------------------
-
-
-def _pool() -> ProcessPoolExecutor:
-    """One process: the recorder has the other core. Spawned, as on every system and beside threads."""
-    return ProcessPoolExecutor(
-        max_workers=1, mp_context=get_context("spawn"), initializer=_leave_signals_alone
-    )
-
-
-def _leave_signals_alone() -> None:
-    """Ctrl-C goes to the whole group; the parent decides."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, say: Say) -> Evidence:
