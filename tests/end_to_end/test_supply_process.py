@@ -278,7 +278,8 @@ def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Te
         until(lambda: test.charge_coulomb() > charge, "a set with its charge")
         assert test.drive() == drive
     assert test.switchings() == [True]
-    assert test.alarms() == {}
+    # The first recorder's clock was moved by hand, and may have been ahead of the computer's.
+    assert set(test.alarms()) <= {"clock_doubted"}
 
 
 @contextmanager
