@@ -6,11 +6,10 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 
-from daq_service.archive import Archive, ArchiveError, SetNotFoundError
+from daq_service.archive import Archive, CorruptArchiveError, SetNotFoundError
 from daq_service.archive.compaction import compact_set
 from daq_service.processes.worker import one_worker
 
@@ -21,13 +20,7 @@ AGAIN_AFTER_S = 10.0
 
 
 class Compaction:
-    """Hands whole sets to a worker and lets the journal forget what came back in order.
-
-    Attributes
-    ----------
-    trouble
-        Why a set has no file although one was tried; empty: there is no such set.
-    """
+    """Hands whole sets to a worker and lets the journal forget what came back in order."""
 
     def __init__(
         self,
@@ -42,7 +35,7 @@ class Compaction:
         self._executor: Executor | None = None
         self._running: dict[int, Future[None]] = {}
         self._again_s: dict[int, float] = {}
-        self.trouble = ""
+        self._refusal = self._damage = ""
 
     def put(self, set_index: int) -> None:
         """Have a file made of a whole set of the journal."""
@@ -50,7 +43,7 @@ class Compaction:
             self._executor = self._start()
         try:
             self._running[set_index] = self._executor.submit(compact_set, self._folder, set_index)
-        except BrokenProcessPool:
+        except BrokenExecutor:
             self._executor = None
             self._again_s[set_index] = self._mono_s()
 
@@ -66,21 +59,27 @@ class Compaction:
     def _take_back(self, set_index: int, future: Future[None]) -> None:
         try:
             future.result()
-        except BrokenProcessPool as error:
-            log.warning("set %d has no file yet: its worker ended (%s)", set_index, error)
-            self._executor = None
         except SetNotFoundError:
             log.debug("set %d is not in the journal: it has its file already", set_index)
-            self._archive.settle(set_index)
+        except CorruptArchiveError as error:
+            # No waiting mends that: the next start looks again.
+            log.error("set %d gets no file and stays in the journal: %s", set_index, error)
+            self._damage = f"{error}"
             return
-        except (ArchiveError, OSError) as error:
+        except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
+            if isinstance(error, BrokenExecutor):
+                self._executor = None
             log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
-            self.trouble = f"{error}"
-        else:
-            self._archive.settle(set_index)
-            self.trouble = self.trouble if self._again_s else ""
+            self._refusal = f"{error}"
+            self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
             return
-        self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
+        self._archive.settle(set_index)
+        self._refusal = self._refusal if self._again_s else ""
+
+    @property
+    def trouble(self) -> str:
+        """Why a set has no file although one was tried; empty: there is no such set."""
+        return self._refusal or self._damage
 
     @property
     def waits(self) -> bool:

@@ -45,18 +45,21 @@ def test_sets_get_their_files_and_the_journal_forgets_them(archive, tmp_path):
     assert list((tmp_path / "journal").iterdir()) == []
 
 
-def test_a_disk_that_refuses_is_told_and_tried_again(archive, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "refusal", [OSError(28, "No space left on device"), KeyError("what nobody foresaw")], ids=repr
+)
+def test_what_a_worker_meets_is_told_and_tried_again(archive, tmp_path, monkeypatch, refusal):
     now_s = [0.0]
     making = Compaction(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
 
     def refuse(folder, set_index):
-        raise OSError(28, "No space left on device")
+        raise refusal
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "compact_set", refuse)
         making.put(SET_INDEX)
         making.work()
-        assert (making.waits, "No space left" in making.trouble, files(tmp_path)) == (True, True, [])
+        assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])
     now_s[0] = AGAIN_AFTER_S - 1.0
     making.work()
     assert files(tmp_path) == []
@@ -84,3 +87,18 @@ def test_a_set_that_has_its_file_already_waits_for_nothing(tmp_path):
     making.put(SET_INDEX)
     making.work()
     assert (making.waits, making.trouble) == (False, "")
+
+
+def test_a_set_whose_frames_are_damaged_stays_where_it_is_and_is_told(archive, tmp_path):
+    (segment,) = (tmp_path / "journal").iterdir()
+    content = bytearray(segment.read_bytes())
+    content[content.find(make_set().shots[0].waveform.counts.tobytes()) + 5] ^= 1
+    segment.write_bytes(content)
+    making = Compaction(tmp_path, archive, start=AtOnce)
+    for index in archive.sets():
+        making.put(index)
+    making.try_again()
+    assert (len(files(tmp_path)), making.waits) == (1, False)
+    assert "its frame in the journal is damaged" in making.trouble
+    archive.close()
+    assert segment.exists()
