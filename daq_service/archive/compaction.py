@@ -30,8 +30,10 @@ def compact_set(folder: Path, set_index: int) -> None:
         The disk refuses.
     """
     journaled = read_journal(folder).get(set_index)
-    if journaled is None or (reference := journaled.reference) is None:
-        raise SetNotFoundError(f"the journal of {folder} has no whole set {set_index}")
+    if journaled is None:
+        raise SetNotFoundError(f"the journal of {folder} has no set {set_index}")
+    if (reference := journaled.reference) is None:
+        raise CorruptArchiveError(f"set {set_index} in the journal has no end; the journal keeps it")
     if damages := journaled.damages():
         raise CorruptArchiveError(f"set {set_index} in the journal: {'; '.join(map(str, damages))}")
     record, path = journaled.record(), folder / reference

@@ -125,9 +125,11 @@ class Recorder:
             for index, file in archive.sets().items()
             if index not in done and index not in self._open
         }
-        for index in done & self._open.keys():  # rows without a record: nothing of it is wanted any more
-            self._open.pop(index)
-            archive.settle(index)
+        for index in done & self._open.keys():
+            if not self._open.pop(index).records:
+                archive.settle(index)
+            elif compaction is not None:
+                compaction.put(index)  # a frame of it is damaged: that is told, and the others stay
         sequences = [item.sequence for opened in self._open.values() for item in opened.records]
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
@@ -467,7 +469,7 @@ class Recorder:
         self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
 
     def _miss(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
-        """Close a set whose time is over, since the next one is due: store an open one's shots, else a gap.
+        """Close a set whose time is over, since the next one is due.
 
         Parameters
         ----------
@@ -479,17 +481,17 @@ class Recorder:
         if self._rig.clock.utc_ns() < over_ns:
             return False
         cause = next((why for until_ns, why in absences if due.due_utc_ns <= until_ns), OVERSLEPT)
-        opened = self._open.pop(due.set_index, None)
-        taken = None if opened is None else self._restored(opened)
-        if opened is None or taken is None or taken.is_empty:
-            self._gap(due, cause)
-            self._archive.settle(due.set_index)
-        else:
-            self._archive.resume_set(opened)
-            self._store_and_judge(due, taken, cut_short_because=cause)
+        self._gap(due, cause)
         return True
 
     def _gap(self, due: DueSet, cause: str) -> None:
+        """Take no strike of a set: store what an open one holds, else write gap rows."""
+        opened = self._open.pop(due.set_index, None)
+        if opened is not None and opened.records:
+            self._archive.resume_set(opened)
+            self._store_and_judge(due, self._restored(opened), cut_short_because=cause)
+            return
+        self._archive.settle(due.set_index)
         causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
         utc_ns = self._rig.clock.utc_ns()
         self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))

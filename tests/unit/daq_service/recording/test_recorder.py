@@ -420,6 +420,16 @@ def test_an_open_set_whose_time_is_over_keeps_what_it_has(line):
     assert archive.open_sets() == {}
 
 
+def test_a_hold_after_a_restart_keeps_what_an_open_set_has(line):
+    archive = stopped_in_a_set(line, ShotKey(position="C", set_index=1, shot_index=1))
+    line.order("hold", note="hands in the rig")
+    line.listen_every_s = 0.0
+    assert line.run(archive=archive)
+    assert [states(line, position)[1] for position in "ABCD"] == ["done", "done", "partial", "missed"]
+    assert len([row for row in line.rows("shots") if row.set_index == 1]) == 7
+    assert archive.open_sets() == {}
+
+
 def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     """A kill costs the shot in the air."""
     line.settings = memory_settings(clock={"kind": "wall"})
