@@ -121,7 +121,6 @@ Index(
     features.c.set_index,
     unique=True,
     sqlite_where=features.c.shot_index.is_(None),
-    postgresql_where=features.c.shot_index.is_(None),
 )
 thickness = _table(
     "thickness",

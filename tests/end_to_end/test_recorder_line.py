@@ -227,7 +227,13 @@ class _KilledError(BaseException):
     "killed_at",
     [BASELINE_SETS - 1, *(pytest.param(n, marks=pytest.mark.slow) for n in (0, 3, BASELINE_SETS))],
 )
-@pytest.mark.parametrize("boundary", ["before the file", "after the file", "after the rows"])
+@pytest.mark.parametrize(
+    "boundary",
+    [
+        "after the file",
+        *(pytest.param(at, marks=pytest.mark.slow) for at in ("before the file", "after the rows")),
+    ],
+)
 def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
     pair: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, boundary: str, killed_at: int
 ) -> None:
@@ -288,6 +294,7 @@ def test_a_stored_set_is_not_struck_again_after_a_kill(
 THINS_AFTER_THE_BASELINE = {"B": {"onset_h": 7.5, "reference_h": 9.5, "depth_fraction": 0.6}}
 
 
+@pytest.mark.slow
 def test_an_alarm_builds_up_across_a_restart(tmp_path: Path) -> None:
     """Two outliers before the stop and one after it are three of five."""
     settings = pair_settings(twin={"thinning": THINS_AFTER_THE_BASELINE})

@@ -231,7 +231,9 @@ def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_b
         until(lambda: test.alarms()["supply_unwatched"].state == "returned_unacknowledged", "its return")
 
 
-@pytest.mark.parametrize("error", [RigError, StorageError], ids=["exit 3", "exit 4"])
+@pytest.mark.parametrize(
+    "error", [pytest.param(RigError, marks=pytest.mark.slow), StorageError], ids=["exit 3", "exit 4"]
+)
 def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, error: type[Exception]) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if key.set_index == 2:
@@ -307,7 +309,11 @@ def recorder_of(test: Test) -> int:
 
 @pytest.mark.parametrize(
     ("word", "killed"),
-    [("record", ["recorder"]), ("run", ["supervisor"]), ("run", ["supervisor", "recorder"])],
+    [
+        pytest.param("record", ["recorder"], marks=pytest.mark.slow),
+        pytest.param("run", ["supervisor"], marks=pytest.mark.slow),
+        ("run", ["supervisor", "recorder"]),
+    ],
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
 def test_after_a_kill_it_is_switched_off_when_nobody_is_back(

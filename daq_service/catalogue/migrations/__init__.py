@@ -4,14 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sqlalchemy import Engine
+from sqlalchemy import Engine, text
 
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
+from daq_service.catalogue.tables import metadata
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 """The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four
 digits, so that revisions compare as text."""
+
+_VERSION_TABLE = (
+    "CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL, "
+    "CONSTRAINT alembic_version_pkc PRIMARY KEY (version_num))"
+)
+"""As Alembic itself makes it."""
 
 
 def migrate(engine: Engine, path: Path, found: str | None) -> None:
@@ -22,7 +29,15 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     SchemaVersionError
         This version of solimon does not know the revision: a newer one made the file.
     """
-    # Alembic takes a quarter of a second to import: readers never need it.
+    if found is None:
+        # The tables as they are described: what the migrations make, step by step, is the same.
+        with writing(engine) as connection:
+            metadata.create_all(connection)
+            connection.execute(text(_VERSION_TABLE))
+            version = text("INSERT INTO alembic_version VALUES (:revision)")
+            connection.execute(version, {"revision": SCHEMA_REVISION})
+        return
+    # Alembic takes half a second to import: only a folder of an earlier version needs it.
     from alembic import command
     from alembic.config import Config
     from alembic.script import ScriptDirectory
@@ -32,8 +47,7 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     # A percent sign begins an interpolation in this kind of configuration.
     config.set_main_option("script_location", str(Path(__file__).parent).replace("%", "%%"))
     try:
-        if found is not None:
-            ScriptDirectory.from_config(config).get_revision(found)
+        ScriptDirectory.from_config(config).get_revision(found)
     except CommandError as error:
         raise SchemaVersionError(
             f"{path} has schema {found}; this version of solimon knows none newer than {SCHEMA_REVISION}: "

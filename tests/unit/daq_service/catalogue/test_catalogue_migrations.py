@@ -4,6 +4,7 @@ import re
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -45,17 +46,33 @@ def columns_and_constraints(sql):
     return sql[:first], sorted(re.split(r", (?![^(]*\))", sql[first + 1 : last])), sql[last:]
 
 
-def test_migrated_and_described_schema_are_the_same(tmp_path):
-    open_catalogue(tmp_path, writer=True).close()
-    described = tmp_path / "described.sqlite"
-    engine = create_engine(f"sqlite:///{described}")
-    metadata.create_all(engine)
+def upgrade(path, revision):
+    """Bring a file to a revision by the migrations alone."""
+    engine = connection.make_engine(path, writable=True)
+    config = Config()
+    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
+    with connection.writing(engine) as opened:
+        config.attributes["connection"] = opened
+        command.upgrade(config, revision)
     engine.dispose()
-    migrated = schema_of(tmp_path / "catalogue.sqlite")
-    expected = schema_of(described)
+
+
+def test_migrated_and_described_schema_are_the_same(tmp_path):
+    """A new catalogue is made as described, an older one is migrated."""
+    open_catalogue(tmp_path, writer=True).close()
+    upgrade(tmp_path / "migrated.sqlite", "head")
+    migrated = schema_of(tmp_path / "migrated.sqlite")
+    expected = schema_of(tmp_path / "catalogue.sqlite")
     assert migrated.keys() == expected.keys()
     for name in expected:
         assert columns_and_constraints(migrated[name]) == columns_and_constraints(expected[name]), name
+    version = "SELECT sql FROM sqlite_master WHERE name = 'alembic_version'"
+    versions = []
+    for name in ("migrated.sqlite", "catalogue.sqlite"):
+        with closing(sqlite3.connect(tmp_path / name)) as opened:
+            ((sql,),) = opened.execute(version)
+            versions.append(("".join(sql.split()), *opened.execute("SELECT * FROM alembic_version")))
+    assert versions[0] == versions[1]
 
 
 def test_alembic_finds_no_difference_either(tmp_path):
@@ -91,13 +108,7 @@ def test_migrations_are_found_from_any_working_folder(tmp_path, monkeypatch):
 
 def make_first_catalogue(path):
     """Fill a catalogue of revision 0001 as the recorder of that version left it."""
-    engine = connection.make_engine(path, writable=True)
-    config = Config()
-    config.set_main_option("script_location", str(Path(migrations.__file__).parent))
-    with connection.writing(engine) as opened:
-        config.attributes["connection"] = opened
-        command.upgrade(config, "0001")
-    engine.dispose()
+    upgrade(path, "0001")
     rows = {
         "experiment": [(1, "old", "ab" * 32, "{}", 17, 0, "simulated", "0.1.0")],
         "sets": [

@@ -77,7 +77,7 @@ class Laboratory:
 def laboratory(tmp_path, monkeypatch):
     monkeypatch.setattr(wall, "IDLE_INTERVAL_S", 60.0)
     settings = memory_settings(clock={"kind": "wall"})
-    line = Line(tmp_path, settings=settings, listen_every_s=0.0)
+    line = Line(tmp_path, settings=settings)
     return Laboratory(line, Machine(parse_utc(settings.clock.epoch)))
 
 
@@ -248,6 +248,7 @@ def test_a_person_may_trust_a_doubted_clock(laboratory):
 
 
 def test_a_trusted_clock_before_the_last_row_goes_on_behind_that_row_also_after_a_restart(laboratory):
+    laboratory.line.listen_every_s = 0.0
     laboratory.killed_after(2.2)
     laboratory.machine.start_again(IN_2010_NS)
     laboratory.machine.after(0.01, lambda: laboratory.line.order("trust_clock"))
