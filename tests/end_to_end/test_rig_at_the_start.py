@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.small_experiment import rows_of, run, small_settings
+from support.small_experiment import rows_of, run
+from support.small_experiment import unjournaled_settings as small_settings
 
 from daq_service.errors import BusyError, RigError
 from daq_service.processes.heartbeat import read_heartbeat

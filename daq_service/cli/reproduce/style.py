@@ -91,4 +91,5 @@ def rendered(figure: Figure) -> dict[str, bytes]:
         buffer = io.BytesIO()
         figure.savefig(buffer, format=ending, dpi=DPI, metadata=metadata)
         pictures[ending] = buffer.getvalue()
+        figure.set_layout_engine("none")  # laid out once, for both
     return pictures
