@@ -8,6 +8,7 @@ from sqlalchemy import Engine
 
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
+from daq_service.catalogue.sealed import seal_unsealed
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 """The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four
@@ -42,3 +43,4 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     with writing(engine) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
+        seal_unsealed(connection)
