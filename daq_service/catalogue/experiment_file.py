@@ -21,6 +21,8 @@ from daq_service.shared_file import HINT_SUFFIX, read_shared, write_durably
 log = logging.getLogger(__name__)
 
 EXPERIMENT_FILE = "experiment.json"
+HISTORY_FILE = "history.jsonl"
+"""Beside it: `history`."""
 
 
 def write_experiment(folder: Path, row: ExperimentRow) -> None:

@@ -23,7 +23,7 @@ import orjson
 
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.experiment_file import refuse_another
+from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_another
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, values
 from daq_service.catalogue.writer import ANSWERS
@@ -32,7 +32,6 @@ from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
 
 log = logging.getLogger(__name__)
 
-HISTORY_FILE = "history.jsonl"
 FOLLOW_EVERY_S = 1.0
 """How far the history may be behind: whoever loses the catalogue within a second has lost the disk."""
 TAIL_BYTES = 4_000_000

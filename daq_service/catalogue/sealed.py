@@ -11,15 +11,13 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import cache
-from types import NoneType
 from typing import Any, TypeVar, get_args
 
 import numpy as np
 import orjson
 from sqlalchemy import Connection, Select, bindparam, func, select, update
 
-from daq_service.catalogue.rows import Row, columns_of
+from daq_service.catalogue.rows import Column, Row, columns_of
 from daq_service.catalogue.tables import KINDS, ROW_CRC32, table_of
 
 R = TypeVar("R", bound=Row)
@@ -30,6 +28,14 @@ _AS_READ: Mapping[Any, Callable[[Any], Any]] = {
     int: int,
     bool: bool,
 }
+
+
+def _reading_of(column: Column) -> Callable[[Any], Any] | None:
+    alternatives = get_args(column.type) if column.nullable else (column.type,)
+    return next((_AS_READ[of_type] for of_type in alternatives if of_type in _AS_READ), None)
+
+
+_COLUMNS = {kind: [(column.name, _reading_of(column)) for column in columns_of(kind)] for kind in KINDS}
 
 
 class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`connection.translated`)
@@ -48,22 +54,11 @@ def plain(value: Any) -> Any:
 def row_crc32(row: Row) -> int:
     """CRC-32 of a row, the same before it is stored and after it is read."""
     told = {}
-    for name, as_read in _columns(type(row)):
+    for name, as_read in _COLUMNS[type(row)]:
         value = plain(getattr(row, name))
         if value is not None:
             told[name] = value if as_read is None else as_read(value)
     return zlib.crc32(orjson.dumps(told, option=orjson.OPT_SERIALIZE_NUMPY))
-
-
-@cache
-def _columns(kind: Any) -> tuple[tuple[str, Callable[[Any], Any] | None], ...]:
-    def of_type(column_type: Any) -> Any:
-        return next((kind for kind in get_args(column_type) if kind is not NoneType), column_type)
-
-    return tuple(
-        (column.name, _AS_READ.get(of_type(column.type) if column.nullable else column.type))
-        for column in columns_of(kind)
-    )
 
 
 def storable(row: Row) -> dict[str, Any]:
@@ -80,9 +75,11 @@ def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
     following = int(connection.execute(select(func.max(table.c.id))).scalar_one() or 0) + 1
     done = []
     for row in rows:
-        row_id: int | None = row.id  # type: ignore[attr-defined] # only kinds of rows with an id come here
-        done.append(row if row_id is not None else replace(row, id=following))  # type: ignore[type-var] # a dataclass
-        following = max(following, following if row_id is None else row_id) + 1
+        if row.id is not None:  # type: ignore[attr-defined] # only kinds of rows with an id come here
+            done.append(row)
+        else:
+            done.append(replace(row, id=following))  # type: ignore[type-var] # every kind of row is a dataclass
+        following = max(following, done[-1].id + 1)  # type: ignore[attr-defined]
     return done
 
 

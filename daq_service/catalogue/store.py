@@ -106,7 +106,7 @@ def check_owner(settings: Settings, folder: Path) -> None:
     engine = make_engine(path, writable=False)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
             if found is not None and found > SCHEMA_REVISION:
                 raise _other_schema(path, found)
             if found is not None:
@@ -119,7 +119,7 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
     engine = make_engine(path, writable=True)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
             if found == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
                 refuse_damage(path.parent)
             if settings is not None and found is not None and found <= SCHEMA_REVISION:
@@ -140,7 +140,7 @@ def _open_reader(path: Path) -> Catalogue:
     engine = make_engine(path, writable=False)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
         if found is None:
             raise NoDataYetError(waiting)
         if found != SCHEMA_REVISION:
@@ -160,7 +160,7 @@ def _other_schema(path: Path, found: str) -> SchemaVersionError:
     )
 
 
-def _revision(engine: Engine) -> str | None:
+def revision_of(engine: Engine) -> str | None:
     """Read the file's schema; None where there is none yet."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):

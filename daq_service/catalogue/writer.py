@@ -174,6 +174,12 @@ class RecorderCatalogue(Catalogue):
         )
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
 
+    def without_digest(self) -> list[str]:
+        """Return the files of sets whose SHA-256 is not noted."""
+        wanted = select(sets.c.file).where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)).distinct()
+        with self._reading() as connection:
+            return [str(file) for file in connection.execute(wanted).scalars()]
+
     def set_digest(self, file: str, sha256: str) -> None:
         """Note the SHA-256 of a set's file in its rows."""
         with self._writing("noting a file") as connection:

@@ -15,6 +15,11 @@ SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("ve
 digits, so that revisions compare as text."""
 
 
+def known_revisions() -> list[str]:
+    """Every revision from the first one on, oldest first."""
+    return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
+
+
 def migrate(engine: Engine, path: Path, found: str | None) -> None:
     """Bring a catalogue from revision ``found`` (None: empty) to the newest one, in one transaction.
 
