@@ -71,7 +71,7 @@ def _damage(connection: Connection) -> Iterator[CatalogueDamage]:
             yield CatalogueDamage(
                 table=broken[0],
                 row_id=broken[1],
-                told=f"row {broken[1]} of {broken[0]} lacks its {broken[2]}",
+                told=f"row {broken[1]} of table {broken[0]} lacks its row of {broken[2]}",
             )
     except SQLAlchemyError as error:
         yield CatalogueDamage(told=_first_line(error))

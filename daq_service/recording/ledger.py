@@ -114,7 +114,7 @@ class Ledger:
         for position, place in self._settings.positions.items():
             if position not in causes:
                 cause = retired.get(position, "retired")
-                transaction.sets.append(self._without_records(due, position, retired=True, cause=cause))
+                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
@@ -219,7 +219,7 @@ class Ledger:
             if tried is not None and not gone:
                 assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
             row = replace(
-                self._without_records(
+                self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]
                 ),
                 n_missed=len(missed),
@@ -235,7 +235,8 @@ class Ledger:
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
         return self._with_environment(due, moment, transaction)
 
-    def _without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        """Make the row of a position that gave not one record, or was not asked for any."""
         return SetRow(
             set_index=due.set_index,
             position=position,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 
+from daq_service.acquisition.taken_set import features_of
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -25,7 +26,7 @@ from daq_service.catalogue.history import History, HistoryFollower, read_history
 from daq_service.catalogue.owner import refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, salvaged
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
-from daq_service.recording.replay import Replayed, Told, replay
+from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently, sync_folder
@@ -58,7 +59,11 @@ class Rebuilt:
 
 
 def rebuild(
-    folder: Path, *, progress: Progress = lambda done, total: None, settings: Settings | None = None
+    folder: Path,
+    *,
+    progress: Progress = lambda done, total: None,
+    settings: Settings | None = None,
+    features_of: FeaturesOf = features_of,
 ) -> Rebuilt:
     """Make the catalogue of a data folder again; the caller owns the folder.
 
@@ -101,9 +106,8 @@ def rebuild(
         place.mkdir()
         with open_catalogue(place, writer=True) as catalogue:
             catalogue.restore([experiment, *orders.values()])
-            found = replay(
-                stored_settings(experiment.configuration), experiment, archive, catalogue, told, progress
-            )
+            its_settings = stored_settings(experiment.configuration)
+            found = replay(its_settings, experiment, archive, catalogue, told, progress, features_of)
             refuse_foreign(found.foreign, str(folder))
             n_events = catalogue.counts()["events"]
         refuse_damage(place)

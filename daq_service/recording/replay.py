@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import orjson
 
+from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
 from daq_service.alarms.states import RETIRING
@@ -36,10 +37,12 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import Shot
 
 log = logging.getLogger(__name__)
 
 R = TypeVar("R", bound=Row)
+FeaturesOf = Callable[[Shot], ShotFeatures]
 
 _TOLD_ROWS: Mapping[str, type[Row]] = {
     "set_done": SetRow,
@@ -99,6 +102,7 @@ def replay(
     catalogue: RecorderCatalogue,
     told: Told,
     progress: Callable[[int, int], None],
+    features_of: FeaturesOf = features_of,
 ) -> Replayed:
     """Fill a catalogue that has its experiment and nothing else.
 
@@ -107,7 +111,7 @@ def replay(
     progress
         Called with the sets that are done and their number.
     """
-    return _Replay(settings, experiment, archive, catalogue, told).run(progress)
+    return _Replay(settings, experiment, archive, catalogue, told, features_of).run(progress)
 
 
 class _Replay:
@@ -118,6 +122,7 @@ class _Replay:
         archive: SetReader,
         catalogue: RecorderCatalogue,
         told: Told,
+        features_of: FeaturesOf,
     ) -> None:
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._told = archive, catalogue, told
@@ -170,14 +175,15 @@ class _Replay:
 
     def _take_alarm(self, event: EventRow) -> None:
         if event.topic == "alarms":
-            payload = dict(event.payload)
-            row = AlarmRow(id=payload.pop("alarm_id"), **payload)
+            told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
+            row = AlarmRow(**{**told, "id": event.payload["alarm_id"]})
             self._alarms[row.id or 0] = row
             self._ledger.alarms[(row.position, row.kind)] = row
 
     def _tell(self, events: Sequence[EventRow]) -> None:
         """Give a set without a record the rows that were told of it."""
         transaction = _as_told(Transaction(), events)
+        transaction.sets = self._told_sets(transaction.sets)
         self._commit(transaction, events)
         for row in transaction.sets:
             if row.state != "retired" and not row.n_taken and row.n_missed:
@@ -186,10 +192,25 @@ class _Replay:
             self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
             self._ledger = self._renewed()
 
+    def _told_sets(self, told: Sequence[SetRow]) -> list[SetRow]:
+        """Complete rows that were told: of a position that was retired no event tells in a set with records."""
+        rows = {row.position: row for row in told}
+        for position, cause in self._ledger.retired().items() if told else ():
+            due = DueSet(set_index=told[0].set_index, due_h=told[0].due_h, due_utc_ns=told[0].due_utc_ns)
+            retired = self._ledger.without_records(due, position, retired=True, cause=cause)
+            rows.setdefault(position, retired)
+        digests = self._told.digests
+        rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
+        return [rows[position] for position in self._settings.positions if position in rows]
+
     def _renewed(self) -> Ledger:
         """Judge on as after a restart: by what the rows say, since the records are not all there."""
         self._catalogue.restore(self._alarms.values())
-        return self._new_ledger()
+        try:
+            return self._new_ledger()
+        except ArchiveError as error:
+            self._result.damaged.append(f"judged on without it: {error}")
+            return self._ledger
 
     def _judge(
         self, set_index: int, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]
@@ -299,7 +320,11 @@ def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: 
     if all_rows or not transaction.shots:
         single = [row for row in transaction.features if row.shot_index is not None]
         transaction.features = [*single, *_rows(FeatureRow, events)]
-        transaction.thickness = _rows(ThicknessRow, events)
+        stored = {row.sequence for row in transaction.shots}
+        transaction.thickness = [
+            row if row.sequence in stored else replace(row, sequence=None)
+            for row in _rows(ThicknessRow, events)
+        ]
         transaction.baselines = _rows(BaselineRow, events)
         transaction.verdicts = _rows(VerdictRow, events)
     return transaction
