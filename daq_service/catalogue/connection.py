@@ -113,7 +113,7 @@ def translated(path: Path, doing: str) -> Iterator[None]:
     """
     try:
         yield
-    except DamagedRow as error:
+    except (DamagedRow, UnicodeDecodeError) as error:  # SQLite may tell of a damaged name, which is no text
         raise CatalogueDamagedError(f"{path}: {doing} failed: {error}; {REMEDY}") from error
     except DBAPIError as error:
         raise _translate(path, doing, error.orig) from error

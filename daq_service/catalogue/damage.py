@@ -15,6 +15,8 @@ from daq_service.catalogue.rows import Row
 from daq_service.catalogue.sealed import DamagedRow, checked
 from daq_service.catalogue.tables import KINDS, table_of
 
+UNREADABLE = (SQLAlchemyError, UnicodeDecodeError)
+"""What reading a damaged file ends with; SQLite may tell of a damaged name, which is no text."""
 TOLD = 20
 """Damages of its pages that SQLite tells at most."""
 
@@ -41,7 +43,7 @@ def catalogue_damage(folder: Path) -> Iterator[CatalogueDamage]:
     try:
         with engine.begin() as connection:
             yield from _damage(connection)
-    except SQLAlchemyError as error:
+    except UNREADABLE as error:
         yield CatalogueDamage(told=f"{path} cannot be read: {_first_line(error)}")
     finally:
         engine.dispose()
@@ -73,7 +75,7 @@ def _damage(connection: Connection) -> Iterator[CatalogueDamage]:
                 row_id=broken[1],
                 told=f"row {broken[1]} of table {broken[0]} lacks its row of {broken[2]}",
             )
-    except SQLAlchemyError as error:
+    except UNREADABLE as error:
         yield CatalogueDamage(told=_first_line(error))
     for kind in KINDS:
         yield from _damaged_rows(connection, kind, table_of(kind))

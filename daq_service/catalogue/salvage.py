@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from sqlalchemy import Connection, select
-from sqlalchemy.exc import SQLAlchemyError
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
+from daq_service.catalogue.damage import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.migrations import SCHEMA_REVISION, known_revisions
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
@@ -79,7 +79,9 @@ def _sound(connection: Connection, kind: type[R], tell: Callable[[str], None]) -
                     if stored is None:
                         return
                     yield checked(kind, stored)
+                except UnicodeDecodeError:
+                    raise  # the reading itself ended
                 except (DamagedRow, TypeError, ValueError, OverflowError) as error:
                     tell(f"table {table.name}: {error}")
-        except SQLAlchemyError as error:
+        except UNREADABLE as error:
             tell(f"table {table.name}: {str(error).partition(chr(10))[0]}")

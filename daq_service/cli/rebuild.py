@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 
 
@@ -18,7 +18,8 @@ def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
 
     folder = data_dir.absolute()
     prepare_data_folder(folder, anew=False)
-    log_to(folder / "logs" / "rebuild.log")
+    # Old alarms are raised once more: no news to whoever waits here.
+    logging.getLogger("daq_service.recording.ledger").addHandler(logging.NullHandler())
 
     def progress(done: int, total: int) -> None:
         click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)

@@ -193,7 +193,7 @@ class _Replay:
             self._ledger = self._renewed()
 
     def _told_sets(self, told: Sequence[SetRow]) -> list[SetRow]:
-        """Complete rows that were told: of a position that was retired no event tells in a set with records."""
+        """Complete rows that were told: no event tells of a position left out of a set with records."""
         rows = {row.position: row for row in told}
         for position, cause in self._ledger.retired().items() if told else ():
             due = DueSet(set_index=told[0].set_index, due_h=told[0].due_h, due_utc_ns=told[0].due_utc_ns)

@@ -6,85 +6,25 @@ import threading
 from dataclasses import replace
 
 import pytest
-from support.memory_line import Line, healthy, memory_settings, silent
+from support.life_of_a_test import lived, run
+from support.memory_line import Line, healthy, memory_settings
 from support.stored_files import set_files
 from support.table_rows import lose_catalogue, table_rows
 
-from daq_service.archive import FolderArchive
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
     EXPERIMENT_FILE,
     HISTORY_FILE,
-    keep_experiment,
     read_experiment,
 )
-from daq_service.catalogue.history import HistoryFollower
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
-
-ORDERS = {
-    ("B", 1, 1): ("retire", {"position": "C", "note": "a loose cable"}),
-    ("B", 3, 0): ("reinstate", {"position": "C"}),
-    ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
-    ("B", 10, 0): ("reinstate", {"position": "D"}),
-    ("B", 11, 0): ("acknowledge_alarm", {"alarm_id": 2, "note": "seen"}),
-}
-
-
-STOPS = [("B", 4, 2), ("C", 8, 3)]
-
-
-def run(line, **options):
-    """Run a recorder on the folder's own archive, as a session does; the history follows it."""
-    archive = FolderArchive(line.folder)
-    line.run(archive=archive, **options)
-    archive.close()
-    with line.catalogue(writer=True) as catalogue:
-        keep_experiment(line.folder, catalogue.experiment_row())
-        HistoryFollower(line.folder, catalogue).begin()
 
 
 @pytest.fixture(scope="module")
 def life(tmp_path_factory):
-    """A test with everything that nobody can compute: gaps, orders, holds, retirements, repetitions.
-
-    D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
-    one set; the baseline freezes; the wall changes at B.
-    """
-    folder = tmp_path_factory.mktemp("life")
-    line = Line(folder, listen_every_s=0.0)
-    given, stop = set(), threading.Event()
-
-    def script(key):
-        place = (key.position, key.set_index, key.shot_index)
-        if place in ORDERS and place not in given:
-            given.add(place)
-            kind, arguments = ORDERS[place]
-            line.order(kind, **arguments)
-        if place in STOPS:
-            stop.set()
-        if key.position == "D" and 2 <= key.set_index < 10:
-            return silent("noisy")
-        if key.position == "B" and key.shot_index == 1 and key.attempt == 0 and key.set_index == 2:
-            return silent("clipped")
-        return healthy(key, 0.5 if key.position == "B" and key.set_index > 8 else 0.0)
-
-    line.script = script
-    run(line, stop=stop)
-    stop.clear()
-    line.order("release")
-    run(line, stop=stop)
-    stop.clear()
-    STOPS.clear()
-    run(line, start_h=5.6, cause="the power was off")
-    with line.catalogue() as catalogue:
-        rows = catalogue.rows(SetRow)
-        kinds = {event.kind for event in catalogue.rows(EventRow)}
-        states = {row.state for row in rows}
-    assert states == {"done", "partial", "missed", "retired"}
-    assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
-    return line
+    return lived(tmp_path_factory.mktemp("life"))
 
 
 @pytest.fixture
