@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from support.life_of_a_test import lived, run
 from support.memory_line import Line, healthy, memory_settings
-from support.stored_files import set_files
+from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.catalogue import open_catalogue
@@ -19,6 +19,7 @@ from daq_service.catalogue.experiment_file import (
     read_experiment,
 )
 from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.recording.experiment import foreign_because
 from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
 
 
@@ -186,3 +187,16 @@ def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
     assert lost_catalogue(line.folder)
     (line.folder / HISTORY_FILE).unlink()
     assert lost_catalogue(line.folder)
+
+
+def test_a_set_of_another_hour_0_is_told_whatever_its_format(line):
+    with open_catalogue(line.folder) as catalogue:
+        experiment = catalogue.experiment_row()
+    record = read_set(set_files(line.folder)[0])
+    older = {name: told for name, told in record.provenance.items() if name != "experiment"}
+    assert foreign_because(record, experiment) == ""
+    assert foreign_because(replace(record, provenance=older), experiment) == ""
+    later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)
+    assert "hour 0 at 2024-01-01T00:00:01" in foreign_because(later, experiment)
+    other = {**record.provenance, "experiment": {"name": "other", "epoch_utc_ns": 0}}
+    assert "hour 0 at 1970" in foreign_because(replace(record, provenance=other), experiment)
