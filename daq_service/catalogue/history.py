@@ -96,7 +96,7 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
         It cannot be read.
     """
     try:
-        with patiently((folder / HISTORY_FILE).open("rb").__enter__) as file:
+        with patiently(lambda: (folder / HISTORY_FILE).open("rb")) as file:
             size = file.seek(0, os.SEEK_END)
             begin = 0 if tail_bytes is None else max(0, size - tail_bytes)
             file.seek(begin)

@@ -33,7 +33,7 @@ from daq_service.shared_file import patiently, sync_folder
 
 log = logging.getLogger(__name__)
 
-BUILDING = "rebuild.tmp"
+BUILDING = "rebuilding"
 """Folder in which the new catalogue is made."""
 Progress = Callable[[int, int], None]
 
