@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
 
@@ -11,14 +12,19 @@ from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.journal.reader import read_journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import read_file
-from daq_service.archive.records import TEMPORARY_SUFFIX, SetRecord
+from daq_service.archive.records import TEMPORARY_SUFFIX, SetRecord, SetReference
 from daq_service.shared_file import read_shared, write_durably
 
 
-def compact_set(folder: Path, set_index: int) -> None:
+def compact_set(folder: Path, set_index: int) -> tuple[SetReference, str]:
     """Give a whole set of the journal its own file; one that it has is compared and left.
 
     Runs in a process of its own beside the recorder, who alone takes frames away.
+
+    Returns
+    -------
+    tuple
+        The file and its SHA-256.
 
     Raises
     ------
@@ -46,6 +52,7 @@ def compact_set(folder: Path, set_index: int) -> None:
             raise CorruptArchiveError(f"{path} does not read as it was written; the journal keeps the set")
     if not _same(read_file(path), record):
         raise CorruptArchiveError(f"{path} is not what the journal holds; the journal keeps the set")
+    return reference, hashlib.sha256(read_shared(path)).hexdigest()
 
 
 def _same(found: SetRecord, record: SetRecord) -> bool:

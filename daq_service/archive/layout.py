@@ -48,7 +48,7 @@ from daq_service.clock import format_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
-FORMAT_VERSION = "1.1"
+FORMAT_VERSION = "1.2"
 """Raised in its first number when an older reader would misunderstand the file."""
 CLIPPED = 1
 """Bit of ``shots/flags``."""

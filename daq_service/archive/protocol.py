@@ -68,6 +68,10 @@ class SetReader(Protocol):
         """
         ...
 
+    def digest(self, reference: SetReference) -> str | None:
+        """SHA-256 of a set's file; None where it has none, or none yet."""
+        ...
+
     def verify_set(self, reference: SetReference) -> list[Damage]:
         """Read everything of a set and list what is damaged.
 

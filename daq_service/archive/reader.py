@@ -6,6 +6,7 @@ while the recorder goes on.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,7 @@ from daq_service.archive.records import (
     referenced_sets,
     waveform_crc32,
 )
-from daq_service.shared_file import patiently
+from daq_service.shared_file import patiently, read_shared
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
@@ -94,6 +95,15 @@ class FolderSetReader:
             damages = [damage for damage in journaled.damages() if damage.sequence == sequence]
             raise _damaged(path, damages)
         return record_of(journaled.shots[sequence]).waveform
+
+    def digest(self, reference: SetReference) -> str | None:
+        """Compute the SHA-256 of a set's file; None where it has none yet."""
+        try:
+            return hashlib.sha256(read_shared(self.folder / reference)).hexdigest()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise ArchiveError(f"{self.folder / reference} cannot be read: {error}") from error
 
     def verify_set(self, reference: SetReference) -> list[Damage]:
         """Read everything of a set and list what is damaged."""

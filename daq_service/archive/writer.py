@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import time
 from collections.abc import Mapping
@@ -136,13 +137,13 @@ class FolderArchive(FolderSetReader):
         reference = set_reference(record.set_index, record.due_utc_ns)
         crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
         store = self._store_journaled if self.keeps_open_sets else self._store_file
-        n_bytes, timings = store(record, reference, start)
+        n_bytes, timings, sha256 = store(record, reference, start)
         self._stored[record.set_index] = reference
-        return StoredSet(file=reference, n_bytes=n_bytes, crc32=crc32, timings=timings)
+        return StoredSet(file=reference, n_bytes=n_bytes, crc32=crc32, timings=timings, sha256=sha256)
 
     def _store_file(
         self, record: SetRecord, reference: SetReference, start: float
-    ) -> tuple[int, StoreTimings]:
+    ) -> tuple[int, StoreTimings, str | None]:
         image = build_image(record)
         built = time.perf_counter()
         path = self.folder / reference
@@ -154,13 +155,14 @@ class FolderArchive(FolderSetReader):
         except OSError as error:
             raise _refused(path, error) from error
         self.settle(record.set_index)
-        return len(image), StoreTimings(
+        timings = StoreTimings(
             image_s=built - start, write_s=write_s, fsync_s=fsync_s, directory_fsync_s=directory_fsync_s
         )
+        return len(image), timings, hashlib.sha256(image).hexdigest()
 
     def _store_journaled(
         self, record: SetRecord, reference: SetReference, start: float
-    ) -> tuple[int, StoreTimings]:
+    ) -> tuple[int, StoreTimings, str | None]:
         stored = self._stored.get(record.set_index)
         if stored is not None:
             # The same set once more, after an error that came when all was done.
@@ -172,9 +174,10 @@ class FolderArchive(FolderSetReader):
         self.sync()
         self._begun.pop(record.set_index, None)
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
-        return n_bytes, StoreTimings(
+        timings = StoreTimings(
             image_s=built - start, write_s=0.0, fsync_s=time.perf_counter() - built, directory_fsync_s=0.0
         )
+        return n_bytes, timings, None
 
     def _end(self, record: SetRecord) -> None:
         """Add what the journal lacks of a set, and its end, once."""

@@ -20,12 +20,16 @@ from daq_service.catalogue.errors import (
     CatalogueError,
     CatalogueWriteError,
 )
+from daq_service.catalogue.sealed import DamagedRow
 from daq_service.shared_file import patiently
 
 FILE_NAME = "catalogue.sqlite"
 _WRITES = "solimon_writes"
 BUSY_TIMEOUT_S = 5.0
 """How long a writer waits for another one; a set's commit takes milliseconds."""
+
+
+REMEDY = "`solimon rebuild` makes it again from sets, journal and history, and keeps this one beside it"
 
 
 def json_text(value: Any) -> str:
@@ -109,6 +113,8 @@ def translated(path: Path, doing: str) -> Iterator[None]:
     """
     try:
         yield
+    except (DamagedRow, UnicodeDecodeError) as error:  # SQLite may tell of a damaged name, which is no text
+        raise CatalogueDamagedError(f"{path}: {doing} failed: {error}; {REMEDY}") from error
     except DBAPIError as error:
         raise _translate(path, doing, error.orig) from error
     except SQLAlchemyError as error:
@@ -122,10 +128,9 @@ def _translate(path: Path, doing: str, error: BaseException | None) -> Catalogue
         return CatalogueBusyError(
             f"{told} for {BUSY_TIMEOUT_S:g} s; end the program that holds it and try again"
         )
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
-        return CatalogueDamagedError(
-            f"{told}; keep a copy of the file and of sets/, and restore the catalogue from a backup"
-        )
+    # Our queries are always the same: what they ask for is gone, or is no text, in a damaged file only.
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, 0):
+        return CatalogueDamagedError(f"{told}; {REMEDY}")
     if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
         return CatalogueWriteError(
             f"{told}; nothing of it was stored: free or mend the disk, then start again"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, Table, select
 
 from daq_service.catalogue.errors import OtherExperimentError
+from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.tables import events, experiment, features, thickness
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
@@ -23,17 +25,30 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         Every key or version that differs with both values, and the way out.
     """
     with engine.begin() as connection:
-        columns = (experiment.c.name, experiment.c.configuration_hash, experiment.c.configuration)
-        row = connection.execute(select(*columns, experiment.c.solimon_version)).one_or_none()
-        if row is None:
+        columns = (experiment.c[name] for name in ExperimentRow.__slots__)
+        found = connection.execute(select(*columns)).one_or_none()
+        if found is None:
             return  # nobody's yet
         lines = _other_versions(connection, settings)
+    refuse_other_experiment(ExperimentRow(**found._mapping), path.parent, settings, lines)
+
+
+def refuse_other_experiment(
+    row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
+) -> None:
+    """Do the same for an experiment that is known from elsewhere; ``lines`` say what else differs.
+
+    Raises
+    ------
+    OtherExperimentError
+        Every key that differs with both values, and the way out.
+    """
     own_hash = settings.configuration_hash()
     if row.configuration_hash != own_hash:
         lines = [*differences(row.configuration, settings), *lines]
     if lines:
         raise OtherExperimentError(
-            f"{path.parent} belongs to the experiment {row.name!r} with configuration "
+            f"{folder} belongs to the experiment {row.name!r} with configuration "
             f"{row.configuration_hash}, not to configuration {own_hash}:\n"
             + "\n".join(f"  {line}" for line in lines)
             + "\nGo on with the configuration that began it (where a default, an extractor or the twin has "

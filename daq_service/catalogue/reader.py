@@ -27,6 +27,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
+from daq_service.catalogue.sealed import checked_rows, storable
 from daq_service.catalogue.tables import alarms, commands, events, sets, shots, table_of
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.methods import PULSE_ECHO
@@ -141,17 +142,14 @@ class Catalogue:
         CatalogueError
             A name is no column of the table.
         """
-        table = table_of(kind)
-        if unknown := set(names) - set(table.columns.keys()):
-            raise CatalogueError(
-                f"{sorted(unknown)} are no columns of {table.name!r}; it has {sorted(table.columns.keys())}"
-            )
+        if unknown := set(names) - set(kind.__slots__):
+            of_table = f"{table_of(kind).name!r}; it has {sorted(kind.__slots__)}"
+            raise CatalogueError(f"{sorted(unknown)} are no columns of {of_table}")
         if not names:
             return {}
-        statement = _chosen(select(*(table.c[name] for name in names)), table, filters).limit(limit)
-        with self._reading() as connection:
-            found = connection.execute(statement).all()
-        return {name: [row[k] for row in found] for k, name in enumerate(names)}
+        # Whole rows: only these can be compared with their checksums.
+        found = self.rows(kind, limit=limit, **filters)
+        return {name: [getattr(row, name) for row in found] for name in names}
 
     def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
         with self._reading() as connection:
@@ -310,20 +308,19 @@ class Catalogue:
         """
         with translated(self._path, "writing a command"), writing(self._for_commands()) as connection:
             now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
-            result = connection.execute(
-                insert(commands),
-                {
-                    "wall_utc_ns": now_ns,
-                    "author": author,
-                    "kind": kind,
-                    "arguments": arguments,
-                    "state": "pending",
-                    "deadline_wall_utc_ns": now_ns + within_ns,
-                    "deadline_boot_ns": elapsed_ns() + within_ns,
-                    "boot_id": boot_name(),
-                },
+            row = CommandRow(
+                id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1,
+                wall_utc_ns=now_ns,
+                author=author,
+                kind=kind,
+                arguments=arguments,
+                state="pending",
+                deadline_wall_utc_ns=now_ns + within_ns,
+                deadline_boot_ns=elapsed_ns() + within_ns,
+                boot_id=boot_name(),
             )
-            return int(result.inserted_primary_key[0])  # type: ignore[index]
+            connection.execute(insert(commands), storable(row))
+            return row.id
 
     def _for_commands(self) -> Engine:
         if self._command_engine is None:
@@ -340,7 +337,7 @@ def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[An
 
 
 def _made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:
-    return [kind(**dict(zip(kind.__slots__, row, strict=True))) for row in connection.execute(statement)]
+    return list(checked_rows(connection, kind, statement))
 
 
 def _newest(connection: Connection, kind: type[OfSet], scope: Scope | None = None) -> dict[str, OfSet]:

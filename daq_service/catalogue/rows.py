@@ -66,6 +66,7 @@ class SetRow(Row):
     n_missed: Annotated[int, "Strikes that left no record"] = 0
     n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
     file: str | None = None  # relative to the data folder
+    file_sha256: Annotated[str | None, "Of the file, once it is made"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -8,18 +8,24 @@ from typing import Literal, overload
 from sqlalchemy import Engine, inspect, text
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
+from daq_service.catalogue.damage import refuse_damage
 from daq_service.catalogue.errors import (
     CatalogueError,
     NetworkFolderError,
     NoDataYetError,
     SchemaVersionError,
 )
+from daq_service.catalogue.experiment_file import read_experiment
 from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate
 from daq_service.catalogue.network_folder import network_filesystem
-from daq_service.catalogue.owner import refuse_other_test
+from daq_service.catalogue.owner import refuse_other_experiment, refuse_other_test
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.writer import RecorderCatalogue
 from daq_service.settings.tree import Settings
+
+CHECKED_WHOLE_BYTES = 64_000_000
+"""A recorder's start reads every row of a catalogue up to this size, some 2 s; of a larger one those that it
+needs, each with its checksum."""
 
 __all__ = [
     "Catalogue",
@@ -85,17 +91,22 @@ def check_owner(settings: Settings, folder: Path) -> None:
     ------
     OtherExperimentError
         It began with another configuration, extractor or twin: each with both values, and the way out.
+    CatalogueDamagedError
+        The catalogue is damaged, or it is lost and the file that names the experiment is.
     SchemaVersionError
         A newer version of solimon made the catalogue.
     """
     _refuse_network(folder)
     path = folder / FILE_NAME
     if not path.is_file():
-        return  # nobody's yet
+        kept = read_experiment(folder)
+        if kept is not None:
+            refuse_other_experiment(kept, folder, settings)
+        return  # nobody's yet, or its catalogue is lost
     engine = make_engine(path, writable=False)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
             if found is not None and found > SCHEMA_REVISION:
                 raise _other_schema(path, found)
             if found is not None:
@@ -108,7 +119,9 @@ def _open_writer(path: Path, settings: Settings | None) -> RecorderCatalogue:
     engine = make_engine(path, writable=True)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
+            if found == SCHEMA_REVISION and path.stat().st_size <= CHECKED_WHOLE_BYTES:
+                refuse_damage(path.parent)
             if settings is not None and found is not None and found <= SCHEMA_REVISION:
                 refuse_other_test(engine, path, settings)
             if found != SCHEMA_REVISION:
@@ -127,7 +140,7 @@ def _open_reader(path: Path) -> Catalogue:
     engine = make_engine(path, writable=False)
     try:
         with translated(path, "opening"):
-            found = _revision(engine)
+            found = revision_of(engine)
         if found is None:
             raise NoDataYetError(waiting)
         if found != SCHEMA_REVISION:
@@ -147,7 +160,7 @@ def _other_schema(path: Path, found: str) -> SchemaVersionError:
     )
 
 
-def _revision(engine: Engine) -> str | None:
+def revision_of(engine: Engine) -> str | None:
     """Read the file's schema; None where there is none yet."""
     with engine.begin() as connection:
         if not inspect(connection).has_table("alembic_version"):

@@ -37,6 +37,9 @@ metadata = MetaData(
     }
 )
 
+ROW_CRC32 = "row_crc32"
+"""The last column of each table: the checksum of the others (`sealed`), which no row tells."""
+
 _TABLES: dict[type[rows.Row], Table] = {}
 # None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
 _TYPES: dict[Any, TypeEngine[Any]] = {
@@ -74,6 +77,7 @@ def _table(
         )
         for number, column in enumerate(rows.columns_of(kind))
     ]
+    columns.append(Column(ROW_CRC32, BigInteger()))
     # With AUTOINCREMENT ids are never used again, whatever is deleted.
     _TABLES[kind] = Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
     return _TABLES[kind]
@@ -140,3 +144,6 @@ alarms = _table("alarms", rows.AlarmRow)
 Index("ix_alarms_position_kind", alarms.c.position, alarms.c.kind)
 events = _table("events", rows.EventRow, autoincrement=True)
 commands = _table("commands", rows.CommandRow, autoincrement=True)
+
+KINDS = tuple(_TABLES)
+"""Kinds of rows; what one refers to stands before it."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from sqlalchemy import Connection, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
@@ -29,9 +27,11 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
     VerdictRow,
-    values,
 )
-from daq_service.catalogue.tables import alarms, commands, experiment, sets, shots, table_of, verdicts
+from daq_service.catalogue.sealed import checked_rows, numbered, storable
+from daq_service.catalogue.tables import commands, experiment, sets, shots, table_of, verdicts
+
+R = TypeVar("R", bound=Row)
 
 ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
 
@@ -146,11 +146,11 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
             _insert(connection, commit.thickness)
-            baseline_ids = _insert_for_ids(connection, commit.baselines)
+            baseline_ids = _ids(_insert(connection, commit.baselines))
             _judge(connection, commit.verdicts)
             _insert(connection, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
-            event_ids = _insert_for_ids(connection, _dated_events(commit, alarm_ids))
+            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids)))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -173,6 +173,26 @@ class RecorderCatalogue(Catalogue):
             payload=dict(payload),
         )
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
+
+    def without_digest(self) -> list[str]:
+        """Return the files of sets whose SHA-256 is not noted."""
+        wanted = select(sets.c.file).where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)).distinct()
+        with self._reading() as connection:
+            return [str(file) for file in connection.execute(wanted).scalars()]
+
+    def set_digest(self, file: str, sha256: str) -> None:
+        """Note the SHA-256 of a set's file in its rows."""
+        with self._writing("noting a file") as connection:
+            its_sets = select(sets).where(sets.c.file == file, sets.c.file_sha256.is_(None))
+            for row in list(checked_rows(connection, SetRow, its_sets)):
+                _change(connection, replace(row, file_sha256=sha256))
+
+    def restore(self, rows: Iterable[Row]) -> None:
+        """Store rows as they are, with their ids, in the place of any that have these."""
+        with self._writing("restoring rows") as connection:
+            for row in rows:
+                if not _change(connection, row):
+                    _insert(connection, [row])
 
     # Commands
 
@@ -205,72 +225,59 @@ class RecorderCatalogue(Catalogue):
         )
 
     def _advance_command(self, command_id: int, *before: CommandState, **values: object) -> None:
-        statement = (
-            update(commands).where(commands.c.id == command_id, commands.c.state.in_(before)).values(**values)
-        )
         with self._writing("answering a command") as connection:
-            if connection.execute(statement).rowcount != 1:
+            statement = select(commands).where(commands.c.id == command_id, commands.c.state.in_(before))
+            found = list(checked_rows(connection, CommandRow, statement))
+            if not found:
                 raise CatalogueConflictError(
                     f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
                 )
+            _change(connection, replace(found[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
-def plain(value: Any) -> Any:
-    """Return a scalar as Python's own type; what is not a finite number becomes None."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def _insert(connection: Connection, rows: Sequence[R]) -> list[R]:
+    """Insert rows and return them with their ids."""
+    if not rows:
+        return []
+    rows = numbered(connection, rows)
+    connection.execute(insert(table_of(type(rows[0]))), [storable(row) for row in rows])
+    return list(rows)
 
 
-def _storable(rows: Iterable[Row]) -> list[dict[str, Any]]:
-    """Rows as they are stored: NaN and infinities as NULL, without the ids that SQL gives out."""
-    return [
-        {name: plain(value) for name, value in values(row).items() if name != "id" or value is not None}
-        for row in rows
-    ]
-
-
-def _insert(connection: Connection, rows: Sequence[Row]) -> None:
-    if rows:
-        connection.execute(insert(table_of(type(rows[0]))), _storable(rows))
+def _change(connection: Connection, row: Row) -> bool:
+    """Put a row in the place of the one with its id; False where there is none."""
+    table, stored = table_of(type(row)), storable(row)
+    key = table.primary_key.columns[0]
+    return connection.execute(update(table).where(key == stored.pop(key.name)).values(stored)).rowcount == 1
 
 
 def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
     """Insert verdicts; those of the baseline's sets replace the ones that waited for the baseline."""
     new = []
-    for row, stored in zip(rows, _storable(rows), strict=True):
-        waiting = update(verdicts).where(
+    for row in rows:
+        waiting = select(verdicts.c.id).where(
             verdicts.c.position == row.position,
             verdicts.c.set_index == row.set_index,
             verdicts.c.in_baseline,
         )
-        if not (row.in_baseline and connection.execute(waiting.values(stored)).rowcount):
+        waits = connection.execute(waiting).scalar() if row.in_baseline else None
+        if waits is None:
             new.append(row)
+        else:
+            _change(connection, replace(row, id=waits))
     _insert(connection, new)
-
-
-def _insert_for_ids(connection: Connection, rows: Sequence[Row]) -> list[int]:
-    """Insert rows and return their ids in the same order."""
-    if not rows:
-        return []
-    table = table_of(type(rows[0]))
-    statement = insert(table).returning(table.c.id, sort_by_parameter_order=True)
-    return [int(identity) for identity in connection.execute(statement, _storable(rows)).scalars()]
 
 
 def _store_alarm(connection: Connection, row: AlarmRow) -> int:
     if row.id is None:
-        return _insert_for_ids(connection, [row])[0]
-    (stored,) = _storable([row])
-    del stored["id"]
-    changed = connection.execute(
-        update(alarms).where(alarms.c.id == bindparam("changed_id")), {**stored, "changed_id": row.id}
-    )
-    if changed.rowcount != 1:
+        return _ids(_insert(connection, [row]))[0]
+    if not _change(connection, row):
         raise CatalogueConflictError(f"there is no alarm {row.id} to change; nothing of the set was stored")
     return row.id
+
+
+def _ids(rows: Iterable[Any]) -> list[int]:
+    return [row.id for row in rows]
 
 
 def _dated_events(commit: SetCommit, alarm_ids: Sequence[int]) -> list[EventRow]:

@@ -165,6 +165,16 @@ def status(**options: Any) -> None:
     print_status(**options)
 
 
+@cli.command()
+@click.option("--data-dir", type=FOLDER, required=True, help="The test's data folder.")
+@JSON
+def rebuild(**options: Any) -> None:
+    """Make a lost or damaged catalogue again, from the sets and the history; the old one is kept."""
+    from daq_service.cli.rebuild import print_rebuilt
+
+    print_rebuilt(**options)
+
+
 def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None:
     """Add a word that gives an order; its own options are the order's arguments."""
     command = order_options(partial(_give_order, kind))

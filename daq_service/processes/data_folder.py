@@ -21,6 +21,7 @@ from pydantic import ValidationError
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.errors import (
     BusyError,
@@ -84,7 +85,9 @@ OWN_NAMES = frozenset(
         CONFIGURATION_FILE,
         "drive.json",
         "drive.lock",
+        EXPERIMENT_FILE,
         "heartbeat.json",
+        HISTORY_FILE,
         "recorder.lock",
         "sets",
         "journal",
@@ -297,11 +300,15 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
 
 
 def _kept_settings(folder: Path) -> Settings | None:
+    """Read them where experiment.json, or else the catalogue, keeps them."""
     try:
-        with open_catalogue(folder) as catalogue:
-            return Settings(**renamed(catalogue.experiment_row().configuration))
+        kept = read_experiment(folder)
+        if kept is None:
+            with open_catalogue(folder) as catalogue:
+                kept = catalogue.experiment_row()
+        return Settings(**renamed(kept.configuration))
     except (CatalogueError, ValidationError) as error:
-        log.debug("the catalogue of %s has no configuration for this version: %s", folder, error)
+        log.debug("%s keeps no configuration for this version: %s", folder, error)
         return None
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 
-from daq_service.archive import Archive, CorruptArchiveError, SetNotFoundError
+from daq_service.archive import Archive, CorruptArchiveError, SetNotFoundError, SetReference
 from daq_service.archive.compaction import compact_set
 from daq_service.processes.worker import one_worker
 
@@ -20,7 +20,13 @@ AGAIN_AFTER_S = 10.0
 
 
 class Compaction:
-    """Hands whole sets to a worker and lets the journal forget what came back in order."""
+    """Hands whole sets to a worker and lets the journal forget what came back in order.
+
+    Parameters
+    ----------
+    filed
+        Told the file of a set and its SHA-256 before the journal forgets the set.
+    """
 
     def __init__(
         self,
@@ -29,11 +35,12 @@ class Compaction:
         *,
         start: Callable[[], Executor] = one_worker,
         mono_s: Callable[[], float] = time.monotonic,
+        filed: Callable[[str, str], None] = lambda file, sha256: None,
     ) -> None:
         self._folder, self._archive = folder, archive
-        self._start, self._mono_s = start, mono_s
+        self._start, self._mono_s, self._filed = start, mono_s, filed
         self._executor: Executor | None = None
-        self._running: dict[int, Future[None]] = {}
+        self._running: dict[int, Future[tuple[SetReference, str]]] = {}
         self._again_s: dict[int, float] = {}
         self._refusal = self._damage = ""
 
@@ -56,9 +63,9 @@ class Compaction:
             del self._again_s[set_index]
             self.put(set_index)
 
-    def _take_back(self, set_index: int, future: Future[None]) -> None:
+    def _take_back(self, set_index: int, future: Future[tuple[SetReference, str]]) -> None:
         try:
-            future.result()
+            self._filed(*future.result())
         except SetNotFoundError:
             log.debug("set %d is not in the journal: it has its file already", set_index)
         except CorruptArchiveError as error:

@@ -29,6 +29,11 @@ log = logging.getLogger(__name__)
 class Ledger:
     """Judges what was taken and writes it down; holds what later sets are judged by.
 
+    Parameters
+    ----------
+    rig
+        None where sets are judged that were taken long ago; ``rehearsal`` says then whether they are noise.
+
     Attributes
     ----------
     alarms
@@ -44,24 +49,34 @@ class Ledger:
         settings: Settings,
         archive: SetReader,
         catalogue: RecorderCatalogue,
-        rig: Rig,
+        rig: Rig | None,
         cost: Cost,
         remote_drive: RemoteDrive | None = None,
+        *,
+        rehearsal: bool = False,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
         self._cost = cost
         self._tried: Transaction | None = None
+        rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
         self._assessors = {
-            position: METHODS[place.method].restored(position, settings, catalogue, archive, rig.dry_run)
+            position: METHODS[place.method].restored(position, settings, catalogue, archive, rehearsal)
             for position, place in settings.positions.items()
         }
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self.drive = None
-        if rig.supply is not None or rig.climate is not None or remote_drive is not None:
+        if rig is not None and (rig.supply or rig.climate or remote_drive):
             self.drive = DriveWatch(settings.rig, rig, catalogue, self.alarms, self.commit, remote_drive)
+
+    def passed(self, row: SetRow) -> None:
+        """Take in the row of a set that gave not one record, as it was stored."""
+        self._assessors[row.position].nothing_taken(
+            DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
+            row.n_missed - row.n_restrikes,
+        )
 
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
@@ -77,9 +92,21 @@ class Ledger:
         return method.records_planned(self._settings.schedule)
 
     def judged(
-        self, due: DueSet, record: SetRecord, file: str, features: Mapping[int, ShotFeatures]
+        self,
+        due: DueSet,
+        record: SetRecord,
+        file: str,
+        features: Mapping[int, ShotFeatures],
+        *,
+        sha256: str | None = None,
     ) -> Transaction:
-        """Assess every position, once: rows, alarms and events of one transaction, to be committed."""
+        """Assess every position, once: rows, alarms and events of one transaction, to be committed.
+
+        Parameters
+        ----------
+        file, sha256
+            Where the record lies, and the SHA-256 of the file if it is made.
+        """
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
@@ -87,7 +114,7 @@ class Ledger:
         for position, place in self._settings.positions.items():
             if position not in causes:
                 cause = retired.get(position, "retired")
-                transaction.sets.append(self._without_records(due, position, retired=True, cause=cause))
+                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
@@ -108,6 +135,7 @@ class Ledger:
                 started_utc_ns=record.started_utc_ns,
                 ended_utc_ns=record.ended_utc_ns,
                 file=file if measurements else None,
+                file_sha256=sha256 if measurements else None,
             )
             transaction.add_position(row, measurements, assessment, moment, record.outcomes)
             for condition in assessment.conditions:
@@ -191,7 +219,7 @@ class Ledger:
             if tried is not None and not gone:
                 assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
             row = replace(
-                self._without_records(
+                self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]
                 ),
                 n_missed=len(missed),
@@ -207,7 +235,8 @@ class Ledger:
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
         return self._with_environment(due, moment, transaction)
 
-    def _without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        """Make the row of a position that gave not one record, or was not asked for any."""
         return SetRow(
             set_index=due.set_index,
             position=position,

@@ -6,6 +6,7 @@ import platform
 from importlib.metadata import version
 from typing import Any
 
+from daq_service.catalogue.rows import ExperimentRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
 from simulator.parameters.experiment import TWIN_VERSION
@@ -13,19 +14,20 @@ from simulator.parameters.experiment import TWIN_VERSION
 PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
 
 
-def provenance(settings: Settings, rig: Rig, *, configuration_hash: str) -> dict[str, Any]:
+def provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
     """JSON-ready; the same for every set of a run.
 
     Parameters
     ----------
-    configuration_hash
-        The folder's, of the configuration that began it: all its files bear one name, though a later
-        version's configuration has more keys.
+    experiment
+        The folder's: all its files bear the hash of the configuration that began it, though a later version's
+        configuration has more keys, and its hour 0.
     """
     versions = {name: version(name) for name in PACKAGES}
     return {
         "configuration": settings.model_dump(mode="json"),
-        "configuration_hash": configuration_hash,
+        "configuration_hash": experiment.configuration_hash,
+        "experiment": {"name": experiment.name, "epoch_utc_ns": experiment.epoch_utc_ns},
         "rig_identity": dict(rig.identity),
         "host": platform.node(),
         "platform": platform.platform(),

@@ -31,6 +31,7 @@ from daq_service.alarms.data_trouble import damage_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.history import HistoryFollower
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
@@ -41,6 +42,7 @@ from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.cost import Cost
+from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.provenance import provenance
@@ -91,6 +93,7 @@ class Recorder:
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
         remote_drive: RemoteDrive | None = None,
+        history: HistoryFollower | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -108,10 +111,10 @@ class Recorder:
         # Simulated time has one frame whatever machine it runs on.
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
-        folder_hash = catalogue.experiment_row().configuration_hash
-        self._provenance = provenance(settings, rig, configuration_hash=folder_hash)
+        self._provenance = provenance(settings, rig, experiment=catalogue.experiment_row())
         self._compaction = compaction
         self._acknowledged = acknowledged
+        self._history = history
         self._told_ids: set[int] = set()
         self._cost = Cost()
         self._mono_s = mono_s
@@ -125,6 +128,8 @@ class Recorder:
             for index, file in archive.sets().items()
             if index not in done and index not in self._open
         }
+        for opened in self._open.values():
+            refuse_foreign_open_set(opened, self._plan, archive.name)
         for index in done & self._open.keys():
             if not self._open.pop(index).records:
                 archive.settle(index)
@@ -195,6 +200,8 @@ class Recorder:
             self._orders.close("the recorder has ended")
         except (StorageError, OSError) as error:
             log.warning("open orders are not answered; the next recorder does it: %s", error)
+        if self._history is not None:
+            self._history.follow(now=True)
 
     # One set -----------------------------------------------------------------------------------
 
@@ -364,7 +371,7 @@ class Recorder:
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
             self._doing = f"judging set {due.set_index}"
-            return self._ledger.judged(due, record, stored.file, taken.features)
+            return self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
         self._post(judged, n_bytes=n_bytes, stored=due.set_index)
@@ -449,7 +456,9 @@ class Recorder:
             return False
         record = self._archive.read_set(file)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
-        self._post(partial(self._ledger.judged, due, record, file, features), stored=due.set_index)
+        sha256 = self._archive.digest(file)
+        judged = partial(self._ledger.judged, due, record, file, features, sha256=sha256)
+        self._post(judged, stored=due.set_index)
         self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -460,7 +469,8 @@ class Recorder:
         """Let no damaged file without rows block the start: its set is due again, or missed."""
         for set_index, file in list(self._orphans.items()):
             try:
-                self._archive.read_set(file)
+                why = foreign_because(self._archive.read_set(file), self._catalogue.experiment_row())
+                refuse_foreign([f"{file}: {why}"] if why else [], self._archive.name)
             except CorruptArchiveError as error:
                 log.error("set %d is set aside: %s", set_index, error)
                 self._archive.set_aside(file)
@@ -598,6 +608,8 @@ class Recorder:
         if self._compaction is not None:
             self._compaction.work()
             self._tell_compaction(self._compaction.trouble)
+        if self._history is not None:
+            self._history.follow()
         return self._look_around()
 
     def _idle_in_a_set(self) -> bool:

@@ -9,12 +9,16 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from daq_service.archive import Archive, FolderArchive
+from daq_service.archive import Archive, FolderArchive, SetReference
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.experiment_file import keep_experiment
+from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
@@ -24,6 +28,7 @@ from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
 from daq_service.processes.worker import one_worker
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.tree import RigSettings, Settings
@@ -91,10 +96,20 @@ def record(
     """
     last_beat = read_heartbeat(folder)
     cause = _why_not_running(last_beat, restarted_because)
+    deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
+    made_again = _made_again(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=tell))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         epoch_ns = _experiment_epoch(catalogue, settings)
+        keep_experiment(folder, catalogue.experiment_row())
+        if made_again:
+            newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
+            now_ns = newest[0].utc_ns if newest else epoch_ns
+            catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
+        history = HistoryFollower(folder, catalogue)
+        history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
+        _note_digests(catalogue, archive)
         clock: Clock
         if settings.clock.kind == "wall":
             clock = wall_clock(
@@ -110,7 +125,6 @@ def record(
         else:
             start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
             clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
-        deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
         line = clock.line if isinstance(clock, WallClock) else lambda: None
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
         rig = _open_patiently(
@@ -123,7 +137,12 @@ def record(
         )
         if rig is None:
             return False
-        compaction = Compaction(folder, archive, start=compaction_worker)
+        compaction = Compaction(
+            folder,
+            archive,
+            start=compaction_worker,
+            filed=catalogue.set_digest,
+        )
         for set_index in archive.to_compact():
             compaction.put(set_index)
         stack.callback(compaction.close)
@@ -143,6 +162,7 @@ def record(
             acknowledged=acknowledged,
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,
+            history=history,
         )
         stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)
@@ -151,6 +171,29 @@ def record(
             if linger:
                 recorder.linger()
         return finished
+
+
+def _made_again(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
+    """Make a lost catalogue again before anything is recorded; what is told of it, empty: none was lost."""
+    if not lost_catalogue(folder):
+        return {}
+    log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
+    made = rebuild(
+        folder,
+        settings=settings,
+        progress=lambda done, total: heartbeat.beat(f"making the catalogue again: set {done} of {total}"),
+    )
+    for warning in made.warnings:
+        log.warning("%s", warning)
+    return asdict(made)
+
+
+def _note_digests(catalogue: RecorderCatalogue, archive: Archive) -> None:
+    """Note the SHA-256 of files from before it was, or that a crash kept from being noted."""
+    for file in catalogue.without_digest():
+        sha256 = archive.digest(SetReference(file))
+        if sha256 is not None:
+            catalogue.set_digest(file, sha256)
 
 
 def longest_call_s(rig: RigSettings) -> float:

@@ -40,6 +40,17 @@ class _Stored(Settings):
         return (init_settings,)
 
 
+def stored_settings(values: Mapping[str, Any]) -> Settings:
+    """Give the settings of a test as it was begun, without today's environment.
+
+    Raises
+    ------
+    ValidationError
+        This version knows no such test.
+    """
+    return _Stored(**renamed(values))
+
+
 def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Nested tables under today's names, without the keys that went."""
     moved = ((_todays(path), value) for path, value in _flat(values).items())

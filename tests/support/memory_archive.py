@@ -73,6 +73,9 @@ class MemoryArchive:
     def close(self) -> None:
         """Nothing is held."""
 
+    def digest(self, reference: SetReference) -> None:
+        """Nothing has a file."""
+
     def sync(self) -> list[int]:
         before = {item.sequence for begun in self.shelf.open.values() for item in begun.records}
         self.shelf.open |= self._begun

@@ -8,6 +8,7 @@ from sqlalchemy import Engine, text
 
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
+from daq_service.catalogue.sealed import seal_unsealed
 from daq_service.catalogue.tables import metadata
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
@@ -19,6 +20,11 @@ _VERSION_TABLE = (
     "CONSTRAINT alembic_version_pkc PRIMARY KEY (version_num))"
 )
 """As Alembic itself makes it."""
+
+
+def known_revisions() -> list[str]:
+    """Every revision from the first one on, oldest first."""
+    return sorted(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 
 
 def migrate(engine: Engine, path: Path, found: str | None) -> None:
@@ -56,3 +62,4 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     with writing(engine) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
+        seal_unsealed(connection)

@@ -31,8 +31,8 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
     VerdictRow,
-    values,
 )
+from daq_service.catalogue.sealed import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
@@ -86,8 +86,8 @@ def set_row(index, position, state="done", n_taken=2, **changes):
 
 
 def stored(row):
-    """Row for SQL, which gives the id."""
-    return {name: value for name, value in values(row).items() if name != "id"}
+    """Row for SQL."""
+    return storable(replace(row, id=1))
 
 
 def shot_row(index, position, shot_index, sequence, **changes):

@@ -4,7 +4,7 @@ import pytest
 from support.scripted_supply import PlainSupply, ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.catalogue.tables import environment
+from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.charge import Charge, DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, no_supply, summary
@@ -119,7 +119,7 @@ def test_charge_is_the_integral_of_the_measured_current(energised):
 
 
 def test_the_summary_has_the_columns_of_the_catalogue(energised):
-    columns = set(environment.columns.keys()) - {"id", "set_index", "due_h"}
+    columns = set(EnvironmentRow.__slots__) - {"id", "set_index", "due_h"}
     assert set(energised.summary()) == columns
     assert set(summary(no_supply(0, 0.0))) == columns
 

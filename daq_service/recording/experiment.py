@@ -1,0 +1,118 @@
+"""Which experiment a data folder holds: catalogue, experiment.json, history, files and journal must agree."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.archive import ArchiveError, OpenSet, SetReader, SetRecord
+from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
+from daq_service.catalogue.experiment_file import (
+    EXPERIMENT_FILE,
+    HISTORY_FILE,
+    read_experiment,
+    refuse_another,
+)
+from daq_service.catalogue.history import History
+from daq_service.catalogue.rows import ExperimentRow
+from daq_service.clock import format_utc
+from hardware_drivers.nanoseconds import NS_PER_H
+
+log = logging.getLogger(__name__)
+
+
+def kept_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
+    """Find out without a catalogue which experiment a folder holds; None: nothing was begun here.
+
+    Raises
+    ------
+    OtherExperimentError
+        experiment.json and history tell of two.
+    """
+    try:
+        kept = read_experiment(folder)
+    except CatalogueDamagedError as error:
+        log.warning("%s", error)
+        kept = None
+    told = history.experiment
+    if kept is not None and told is not None:
+        refuse_another(kept, told, EXPERIMENT_FILE, HISTORY_FILE, folder)
+    return kept or told or _of_the_files(archive)
+
+
+def _of_the_files(archive: SetReader) -> ExperimentRow | None:
+    """Read it from the first set that can be read; when it was begun and on which clock follow from there."""
+    for reference in archive.sets().values():
+        try:
+            record = archive.read_set(reference, skip_damaged=True)
+        except ArchiveError as error:
+            log.warning("%s", error)
+            continue
+        told = record.provenance
+        configuration = told.get("configuration")
+        if not configuration or "configuration_hash" not in told:
+            continue
+        return ExperimentRow(
+            name=configuration["name"],
+            configuration_hash=told["configuration_hash"],
+            configuration=configuration,
+            created_utc_ns=_hour_0(record),
+            epoch_utc_ns=_hour_0(record),
+            clock=configuration["clock"]["kind"],
+            solimon_version=told["versions"]["solimon"],
+        )
+    return None
+
+
+def foreign_because(record: SetRecord, experiment: ExperimentRow) -> str:
+    """Say why a set is not of this experiment; empty: it is."""
+    told = record.provenance.get("configuration_hash", experiment.configuration_hash)
+    if told != experiment.configuration_hash:
+        return f"configuration {told} instead of {experiment.configuration_hash}"
+    if _hour_0(record) != experiment.epoch_utc_ns:
+        return f"hour 0 at {format_utc(_hour_0(record))} instead of {format_utc(experiment.epoch_utc_ns)}"
+    return ""
+
+
+def _hour_0(record: SetRecord) -> int:
+    """Hour 0, which every file tells by when it was due; since format 1.2 in words, too."""
+    counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
+    return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
+
+
+def refuse_foreign(found: Sequence[str], where: str) -> None:
+    """Let no set of another experiment be judged with those of this one.
+
+    Parameters
+    ----------
+    found
+        Sets that are not of this experiment, each with the reason.
+
+    Raises
+    ------
+    OtherExperimentError
+        There are such sets; with their names and both values.
+    """
+    if found:
+        more = f"\n  and {len(found) - 10} more" if len(found) > 10 else ""
+        raise OtherExperimentError(
+            f"{where} holds sets of another experiment:\n"
+            + "\n".join(f"  {line}" for line in found[:10])
+            + f"{more}\nTake out what does not belong here, or choose another folder with --data-dir."
+        )
+
+
+def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
+    """Refuse a set that was left open by another experiment: it is due at another time.
+
+    Raises
+    ------
+    OtherExperimentError
+        With both times.
+    """
+    due = next((due.due_utc_ns for due in planned if due.set_index == opened.set_index), opened.due_utc_ns)
+    if due != opened.due_utc_ns:
+        told = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
+        refuse_foreign([f"journal, set {opened.set_index}: {told}"], where)

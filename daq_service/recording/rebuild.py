@@ -1,0 +1,202 @@
+"""Make a catalogue again: sets are judged anew; what nobody can compute, history and old rows tell."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+
+from daq_service.acquisition.taken_set import features_of
+from daq_service.archive import FolderSetReader
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.damage import refuse_damage
+from daq_service.catalogue.errors import (
+    CatalogueError,
+    CatalogueWriteError,
+    NoDataYetError,
+    SchemaVersionError,
+)
+from daq_service.catalogue.experiment_file import HISTORY_FILE, keep_experiment, refuse_another
+from daq_service.catalogue.history import History, HistoryFollower, read_history
+from daq_service.catalogue.owner import refuse_other_experiment
+from daq_service.catalogue.salvage import Salvaged, salvaged
+from daq_service.recording.experiment import kept_experiment, refuse_foreign
+from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import Settings
+from daq_service.shared_file import patiently, sync_folder
+
+log = logging.getLogger(__name__)
+
+BUILDING = "rebuilding"
+"""Folder in which the new catalogue is made."""
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rebuilt:
+    """What was made again.
+
+    Attributes
+    ----------
+    kept
+        Name of the old catalogue, which lies beside the new one; empty: there was none.
+    warnings
+        What could not be made again, or is not what it was.
+    """
+
+    experiment: str
+    sets: int
+    events: int
+    orders: int
+    kept: str
+    warnings: list[str] = field(default_factory=list)
+
+
+def rebuild(
+    folder: Path,
+    *,
+    progress: Progress = lambda done, total: None,
+    settings: Settings | None = None,
+    features_of: FeaturesOf = features_of,
+) -> Rebuilt:
+    """Make the catalogue of a data folder again; the caller owns the folder.
+
+    The old one is replaced when the new one is complete, and kept beside it.
+
+    Parameters
+    ----------
+    progress
+        Called with the sets that are done and their number.
+    settings
+        Refuse a folder of another test; None: whatever test it is.
+
+    Raises
+    ------
+    NoDataYetError
+        Nothing was begun here.
+    OtherExperimentError
+        The folder holds sets of two experiments, or of another one than ``settings``.
+    CatalogueError
+        It cannot be made again, and why.
+    """
+    archive = FolderSetReader(folder)
+    history, kept = _history(folder), _catalogue(folder)
+    experiment = kept_experiment(folder, history, archive)
+    if kept.experiment is not None:
+        if experiment is not None:
+            refuse_another(kept.experiment, experiment, "its catalogue", "what lies beside it", folder)
+        experiment = kept.experiment
+    if experiment is None:
+        raise NoDataYetError(
+            f"{folder} holds neither catalogue nor sets of solimon; choose it with --data-dir"
+        )
+    if settings is not None:
+        refuse_other_experiment(experiment, folder, settings)
+    told = Told(events={**history.events, **kept.events}, digests={**history.digests, **kept.digests})
+    orders = {**history.commands, **kept.commands}
+    place = folder / BUILDING
+    try:
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir()
+        with open_catalogue(place, writer=True) as catalogue:
+            catalogue.restore([experiment, *orders.values()])
+            its_settings = stored_settings(experiment.configuration)
+            found = replay(its_settings, experiment, archive, catalogue, told, progress, features_of)
+            refuse_foreign(found.foreign, str(folder))
+            n_events = catalogue.counts()["events"]
+        refuse_damage(place)
+        name = _replace(folder, place)
+    except OSError as error:
+        raise CatalogueWriteError(
+            f"{folder}: the catalogue cannot be made again: {error}; free or mend the disk, then try again"
+        ) from error
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    _tell_beside(folder)
+    return Rebuilt(
+        experiment=experiment.name,
+        sets=found.sets,
+        events=n_events,
+        orders=len(orders),
+        kept=name,
+        warnings=_warnings(history, kept, found),
+    )
+
+
+def lost_catalogue(folder: Path) -> bool:
+    """Tell whether a test was begun here whose catalogue is gone, or empty."""
+    path = folder / FILE_NAME
+    if path.is_file() and path.stat().st_size > 0:
+        try:
+            with open_catalogue(folder):
+                return False
+        except NoDataYetError:
+            log.debug("%s has no experiment yet", path)
+        except CatalogueError:
+            return False  # whoever opens it to write says what is wrong with it
+    archive = FolderSetReader(folder)
+    return kept_experiment(folder, _history(folder), archive) is not None or bool(archive.sets())
+
+
+def _history(folder: Path) -> History:
+    try:
+        return read_history(folder)
+    except OSError as error:
+        raise CatalogueError(f"{folder / HISTORY_FILE} cannot be read: {error}; mend the disk") from error
+
+
+def _catalogue(folder: Path) -> Salvaged:
+    """Give what the old catalogue still says."""
+    try:
+        return salvaged(folder)
+    except SchemaVersionError:
+        raise  # an older one is whole, and has what nobody can compute
+    except CatalogueError as error:
+        return Salvaged(damage=[str(error)])
+
+
+def _replace(folder: Path, place: Path) -> str:
+    """Put the new catalogue in the place of the old one, whose name is returned."""
+    new, path = place / FILE_NAME, folder / FILE_NAME
+    _sync(new)
+    kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"
+    beside = [ending for ending in ("", "-wal", "-shm") if path.with_name(FILE_NAME + ending).exists()]
+    for ending in beside:
+        old = path.with_name(FILE_NAME + ending)
+        patiently(lambda old=old, ending=ending: old.replace(folder / (kept + ending)))  # type: ignore[misc]
+    patiently(lambda: new.replace(path))
+    sync_folder(folder)
+    return kept if "" in beside else ""
+
+
+def _sync(path: Path) -> None:
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _tell_beside(folder: Path) -> None:
+    """Let experiment.json and history say what the new catalogue says."""
+    with open_catalogue(folder, writer=True) as catalogue:
+        keep_experiment(folder, catalogue.experiment_row())
+        HistoryFollower(folder, catalogue).begin()
+
+
+def _warnings(history: History, kept: Salvaged, found: Replayed) -> list[str]:
+    def some(lines: Iterable[str], what: str) -> list[str]:
+        told = list(lines)
+        return [f"{what}: {line}" for line in told[:10]] + (
+            [f"{what}: {len(told) - 10} more"] if len(told) > 10 else []
+        )
+
+    return [
+        *some(history.damage, "history"),
+        *some(kept.damage, "old catalogue"),
+        *some(found.damaged, "set"),
+        *some(found.differing, "not what it was"),
+    ]

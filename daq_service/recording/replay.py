@@ -1,0 +1,358 @@
+"""A test told again: its sets judged in the order of their commits, between what people and devices did.
+
+Events give the order: what has ids in them was committed in this order. The events of one set stand together;
+what stands alone is an order, an alarm of a device, a word of the recorder.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from typing import Any, TypeVar
+
+import orjson
+
+from analysis.waves.features import ShotFeatures
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
+from daq_service.alarms.states import RETIRING
+from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    EnvironmentRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
+)
+from daq_service.judgement.transaction import Transaction
+from daq_service.recording.cost import Cost
+from daq_service.recording.experiment import foreign_because
+from daq_service.recording.ledger import Ledger
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import Shot
+
+log = logging.getLogger(__name__)
+
+R = TypeVar("R", bound=Row)
+FeaturesOf = Callable[[Shot], ShotFeatures]
+
+_TOLD_ROWS: Mapping[str, type[Row]] = {
+    "set_done": SetRow,
+    "set_partial": SetRow,
+    "set_missed": SetRow,
+    "set_retired": SetRow,
+    "set_features": FeatureRow,
+    "thickness_read": ThicknessRow,
+    "baseline_frozen": BaselineRow,
+    "set_judged": VerdictRow,
+    "environment_read": EnvironmentRow,
+}
+"""Kinds of events that tell a whole row."""
+_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """What is known of a test beside its sets.
+
+    Attributes
+    ----------
+    events
+        By id.
+    digests
+        SHA-256 by the name of a set's file.
+    """
+
+    events: Mapping[int, EventRow] = field(default_factory=dict)
+    digests: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Replayed:
+    """What came of it.
+
+    Attributes
+    ----------
+    damaged
+        Sets that cannot be read, or not wholly: of these the rows say what was told of them.
+    foreign
+        Sets of another experiment.
+    differing
+        Results that are not what was told when the set was taken.
+    """
+
+    sets: int = 0
+    damaged: list[str] = field(default_factory=list)
+    foreign: list[str] = field(default_factory=list)
+    differing: list[str] = field(default_factory=list)
+
+
+def replay(
+    settings: Settings,
+    experiment: ExperimentRow,
+    archive: SetReader,
+    catalogue: RecorderCatalogue,
+    told: Told,
+    progress: Callable[[int, int], None],
+    features_of: FeaturesOf = features_of,
+) -> Replayed:
+    """Fill a catalogue that has its experiment and nothing else.
+
+    Parameters
+    ----------
+    progress
+        Called with the sets that are done and their number.
+    """
+    return _Replay(settings, experiment, archive, catalogue, told, features_of).run(progress)
+
+
+class _Replay:
+    def __init__(
+        self,
+        settings: Settings,
+        experiment: ExperimentRow,
+        archive: SetReader,
+        catalogue: RecorderCatalogue,
+        told: Told,
+        features_of: FeaturesOf,
+    ) -> None:
+        self._settings, self._experiment = settings, experiment
+        self._archive, self._catalogue, self._told = archive, catalogue, told
+        boards = settings.rig.daqmx
+        self._rehearsal = settings.rig.kind == "daqmx" and boards is not None and boards.dry_run
+        self._features_of = features_of_a_rehearsal if self._rehearsal else features_of
+        self._ledger = self._new_ledger()
+        self._alarms: dict[int, AlarmRow] = {}
+        self._late: list[EventRow] = []
+        self._result = Replayed()
+
+    def _new_ledger(self) -> Ledger:
+        return Ledger(self._settings, self._archive, self._catalogue, None, Cost(), rehearsal=self._rehearsal)
+
+    def run(self, progress: Callable[[int, int], None]) -> Replayed:
+        files = dict(self._archive.sets())
+        total = len(files)
+        told_of = {event.set_index for event in self._told.events.values() if event.set_index is not None}
+        untold = sorted(files.keys() - told_of)
+        runs = list(_runs(self._told.events))
+        for number, (set_index, events) in enumerate(runs):
+            if set_index is None:
+                self._pass(events)
+                continue
+            # A set of which every event is lost is told before the next one.
+            while untold and untold[0] < set_index:
+                self._judge(untold[0], files.pop(untold.pop(0)), [], range(0))
+            free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
+            reference = files.pop(set_index, None)
+            if reference is None:
+                self._tell(events)
+            else:
+                self._judge(set_index, reference, events, free)
+            progress(total - len(files), total)
+        for set_index, reference in sorted(files.items()):
+            self._judge(set_index, reference, [], range(0))
+            progress(total, total)
+        self._catalogue.restore(self._alarms.values())
+        self._catalogue.commit_set(Transaction(events=self._late))
+        return self._result
+
+    def _pass(self, events: Sequence[EventRow]) -> None:
+        """Take in what belongs to no set: of orders, those that change what later sets are judged by."""
+        self._catalogue.restore(events)
+        for event in events:
+            self._take_alarm(event)
+            retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
+            if retired and event.position in self._settings.positions:
+                self._ledger.reinstated(event.position)
+
+    def _take_alarm(self, event: EventRow) -> None:
+        if event.topic == "alarms":
+            told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
+            row = AlarmRow(**{**told, "id": event.payload["alarm_id"]})
+            self._alarms[row.id or 0] = row
+            self._ledger.alarms[(row.position, row.kind)] = row
+
+    def _tell(self, events: Sequence[EventRow]) -> None:
+        """Give a set without a record the rows that were told of it."""
+        transaction = _as_told(Transaction(), events)
+        transaction.sets = self._told_sets(transaction.sets)
+        self._commit(transaction, events)
+        for row in transaction.sets:
+            if row.state != "retired" and not row.n_taken and row.n_missed:
+                self._ledger.passed(row)
+        if any(row.n_taken for row in transaction.sets):
+            self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
+            self._ledger = self._renewed()
+
+    def _told_sets(self, told: Sequence[SetRow]) -> list[SetRow]:
+        """Complete rows that were told: no event tells of a position left out of a set with records."""
+        rows = {row.position: row for row in told}
+        for position, cause in self._ledger.retired().items() if told else ():
+            due = DueSet(set_index=told[0].set_index, due_h=told[0].due_h, due_utc_ns=told[0].due_utc_ns)
+            retired = self._ledger.without_records(due, position, retired=True, cause=cause)
+            rows.setdefault(position, retired)
+        digests = self._told.digests
+        rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
+        return [rows[position] for position in self._settings.positions if position in rows]
+
+    def _renewed(self) -> Ledger:
+        """Judge on as after a restart: by what the rows say, since the records are not all there."""
+        self._catalogue.restore(self._alarms.values())
+        try:
+            return self._new_ledger()
+        except ArchiveError as error:
+            self._result.damaged.append(f"judged on without it: {error}")
+            return self._ledger
+
+    def _judge(
+        self, set_index: int, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]
+    ) -> None:
+        damage = ""
+        try:
+            record = self._archive.read_set(reference)
+        except CorruptArchiveError as error:
+            damage = str(error)
+            self._result.damaged.append(damage)
+            try:
+                record = self._archive.read_set(reference, skip_damaged=True)
+            except ArchiveError:
+                if events:
+                    self._tell(events)
+                return
+        if why := foreign_because(record, self._experiment):
+            self._result.foreign.append(f"{reference}: {why}")
+            return
+        due = DueSet(set_index=set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
+        features = {shot.sequence: self._features_of(shot) for shot in record.shots}
+        sha256 = self._digest(reference)
+        transaction = self._ledger.judged(due, record, reference, features, sha256=sha256)
+        self._add_environment(transaction, record)
+        computed = list(transaction.events)
+        if events:
+            if not damage:
+                self._result.differing += _differences(computed, events)
+            _as_told(transaction, events, all_rows=bool(damage))
+        self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
+        self._result.sets += 1
+        if damage:
+            self._ledger = self._renewed()
+
+    def _digest(self, reference: SetReference) -> str | None:
+        found, told = self._archive.digest(reference), self._told.digests.get(reference)
+        if found is not None and told not in (None, found):
+            self._result.damaged.append(f"{reference} is not the file that was stored: its SHA-256 differs")
+        return told or found
+
+    def _add_environment(self, transaction: Transaction, record: SetRecord) -> None:
+        if record.environment and not transaction.environment:
+            row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
+            transaction.environment.append(row)
+
+    def _commit(
+        self, transaction: Transaction, events: Sequence[EventRow], *, computed_alarms: bool = False
+    ) -> None:
+        if computed_alarms:
+            # Nothing was told of this set: its alarms are what it says.
+            self._catalogue.restore(self._alarms.values())
+            transaction.events = list(events)
+            self._ledger.commit(transaction)
+            self._alarms |= {row.id or 0: row for row in self._ledger.alarms.values()}
+            return
+        transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
+        self._catalogue.commit_set(transaction)
+        for event in events:
+            self._take_alarm(event)
+
+    def _placed(
+        self, computed: Sequence[EventRow], told: Sequence[EventRow], free: Sequence[int]
+    ) -> list[EventRow]:
+        """Events as they were told; one that is lost gets its own id again where it can be known."""
+        if not told:
+            return list(computed)
+        known = {_key(event) for event in told}
+        lost = [event for event in computed if _key(event) not in known and event.topic != "alarms"]
+        if len(lost) == len(free):
+            again = [replace(event, id=row_id) for event, row_id in zip(lost, free, strict=True)]
+            return sorted([*told, *again], key=lambda event: event.id or 0)
+        self._late += lost
+        return list(told)
+
+
+def _runs(events: Mapping[int, EventRow]) -> Iterator[tuple[int | None, list[EventRow]]]:
+    in_order = (event for _, event in sorted(events.items()))
+    for set_index, run in groupby(in_order, key=lambda event: event.set_index):
+        yield set_index, list(run)
+
+
+def _free_ids(
+    events: Sequence[EventRow],
+    before: Sequence[EventRow],
+    following: Sequence[tuple[int | None, Sequence[EventRow]]],
+) -> list[int]:
+    """Ids that nobody has beside and between the events of a set."""
+    first = (before[-1].id or 0) if before else 0
+    last = (following[0][1][0].id or 0) if following else (events[-1].id or 0) + 1
+    return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
+
+
+def _key(event: EventRow) -> tuple[str, str, str | None]:
+    return event.topic, event.kind, event.position
+
+
+def _as_told(transaction: Transaction, events: Sequence[EventRow], *, all_rows: bool = False) -> Transaction:
+    """Put rows that were told in the place of computed ones: those that say how a set ended.
+
+    Parameters
+    ----------
+    all_rows
+        Those that follow from the records, too: the records are not there, or not all.
+    """
+    transaction.sets = _over(transaction.sets, _rows(SetRow, events))
+    transaction.environment = _rows(EnvironmentRow, events) or transaction.environment
+    if all_rows or not transaction.shots:
+        single = [row for row in transaction.features if row.shot_index is not None]
+        transaction.features = [*single, *_rows(FeatureRow, events)]
+        stored = {row.sequence for row in transaction.shots}
+        transaction.thickness = [
+            row if row.sequence in stored else replace(row, sequence=None)
+            for row in _rows(ThicknessRow, events)
+        ]
+        transaction.baselines = _rows(BaselineRow, events)
+        transaction.verdicts = _rows(VerdictRow, events)
+    return transaction
+
+
+def _over(computed: Sequence[SetRow], told: Sequence[SetRow]) -> list[SetRow]:
+    digests = {row.position: row.file_sha256 for row in computed}
+    rows = {row.position: row for row in computed}
+    rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in told}
+    return list(rows.values())
+
+
+def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
+    return [
+        kind(**{name: event.payload[name] for name in kind.__slots__ if name in event.payload})
+        for event in events
+        if _TOLD_ROWS.get(event.kind) is kind
+    ]
+
+
+def _differences(computed: Sequence[EventRow], told: Sequence[EventRow]) -> list[str]:
+    found = {_key(event): event for event in computed if event.kind in _COMPUTED}
+    return [
+        f"set {event.set_index}, {event.position}: {event.kind}"
+        for event in told
+        if _key(event) in found and _json(found[_key(event)].payload) != _json(event.payload)
+    ]
+
+
+def _json(payload: Mapping[str, Any]) -> bytes:
+    return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

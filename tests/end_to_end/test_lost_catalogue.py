@@ -1,0 +1,102 @@
+"""A catalogue that is lost in the midst of a test in real time: hour 0 stays, and so does every row."""
+
+import json
+import os
+import sqlite3
+import threading
+import time
+from contextlib import closing
+
+import pytest
+from support.command_line import solimon_here
+from support.machine import Machine
+from support.small_experiment import run, small_settings
+from support.stored_files import set_files
+from support.table_rows import lose_catalogue, table_rows
+
+from daq_service.catalogue import check_owner, open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
+from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE
+from daq_service.catalogue.rows import SetRow
+from daq_service.clock import boot_name, wall
+from daq_service.recording import session
+
+SCHEDULE = {"phases": [{"until_h": 3.0, "interval_h": 0.5}], "shots_per_set": 2}
+MACHINE_NAMES_ITS_BOOT = pytest.mark.skipif(boot_name() is None, reason="this system names no boot")
+
+
+def settings_of(**chain):
+    return small_settings(clock={"kind": "wall"}, schedule=SCHEDULE, chain=chain, baseline={"hours": 1.5})
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    machine = Machine(time.time_ns())
+    monkeypatch.setattr(session, "elapsed_ns", lambda: machine.elapsed_ns)
+    monkeypatch.setattr(wall, "IDLE_INTERVAL_S", 60.0)
+    return machine
+
+
+@pytest.fixture
+def begun(machine, tmp_path):
+    """A test in real time, stopped after two sets, and its machine."""
+    stop = threading.Event()
+    machine.after(1.2, stop.set)
+    assert not run(settings_of(), tmp_path, stop=stop, wall_clock=machine.clock)
+    assert len(set_files(tmp_path)) == 2
+    return tmp_path
+
+
+@MACHINE_NAMES_ITS_BOOT
+def test_the_next_recorder_makes_it_again_and_goes_on_from_the_same_hour_0(machine, begun):
+    before = table_rows(begun)
+    lose_catalogue(begun)
+    # The computer was off for a while: one set is missed.
+    machine.sleep(3000.0)
+    assert run(settings_of(), begun, wall_clock=machine.clock)
+    after = table_rows(begun)
+    for name, rows in before.items():
+        columns = 4 if name == "verdicts" else None  # those of the baseline's sets waited for it
+        assert [row[:columns] for row in after[name][: len(rows)]] == [row[:columns] for row in rows], name
+    with open_catalogue(begun) as catalogue:
+        states = [row.state for row in catalogue.rows(SetRow, position="B")]
+        assert states == ["done", "done", "missed", "done", "done", "done"]
+        told = catalogue.last_told("catalogue_rebuilt")
+        assert (told.payload["sets"], told.payload["warnings"]) == (2, [])
+        assert all(len(row.file_sha256) == 64 for row in catalogue.rows(SetRow) if row.file)
+    whole = table_rows(begun)
+    lose_catalogue(begun)
+    answer = solimon_here("rebuild", "--data-dir", str(begun), "--json", env=os.environ)
+    assert (answer.returncode, json.loads(answer.stdout)["warnings"]) == (0, [])
+    assert "set 5 of 5" in answer.stderr
+    assert table_rows(begun) == whole
+
+
+@MACHINE_NAMES_ITS_BOOT
+def test_another_experiment_is_not_taken_into_the_same_baseline(machine, begun):
+    lower = settings_of(drop_height_m=3e-3)
+    both = r"drop_height_m began with 0.005, is 0.003 now"
+    lose_catalogue(begun)
+    with pytest.raises(OtherExperimentError, match=both):
+        check_owner(lower, begun)
+    with pytest.raises(OtherExperimentError, match=both):
+        run(lower, begun, wall_clock=machine.clock)
+    # Nothing but the sets is left.
+    lose_catalogue(begun, EXPERIMENT_FILE, HISTORY_FILE)
+    with pytest.raises(OtherExperimentError, match=both):
+        run(lower, begun, wall_clock=machine.clock)
+    assert len(set_files(begun)) == 2
+    assert not (begun / EXPERIMENT_FILE).exists()
+
+
+@MACHINE_NAMES_ITS_BOOT
+def test_a_damaged_catalogue_stops_the_start_with_the_remedy_which_helps(machine, begun):
+    before = table_rows(begun)
+    with closing(sqlite3.connect(begun / FILE_NAME)) as database:
+        database.execute("UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1")
+        database.commit()
+    with pytest.raises(CatalogueDamagedError, match=r"row 1 of table experiment.*solimon rebuild"):
+        run(settings_of(), begun, wall_clock=machine.clock)
+    assert solimon_here("rebuild", "--data-dir", str(begun), env=os.environ).returncode == 0
+    assert table_rows(begun) == before

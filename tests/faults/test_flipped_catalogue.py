@@ -1,0 +1,106 @@
+"""Bits flipped in catalogue and history, both cut short: what is read is what was written, or it is told."""
+
+from __future__ import annotations
+
+import random
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.life_of_a_test import lived
+from support.memory_line import Line
+from support.table_rows import table_rows
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.damage import catalogue_damage
+from daq_service.catalogue.experiment_file import HISTORY_FILE
+from daq_service.catalogue.history import parsed
+from daq_service.catalogue.rows import Row
+from daq_service.catalogue.tables import KINDS
+from daq_service.errors import StorageError
+from daq_service.recording.rebuild import rebuild
+
+REBUILT_EVERY = 40
+"""Of the damaged catalogues: making one again takes as long as fifty looks."""
+
+
+@pytest.fixture(scope="module")
+def life(tmp_path_factory: pytest.TempPathFactory) -> Line:
+    return lived(tmp_path_factory.mktemp("life"))
+
+
+def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
+    """Contents with one bit changed, nine of ten; the others cut short. Zeros, mostly free space, stay."""
+    told = [place for place, byte in enumerate(content) if byte]
+    chosen = random.Random(seed)
+    for count in range(number):
+        if count % 10 == 9:
+            yield content[: chosen.randrange(len(content))]
+        else:
+            place = chosen.choice(told)
+            yield content[:place] + bytes([content[place] ^ 1 << chosen.randrange(8)]) + content[place + 1 :]
+
+
+def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None]:
+    """Rows of every kind; None: that there is damage was told."""
+    found: dict[type[Row], list[Any] | None] = dict.fromkeys(KINDS)
+    try:
+        with open_catalogue(folder, writer=True) if writer else open_catalogue(folder) as catalogue:
+            for kind in KINDS:
+                try:
+                    found[kind] = catalogue.rows(kind)
+                except StorageError:
+                    found[kind] = None
+    except StorageError:
+        return dict.fromkeys(KINDS)
+    return found
+
+
+@pytest.mark.parametrize("number", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
+    life: Line, tmp_path: Path, number: int
+) -> None:
+    whole = rows_read(life.folder, writer=False)
+    rows, original = table_rows(life.folder), (life.folder / FILE_NAME).read_bytes()
+    told = 0
+    for count, content in enumerate(damaged(original, number, seed=5)):
+        folder = tmp_path / f"{count}"
+        folder.mkdir()
+        (folder / FILE_NAME).write_bytes(content)
+        # Readers look at what they ask for alone.
+        for kind, found in rows_read(folder, writer=False).items() if count % 4 == 0 else ():
+            assert found is None or all(row in (whole[kind] or []) for row in found), count
+        started = rows_read(folder, writer=True)
+        is_told = None in started.values()
+        assert is_told or started == whole, count
+        told += is_told
+        if is_told and count % REBUILT_EVERY == 0:
+            assert list(catalogue_damage(folder)), count
+            line = replace(life, folder=tmp_path / f"rebuilt-{count}")
+            shutil.copytree(life.folder, line.folder)
+            (line.folder / FILE_NAME).write_bytes(content)
+            rebuild(line.folder, features_of=line.features_of)
+            assert table_rows(line.folder) == rows, count
+        shutil.rmtree(folder)
+    assert told > number / 2
+
+
+@pytest.mark.parametrize("number", [300, pytest.param(3000, marks=pytest.mark.slow)])
+def test_the_history_gives_what_was_written_and_tells_what_is_missing(life: Line, number: int) -> None:
+    original = (life.folder / HISTORY_FILE).read_bytes()
+    whole = parsed(original)
+    for count, content in enumerate(damaged(original, number, seed=7)):
+        found = parsed(content)
+        missing = 0
+        for name in ("events", "commands", "digests"):
+            read, written = getattr(found, name), getattr(whole, name)
+            missing += len(written) - len(read)
+            # An order's earlier state stands where a later line of it is lost.
+            assert name == "commands" or read.items() <= written.items(), count
+        assert found.experiment in (None, whole.experiment), count
+        cut_short = original.startswith(content) or content[:-1] == original[:-1]
+        assert found.damage or cut_short or not missing, count

@@ -1,0 +1,74 @@
+"""A test on a rig in memory, with its sets in files, in which happens what nobody can compute again."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from daq_service.archive import FolderArchive
+from daq_service.catalogue.experiment_file import keep_experiment
+from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.rows import EventRow, SetRow
+from hardware_drivers.measurement import ShotKey
+from support.memory_line import Answer, Line, healthy, silent
+
+ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
+    ("B", 1, 1): ("retire", {"position": "C", "note": "a loose cable"}),
+    ("B", 3, 0): ("reinstate", {"position": "C"}),
+    ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
+    ("B", 10, 0): ("reinstate", {"position": "D"}),
+    ("B", 11, 0): ("acknowledge_alarm", {"alarm_id": 2, "note": "seen"}),
+}
+
+
+STOPS = [("B", 4, 2), ("C", 8, 3)]
+
+
+def run(line: Line, **options: Any) -> None:
+    """Run a recorder on the folder's own archive, as a session does; the history follows it."""
+    archive = FolderArchive(line.folder)
+    line.run(archive=archive, **options)
+    archive.close()
+    with line.catalogue(writer=True) as catalogue:
+        keep_experiment(line.folder, catalogue.experiment_row())
+        HistoryFollower(line.folder, catalogue).begin()
+
+
+def lived(folder: Path) -> Line:
+    """A test with everything that nobody can compute: gaps, orders, holds, retirements, repetitions.
+
+    D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
+    one set; the baseline freezes; the wall changes at B.
+    """
+    line = Line(folder, listen_every_s=0.0)
+    orders, stops, stop = dict(ORDERS), set(STOPS), threading.Event()
+
+    def script(key: ShotKey) -> Answer:
+        place = (key.position, key.set_index, key.shot_index)
+        if place in orders:
+            kind, arguments = orders.pop(place)
+            line.order(kind, **arguments)
+        if place in stops:
+            stops.remove(place)
+            stop.set()
+        if key.position == "D" and 2 <= key.set_index < 10:
+            return silent("noisy")
+        if key.position == "B" and key.shot_index == 1 and key.attempt == 0 and key.set_index == 2:
+            return silent("clipped")
+        return healthy(key, 0.5 if key.position == "B" and key.set_index > 8 else 0.0)
+
+    line.script = script
+    run(line, stop=stop)
+    stop.clear()
+    line.order("release")
+    run(line, stop=stop)
+    stop.clear()
+    run(line, start_h=5.6, cause="the power was off")
+    with line.catalogue() as catalogue:
+        rows = catalogue.rows(SetRow)
+        kinds = {event.kind for event in catalogue.rows(EventRow)}
+        states = {row.state for row in rows}
+    assert states == {"done", "partial", "missed", "retired"}
+    assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    return line

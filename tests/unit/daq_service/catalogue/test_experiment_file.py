@@ -1,0 +1,70 @@
+"""experiment.json: what a lost catalogue's folder belongs to."""
+
+from dataclasses import replace
+
+import pytest
+
+from daq_service.catalogue import check_owner
+from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
+from daq_service.catalogue.experiment_file import (
+    EXPERIMENT_FILE,
+    keep_experiment,
+    read_experiment,
+    write_experiment,
+)
+from daq_service.catalogue.rows import ExperimentRow
+from daq_service.settings.file import load_settings
+
+
+def row_of(settings, **changes):
+    row = ExperimentRow(
+        name=settings.name,
+        configuration_hash=settings.configuration_hash(),
+        configuration=settings.model_dump(mode="json"),
+        created_utc_ns=5,
+        epoch_utc_ns=10**18,
+        clock="wall",
+        solimon_version="0",
+    )
+    return replace(row, **changes)
+
+
+@pytest.fixture(scope="module")
+def row():
+    return row_of(load_settings(None))
+
+
+def test_it_is_read_as_it_was_written_and_layout_does_not_matter(row, tmp_path):
+    assert read_experiment(tmp_path) is None
+    write_experiment(tmp_path, row)
+    path = tmp_path / EXPERIMENT_FILE
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    assert read_experiment(tmp_path) == row
+
+
+@pytest.mark.parametrize(
+    "damaged", [lambda content: content.replace(b"1000000000", b"1000000001"), lambda content: content[:-40]]
+)
+def test_a_changed_value_is_told_and_a_catalogue_writes_it_again(row, tmp_path, damaged):
+    write_experiment(tmp_path, row)
+    path = tmp_path / EXPERIMENT_FILE
+    path.write_bytes(damaged(path.read_bytes()))
+    with pytest.raises(CatalogueDamagedError, match="solimon rebuild"):
+        read_experiment(tmp_path)
+    keep_experiment(tmp_path, row)
+    assert read_experiment(tmp_path) == row
+
+
+def test_a_catalogue_of_another_hour_0_is_refused_with_both(row, tmp_path):
+    keep_experiment(tmp_path, row)
+    with pytest.raises(OtherExperimentError, match=r"2001-09-09T01:46:41.*2001-09-09T01:46:40"):
+        keep_experiment(tmp_path, replace(row, epoch_utc_ns=10**18 + 10**9))
+    assert read_experiment(tmp_path) == row
+
+
+def test_without_a_catalogue_it_still_says_whose_folder_it_is(row, tmp_path):
+    write_experiment(tmp_path, row)
+    check_owner(load_settings(None), tmp_path)
+    lower = load_settings(None, overrides={"chain": {"drop_height_m": 3e-3}})
+    with pytest.raises(OtherExperimentError, match=r"drop_height_m began with 0.005, is 0.003 now"):
+        check_owner(lower, tmp_path)

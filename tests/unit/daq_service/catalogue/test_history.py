@@ -1,0 +1,163 @@
+"""The history follows the catalogue; whatever befalls a line of it, the others are read."""
+
+import os
+
+import pytest
+from support.begun_experiment import begun_catalogue, tell
+
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
+from daq_service.catalogue.experiment_file import HISTORY_FILE
+from daq_service.catalogue.history import HistoryFollower, line_of, parsed, read_history
+from daq_service.catalogue.rows import CommandRow, EventRow, SetRow
+
+
+@pytest.fixture
+def catalogue(tmp_path):
+    with begun_catalogue(tmp_path) as catalogue:
+        yield catalogue
+
+
+@pytest.fixture
+def follower(catalogue, tmp_path):
+    now = iter(range(0, 10**6, 10))
+    follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: next(now))
+    follower.begin()
+    return follower
+
+
+def set_row(position, **told):
+    told = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **told}
+    return SetRow(set_index=0, position=position, method="pulse_echo", **told)
+
+
+def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_file(
+    catalogue, follower, tmp_path
+):
+    tell(catalogue, "one", "two")
+    order = catalogue.add_command("Ada", "hold", {})
+    follower.follow()
+    catalogue.start_command(order)
+    follower.follow()
+    catalogue.finish_command(order, "done", "on hold")
+    catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
+    follower.follow()
+    catalogue.set_digest("sets/a.h5", "ab" * 32)
+    follower.follow()
+    follower.follow()
+    history = read_history(tmp_path)
+    assert history.experiment == catalogue.experiment_row()
+    assert list(history.events.values()) == catalogue.rows(EventRow)
+    assert list(history.commands.values()) == catalogue.rows(CommandRow)
+    assert history.digests == {"sets/a.h5": "ab" * 32}
+    assert history.damage == []
+    content = (tmp_path / HISTORY_FILE).read_bytes()
+    assert all(f'"state":"{state}"'.encode() in content for state in ("pending", "started", "done"))
+    assert content.count(b"\n") == history.last_number == 7
+
+
+def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, follower, tmp_path):
+    tell(catalogue, "one")
+    follower.follow()
+    tell(catalogue, "two")
+    for _ in range(2):
+        HistoryFollower(tmp_path, catalogue).begin()
+    history = read_history(tmp_path)
+    assert [event.kind for event in history.events.values()] == ["one", "two"]
+    assert history.last_number == 3
+
+
+def test_at_most_once_a_second(catalogue, tmp_path):
+    now = [0.0]
+    follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
+    follower.begin()
+    tell(catalogue, "one")
+    now[0] = 0.9
+    follower.follow()
+    assert not read_history(tmp_path).events
+    now[0] = 1.1
+    follower.follow()
+    assert len(read_history(tmp_path).events) == 1
+
+
+def test_a_torn_end_is_cut_by_a_new_line_and_no_damage(catalogue, follower, tmp_path):
+    tell(catalogue, "one", "two")
+    follower.follow()
+    path = tmp_path / HISTORY_FILE
+    path.write_bytes(path.read_bytes()[:-9])
+    assert read_history(tmp_path).damage == []
+    assert len(read_history(tmp_path).events) == 1
+    HistoryFollower(tmp_path, catalogue).begin()
+    history = read_history(tmp_path)
+    assert [event.kind for event in history.events.values()] == ["one", "two"]
+    assert history.damage == []
+
+
+@pytest.mark.parametrize(
+    ("damaged", "lacking"),
+    [
+        (lambda lines: [lines[0], lines[1].replace(b"one", b"One"), *lines[2:]], {1}),
+        (lambda lines: [lines[0], *lines[2:]], {1}),
+        (lambda lines: [*lines[:2], lines[2][:-1] + b" " + lines[3]], {2, 3}),
+        (lambda lines: lines[1:], set()),
+    ],
+)
+def test_a_damaged_or_missing_line_is_told_and_the_others_are_read(
+    catalogue, follower, tmp_path, damaged, lacking
+):
+    tell(catalogue, "one", "two", "three")
+    follower.follow()
+    path = tmp_path / HISTORY_FILE
+    path.write_bytes(b"".join(damaged(path.read_bytes().splitlines(keepends=True))))
+    history = read_history(tmp_path)
+    assert set(history.events) == {1, 2, 3} - lacking
+    assert len(history.damage) == 1
+
+
+def test_a_disk_that_refuses_costs_the_history_time_only(catalogue, follower, tmp_path, monkeypatch, caplog):
+    tell(catalogue, "one")
+    written = os.write
+
+    def half(descriptor, content):
+        written(descriptor, bytes(content)[: len(content) // 2])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "write", half)
+    for _ in range(2):
+        follower.follow()
+    monkeypatch.undo()
+    tell(catalogue, "two")
+    follower.follow()
+    history = read_history(tmp_path)
+    assert ([event.kind for event in history.events.values()], history.damage) == (["one", "two"], [])
+    assert sum("behind the catalogue" in record.message for record in caplog.records) == 1
+
+
+def test_a_history_that_knows_more_tells_that_the_catalogue_lost_rows(catalogue, follower, tmp_path):
+    tell(catalogue, "one")
+    follower.follow()
+    with (tmp_path / HISTORY_FILE).open("ab") as file:
+        event = {"id": 2, "utc_ns": 0, "topic": "service", "kind": "two", "payload": {}}
+        file.write(line_of(3, "events", event))
+    with pytest.raises(CatalogueDamagedError, match=r"knows event 2.*solimon rebuild"):
+        HistoryFollower(tmp_path, catalogue).begin()
+
+
+def test_a_history_of_another_experiment_is_refused_with_both(catalogue, follower, tmp_path):
+    path = tmp_path / HISTORY_FILE
+    (line,) = path.read_bytes().splitlines()
+    told = parsed(line + b"\n").experiment
+    row = {name: getattr(told, name) for name in told.__slots__}
+    path.write_bytes(line_of(1, "experiment", {**row, "epoch_utc_ns": 10**18}))
+    with pytest.raises(OtherExperimentError, match=r"1970-01-01.*2001-09-09"):
+        HistoryFollower(tmp_path, catalogue).begin()
+
+
+def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypatch):
+    tell(catalogue, *("told" for _ in range(50)))
+    follower.follow()
+    monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
+    tell(catalogue, "new")
+    HistoryFollower(tmp_path, catalogue).begin()
+    history = read_history(tmp_path)
+    assert (len(history.events), history.last_number, history.damage) == (51, 52, [])

@@ -1,0 +1,202 @@
+"""A catalogue that was lost comes again, row for row; what cannot be made again is told."""
+
+import json
+import shutil
+import threading
+from dataclasses import replace
+
+import pytest
+from support.life_of_a_test import lived, run
+from support.memory_line import Line, healthy, memory_settings
+from support.stored_files import read_set, set_files
+from support.table_rows import lose_catalogue, table_rows
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
+from daq_service.catalogue.experiment_file import (
+    EXPERIMENT_FILE,
+    HISTORY_FILE,
+    read_experiment,
+)
+from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.recording.experiment import foreign_because
+from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
+
+
+@pytest.fixture(scope="module")
+def life(tmp_path_factory):
+    return lived(tmp_path_factory.mktemp("life"))
+
+
+@pytest.fixture
+def line(life, tmp_path):
+    """A copy of its folder."""
+    folder = tmp_path / "copy"
+    shutil.copytree(life.folder, folder)
+    return replace(life, folder=folder)
+
+
+def made_again(line, **options):
+    return rebuild(line.folder, features_of=line.features_of, **options)
+
+
+def test_a_lost_catalogue_comes_again_row_for_row(line):
+    before = table_rows(line.folder)
+    lose_catalogue(line.folder)
+    told = []
+    made = made_again(line, progress=lambda done, total: told.append((done, total)))
+    assert table_rows(line.folder) == before
+    assert (made.kept, made.warnings, made.sets) == ("", [], len(set_files(line.folder)))
+    assert told[-1] == (made.sets, made.sets)
+    assert not (line.folder / BUILDING).exists()
+
+
+def test_history_alone_tells_which_experiment_it_is(line):
+    before, kept = table_rows(line.folder), read_experiment(line.folder)
+    lose_catalogue(line.folder, EXPERIMENT_FILE)
+    made_again(line)
+    assert table_rows(line.folder) == before
+    assert read_experiment(line.folder) == kept
+
+
+def test_a_whole_catalogue_keeps_what_nobody_can_compute_without_a_history(line):
+    before = table_rows(line.folder)
+    (line.folder / HISTORY_FILE).unlink()
+    made = made_again(line)
+    assert table_rows(line.folder) == before
+    assert (line.folder / made.kept).exists()
+    assert (line.folder / HISTORY_FILE).exists()
+
+
+def test_twice_is_once(line):
+    before = table_rows(line.folder)
+    made_again(line)
+    made_again(line)
+    assert table_rows(line.folder) == before
+
+
+def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
+    with open_catalogue(line.folder) as catalogue:
+        before = [row for row in catalogue.rows(SetRow) if row.file]
+        epoch = catalogue.experiment_row().epoch_utc_ns
+    lose_catalogue(line.folder, EXPERIMENT_FILE, HISTORY_FILE)
+    made_again(line)
+    with open_catalogue(line.folder) as catalogue:
+        assert catalogue.experiment_row().epoch_utc_ns == epoch
+        after = [row for row in catalogue.rows(SetRow) if row.file]
+    assert [(row.set_index, row.position, row.n_taken) for row in after] == [
+        (row.set_index, row.position, row.n_taken) for row in before
+    ]
+
+
+def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
+    before = table_rows(line.folder)
+    path = line.folder / HISTORY_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    number = next(n for n, text in enumerate(lines) if b'"kind":"hold"' in text)
+    del lines[number]
+    path.write_bytes(b"".join(lines))
+    lose_catalogue(line.folder)
+    made = made_again(line)
+    assert any("history" in warning and f"{number + 1}" in warning for warning in made.warnings)
+    after = table_rows(line.folder)
+    assert [row for row in before["events"] if row not in after["events"]] == [
+        row for row in before["events"] if row[4] == "hold"
+    ]
+    assert {name for name in before if before[name] != after[name]} == {"events"}
+
+
+def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):
+    before = table_rows(line.folder)
+    path = line.folder / HISTORY_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    number = next(n for n, text in enumerate(lines) if b'"kind":"set_features"' in text)
+    lines[number] = lines[number].replace(b"set_features", b"set_Features")
+    path.write_bytes(b"".join(lines))
+    lose_catalogue(line.folder)
+    assert made_again(line).warnings
+    after = table_rows(line.folder)
+    assert [row[0] for row in after["events"]] == [row[0] for row in before["events"]]
+    # When it was written is lost, and so are the checksum's bits.
+    assert [(*row[:2], *row[3:-1]) for row in after["events"]] == [
+        (*row[:2], *row[3:-1]) for row in before["events"]
+    ]
+
+
+def test_a_set_without_its_file_keeps_what_was_told_of_it(line):
+    with open_catalogue(line.folder) as catalogue:
+        sets = catalogue.rows(SetRow)
+        alarms = catalogue.rows(AlarmRow)
+    set_files(line.folder)[6].unlink()
+    lose_catalogue(line.folder)
+    made = made_again(line)
+    assert any("set 6" in warning for warning in made.warnings)
+    with open_catalogue(line.folder) as catalogue:
+        assert catalogue.rows(SetRow) == sets
+        assert catalogue.rows(AlarmRow) == alarms
+
+
+def test_a_file_that_is_another_one_is_told(line):
+    told = [json.loads(text) for text in (line.folder / HISTORY_FILE).read_bytes().splitlines()]
+    digests = {item["row"]["file"]: item["row"]["file_sha256"] for item in told if item["table"] == "files"}
+    digest = digests[f"sets/{set_files(line.folder)[1].name}"]
+    lose_catalogue(line.folder)
+    file = set_files(line.folder)[1]
+    file.write_bytes(file.read_bytes() + b" ")
+    assert any("SHA-256" in warning for warning in made_again(line).warnings)
+    with open_catalogue(line.folder) as catalogue:
+        assert catalogue.rows(SetRow, set_index=1)[0].file_sha256 == digest
+
+
+def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):
+    other = Line(tmp_path / "other", settings=memory_settings(chain={"drop_height_m": 3e-3}))
+    other.folder.mkdir()
+    stop = threading.Event()
+    other.script = lambda key: stop.set() or healthy(key)
+    run(other, stop=stop)
+    (stray,) = (other.folder / "sets").glob("*.h5")
+    shutil.copy(stray, line.folder / "sets" / stray.name.replace("000000", "000099"))
+    before = table_rows(line.folder)
+    with pytest.raises(OtherExperimentError, match=r"set_000099.*configuration") as refusal:
+        made_again(line)
+    assert other.settings.configuration_hash() in str(refusal.value)
+    assert table_rows(line.folder) == before
+    assert not (line.folder / BUILDING).exists()
+
+
+def test_a_catalogue_of_another_hour_0_is_refused(line, tmp_path):
+    with open_catalogue(line.folder, writer=True) as catalogue:
+        row = catalogue.experiment_row()
+        catalogue.restore([replace(row, epoch_utc_ns=row.epoch_utc_ns + 1)])
+    with pytest.raises(OtherExperimentError, match="two experiments"):
+        made_again(line)
+
+
+def test_a_folder_without_a_test_is_refused(tmp_path):
+    with pytest.raises(NoDataYetError, match="neither catalogue nor sets"):
+        rebuild(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_lost_is_a_catalogue_that_a_begun_test_has_no_more(line, tmp_path):
+    assert not lost_catalogue(tmp_path)
+    assert not lost_catalogue(line.folder)
+    (line.folder / "catalogue.sqlite").write_bytes(b"")
+    assert lost_catalogue(line.folder)
+    lose_catalogue(line.folder)
+    assert lost_catalogue(line.folder)
+    (line.folder / HISTORY_FILE).unlink()
+    assert lost_catalogue(line.folder)
+
+
+def test_a_set_of_another_hour_0_is_told_whatever_its_format(line):
+    with open_catalogue(line.folder) as catalogue:
+        experiment = catalogue.experiment_row()
+    record = read_set(set_files(line.folder)[0])
+    older = {name: told for name, told in record.provenance.items() if name != "experiment"}
+    assert foreign_because(record, experiment) == ""
+    assert foreign_because(replace(record, provenance=older), experiment) == ""
+    later = replace(record, due_utc_ns=record.due_utc_ns + 10**9, provenance=older)
+    assert "hour 0 at 2024-01-01T00:00:01" in foreign_because(later, experiment)
+    other = {**record.provenance, "experiment": {"name": "other", "epoch_utc_ns": 0}}
+    assert "hour 0 at 1970" in foreign_because(replace(record, provenance=other), experiment)
