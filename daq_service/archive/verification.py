@@ -81,6 +81,15 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
     return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched)
 
 
+def damage_of(path: Path, sha256: str | None = None) -> str:
+    """Say what is damaged in a set's file, empty: nothing; see `check_file`."""
+    found = check_file(path, sha256=sha256)
+    told = [str(damage) for damage in found.damages]
+    return "; ".join(
+        ["its SHA-256 is not that of the file that was written", *told] if found.touched else told
+    )
+
+
 def _contradictions(content: bytes, record: SetRecord) -> list[str]:
     """Compare a file, value by value, with the one that its own records would make."""
     made = build_image(record)

@@ -19,6 +19,7 @@ from daq_service.clock import format_utc, parse_utc
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.processes.data_folder import data_folder, settings_and_folder
 from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
@@ -147,6 +148,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         click.echo("no data yet")
         return
     click.echo(f"sets      {facts['counts']['sets']}, {facts['counts']['missed_sets']} missed")
+    for file, told in facts["lost"].items():
+        click.echo(f"LOST      {file} {told}; solimon repair --from BACKUP brings it back")
     for name, row in facts["positions"].items():
         click.echo(f"{name:<9} {json.dumps(row)}")
 
@@ -166,11 +169,12 @@ def describe_status(folder: Path) -> dict[str, Any]:
                 "supply": supply,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
+                "lost": lost_sets(folder, catalogue),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
                 "alarms": [values(row) for row in catalogue.rows(AlarmRow, active=True)],
             }
     except NoDataYetError:
-        nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
+        nothing: dict[str, Any] = {"held": None, "counts": None, "lost": {}, "positions": {}, "alarms": []}
         recorder = look_at_recorder(folder, [])
         clock: dict[str, Any] = {"system_ahead_s": None}
         return {"recorder": recorder.description, **clock, "supply": supply, **nothing}
