@@ -40,7 +40,7 @@ from hardware_drivers.measurement import (
 )
 
 # What h5py raises on damaged or foreign files, besides our own errors.
-_HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
 _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
@@ -129,12 +129,12 @@ def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
 
 
 def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
-    """Read everything of a set's file that is in memory.
+    """Read every record of a set's file that is in memory, and what it says of them.
 
     Returns
     -------
     tuple
-        What can be read of it, None where that is no set; and what is damaged.
+        What can be read of it, None where that is no set; and the damaged records.
 
     Raises
     ------
@@ -143,13 +143,24 @@ def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]
     """
     with _opened(path, content) as entry:
         records, damages = _read_records(entry)
-        damages += _unreadable(entry)
         try:
             return (_record_of(entry, records) if records else None), damages
-        except _HDF5_ERRORS:
+        except HDF5_ERRORS:
             if damages:
                 return None, damages
             raise
+
+
+def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
+    """List what of a set's file in memory cannot be read beside its records.
+
+    Raises
+    ------
+    CorruptArchiveError
+        It cannot be read as a whole.
+    """
+    with _opened(path, content) as entry:
+        return _unreadable(entry)
 
 
 def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
@@ -214,7 +225,7 @@ def _unreadable(entry: h5py.Group) -> list[Damage]:
     try:
         # Looks into the free-space lists of the groups' names too, which no reading touches.
         entry.visititems(lambda _name, _item: None)
-    except _HDF5_ERRORS as error:
+    except HDF5_ERRORS as error:
         unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
     return unreadable
 
@@ -240,7 +251,7 @@ class _Group:
         """Record of a row, or what is wrong with it."""
         try:
             counts = self.signal[row]
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             return f"unreadable ({error})"
         waveform = Waveform(
             counts=counts.astype(counts.dtype.newbyteorder("="), copy=False),
@@ -272,7 +283,7 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
     for name in _group_names(entry):
         try:
             group = _Group(entry, name)
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}
             continue
         is_echo = "gain" in group.data
@@ -407,7 +418,7 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
                 if path not in left_out:
                     item[()]
                 continue
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             unreadable.append(Damage(reason=f"{path} is unreadable ({error})"))
             continue
         _read_everything(item, f"{path}/", left_out, unreadable)
@@ -434,7 +445,7 @@ def _opened(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
         raise SetNotFoundError(f"there is no file {path}") from error
     except PermissionError as error:
         raise ArchiveError(f"{path} cannot be read: {error}; give this user the right to read it") from error
-    except _HDF5_ERRORS as error:
+    except HDF5_ERRORS as error:
         raise CorruptArchiveError(f"{path} is damaged: {error}; bring the file back from a copy") from error
 
 

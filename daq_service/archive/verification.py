@@ -6,6 +6,7 @@ Nothing is written, and nothing that a recorder does meanwhile counts as damage.
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,9 +20,11 @@ from daq_service.archive.journal.frames import HEADER, Frame, frames
 from daq_service.archive.journal.reader import JournaledSet, contents, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import opened_image
-from daq_service.archive.reader import examine
+from daq_service.archive.reader import HDF5_ERRORS, examine, unreadable_parts
 from daq_service.archive.records import Damage, SetRecord, referenced_sets
 from daq_service.shared_file import read_shared
+
+log = logging.getLogger(__name__)
 
 _PAGE_BYTES = 4096
 _PREVIEW_TOLERANCE = 1e-6
@@ -54,9 +57,8 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
     Parameters
     ----------
     sha256
-        Of the file as it was written, in hexadecimal. None: it is not known; then what the file says twice
-        (axes, factors, previews, counts of records) is compared with what it says once, and flips in bytes
-        that hold nothing pass unseen.
+        Of the file as it was written, in hexadecimal. None: it is not known; then the file is made anew from
+        its own records and compared, so that what it says twice (axes, factors, previews) must agree.
 
     Raises
     ------
@@ -74,11 +76,24 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
     touched = sha256 is not None and hashlib.sha256(content).hexdigest() != sha256
     try:
         record, damages = examine(path, content)
-        if sha256 is None and record is not None and not damages:
-            damages = [Damage(reason=told) for told in _contradictions(content, record)]
+        made = None if record is None or damages or sha256 is not None else _made(record)
+        # Else every byte is the one that was written, or that these records make.
+        if damages or touched or (sha256 is None and made != content):
+            damages += unreadable_parts(path, content)
+            if not damages and not touched:
+                damages = [Damage(reason=told) for told in _contradictions(content, made)]
     except CorruptArchiveError as error:
         record, damages = None, [Damage(reason=str(error.__cause__ or error))]
     return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched)
+
+
+def _made(record: SetRecord) -> bytes | None:
+    """Make the file anew; None: of what was read no file can be made."""
+    try:
+        return build_image(record)
+    except Exception as error:  # noqa: BLE001 - a damaged name or length can break any step of it
+        log.debug("no file can be made of what was read: %s", error)
+        return None
 
 
 def damage_of(path: Path, sha256: str | None = None) -> str:
@@ -90,22 +105,25 @@ def damage_of(path: Path, sha256: str | None = None) -> str:
     )
 
 
-def _contradictions(content: bytes, record: SetRecord) -> list[str]:
-    """Compare a file, value by value, with the one that its own records would make."""
-    made = build_image(record)
-    if made == content:
-        return []
-    # Another version of a library packs the same values into other bytes.
-    with h5py.File(opened_image(content)) as found, h5py.File(opened_image(made)) as expected:
-        values, wanted = _values(found), _values(expected)
-        names = set(values)
-        if found.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]:
-            names |= set(wanted)
-        return [
-            f"{name} is not what the rest of the file says"
-            for name in sorted(names)
-            if not _alike(name, values, wanted)
-        ]
+def _contradictions(content: bytes, made: bytes | None) -> list[str]:
+    """Compare a file, value by value, with the one that its own records make.
+
+    Another version of a library packs the same values into other bytes; then flips in bytes that hold
+    nothing pass unseen.
+    """
+    if made is None:
+        return ["what can be read of it makes no set"]
+    try:
+        with h5py.File(opened_image(content)) as found, h5py.File(opened_image(made)) as expected:
+            values, wanted = _values(found), _values(expected)
+            same_format = found.attrs["solimon_format_version"] == expected.attrs["solimon_format_version"]
+    except HDF5_ERRORS as error:
+        return [f"the structure of the file is damaged ({error})"]
+    return [
+        f"{name} is not what the rest of the file says"
+        for name in sorted({*values, *wanted} if same_format else values)
+        if not _alike(name, values, wanted)
+    ]
 
 
 def _values(file: h5py.File) -> dict[str, Any]:
@@ -118,7 +136,7 @@ def _values(file: h5py.File) -> dict[str, Any]:
 
     add("", file)
     file.visititems(add)
-    del found["@solimon_format_version"]
+    found.pop("@solimon_format_version", None)
     return found
 
 

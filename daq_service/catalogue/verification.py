@@ -18,6 +18,7 @@ from daq_service.catalogue.errors import (
     CatalogueWriteError,
     NoDataYetError,
 )
+from daq_service.catalogue.tables import metadata
 from daq_service.shared_file import remove_quietly
 
 
@@ -137,7 +138,7 @@ class CatalogueLook:
 
     def experiment(self) -> dict[str, Any] | None:
         """Row of the experiment; None: it has not begun."""
-        return next(iter(self._ask("SELECT * FROM experiment")), None)
+        return next(iter(self._rows("experiment", "")), None)
 
     def set_indices(self) -> set[int]:
         """Return the sets that have rows."""
@@ -151,8 +152,16 @@ class CatalogueLook:
         """Rows of a set in a table that has a position and a set index."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
-        sql = f"SELECT * FROM {table} WHERE position IN ({marks}) AND set_index = ?"
-        return self._ask(sql, *self._positions, set_index)
+        where = f"WHERE position IN ({marks}) AND set_index = ?"
+        return self._rows(table, where, *self._positions, set_index)
+
+    def _rows(self, table: str, where: str, *given: Any) -> list[dict[str, Any]]:
+        """Rows by today's names of columns; an earlier revision lacks some."""
+        rows = self._ask(f"SELECT * FROM {table} {where}", *given)
+        if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):
+            told = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
+            raise CatalogueDamagedError(told)
+        return rows
 
     def strays(self) -> list[int]:
         """Shots (`sequence`) whose set has no row of their position."""
