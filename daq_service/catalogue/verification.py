@@ -74,7 +74,7 @@ class CatalogueLook:
             self._connect()  # a recorder has started: from now on the file changes
         try:
             return [dict(row) for row in self._connection.execute(sql, values)]
-        except sqlite3.DatabaseError as error:
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a name of the schema
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
     def _values(self, sql: str) -> list[Any]:
