@@ -3,6 +3,7 @@
 import json
 import shutil
 import sqlite3
+import tarfile
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from support.archived_sets import make_set
 from support.command_line import solimon_here
 from support.damaging import damaged
 from support.kept_folder import SETS, lay_out, state_of
+from support.served_web import served
 from support.small_experiment import SMALL, disturbed_rig, rows_of, run, small_settings
 
 from daq_service.archive import FolderArchive, FolderSetReader
@@ -23,9 +25,10 @@ from daq_service.cli.keeping import backup, command
 from daq_service.cli.keeping.backup import back_up
 from daq_service.cli.keeping.verify import KINDS, verify_folder
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import own_data_folder
+from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import lost_sets
 
+FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {
     index: f"sets/set_{index:06d}_20240101T{hour}00Z.h5"
     for index, hour in enumerate(("0030", "0100", "0130"))
@@ -427,3 +430,36 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
         assert set(lost_sets(folder, catalogue)) == set(FILES.values())
     assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
     assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
+
+
+@pytest.mark.parametrize("commit", ["9c4a9b9", "c3c2e28"])
+def test_a_folder_of_an_earlier_version_is_looked_at_and_copied_as_it_is(tmp_path, commit):
+    folder = tmp_path / "data"
+    with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
+        archive.extractall(folder, filter="data")
+    before = state_of(folder)
+    report = verify_folder(folder)
+    assert (report.damage, report.checked["files"] > 0) == ([], True)
+    back_up(folder, tmp_path / "copy")
+    assert verify_folder(tmp_path / "copy").damage == []
+    assert state_of(folder) == before
+
+
+def test_a_copy_is_served_with_the_configuration_that_its_catalogue_keeps(folder, tmp_path):
+    back_up(folder, tmp_path / "copy")
+    settings, place = settings_of_folder(None, tmp_path / "copy")
+    assert (settings.schedule.shots_per_set, place) == (3, tmp_path / "copy")
+    assert settings_of_folder(None, tmp_path / "new")[0].schedule.shots_per_set != 3
+    with served(settings, place) as service, service.client() as client:
+        assert client.get("/api/v1/info").json()["schedule"]["shots_per_set"] == 3
+
+
+def test_a_person_reads_what_was_checked_and_each_damage_on_a_line(folder):
+    (folder / FILES[1]).unlink()
+    said = solimon_here("verify", "--data-dir", str(folder), env={})
+    lines = said.stdout.splitlines()
+    assert lines[0].startswith(f"set_missing        {FILES[1]}: rows point at it")
+    assert lines[-1] == "damage    1, named above"
+    assert any(line.startswith("checked   ") and line.endswith(" MB") for line in lines)
+    said = solimon_here("repair", "--data-dir", str(folder), env={})
+    assert said.stdout.startswith(f"nothing       {FILES[1]}: ")
