@@ -38,6 +38,7 @@ def test_a_file_as_it_was_written_is_clean(path, image):
         found = check_file(path, sha256=sha256)
         assert (found.damages, found.touched, found.n_bytes) == ([], False, len(image))
         assert bits(found.record) == bits(make_set())
+    assert check_file(path, sha256="ab" * 32).touched
 
 
 @pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
@@ -163,6 +164,18 @@ def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
     content[shot.end - 1] ^= 1
     path.write_bytes(content)
     assert [damage.sequence for _, damage in check_journal(journal).damages] == [42, opened]
+
+
+def test_a_frame_whose_header_is_damaged_is_told_by_its_place(journal):
+    """Of an open set nothing names its records."""
+    path = segment_path(journal, 1)
+    content = bytearray(path.read_bytes())
+    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 1000 + 42)
+    content[shot.start + 8] ^= 1
+    path.write_bytes(content)
+    ((file, damage),) = check_journal(journal).damages
+    assert (file, damage.sequence) == ("journal/000001.journal", None)
+    assert str(damage).startswith(f"bytes {shot.start} to {shot.end} are no frame")
 
 
 @pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
