@@ -26,6 +26,8 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
+SIZED = 1000
+"""``status`` looks whether so many of the newest sets are empty; ``doctor`` and a recorder look at all."""
 PACKED_FRACTION = 0.5
 """Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
 
@@ -169,7 +171,7 @@ def describe_status(folder: Path) -> dict[str, Any]:
                 "supply": supply,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
-                "lost": lost_sets(folder, catalogue),
+                "lost": lost_sets(folder, catalogue, newest=SIZED),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
                 "alarms": [values(row) for row in catalogue.rows(AlarmRow, active=True)],
             }
