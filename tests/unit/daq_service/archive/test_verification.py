@@ -18,8 +18,8 @@ from daq_service.archive.journal.reader import read_journal, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file, check_journal
 
-QUICK = [range(start, start + 20) for start in range(0, 60, 20)]
-SLOW = [pytest.param(range(start, start + 100), marks=pytest.mark.slow) for start in range(60, 1060, 100)]
+QUICK = [range(30)]
+SLOW = [pytest.param(range(start, start + 100), marks=pytest.mark.slow) for start in range(30, 1030, 100)]
 
 
 @pytest.fixture(scope="module")
