@@ -2,28 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 from daq_service.alarms.states import Condition
 
+SHOWN = 5
+"""A message names this many files: nobody reads more."""
 
-def damage_condition(set_aside: Sequence[str]) -> Condition:
-    """Alarm while damaged sets lie in quarantine.
+
+def damage_condition(
+    set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
+) -> Condition:
+    """Alarm while damaged sets lie in quarantine, or stored ones are damaged or gone.
 
     Parameters
     ----------
     set_aside
         What lies there, by the archive's names.
+    damaged
+        Files of sets that have rows, and what is wrong with each.
     """
+    told = [f"{file} {_sentence(what)}" for file, what in list(damaged.items())[:SHOWN]]
+    told += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
+    told += ["solimon verify names all of it, solimon repair what helps"] if damaged else []
+    if set_aside:
+        told.append(f"damaged and without rows, set aside: {', '.join(set_aside)}; remove what nobody needs")
     return Condition(
         position=None,
         kind="data_damaged",
         family="device",
-        severity="medium",
-        present=bool(set_aside),
-        message=f"damaged and without rows, set aside: {', '.join(set_aside)}; remove what nobody needs",
-        proof={"set_aside": list(set_aside)},
+        severity="high" if damaged else "medium",
+        present=bool(set_aside or damaged),
+        message="; ".join(told),
+        proof={"set_aside": list(set_aside), "damaged": dict(damaged)},
     )
+
+
+def _sentence(what: str) -> str:
+    return what if what.startswith("is ") else f"is damaged: {what}"
 
 
 def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:

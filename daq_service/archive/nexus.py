@@ -61,6 +61,14 @@ def image_of(file: h5f.FileID) -> bytes:
     return bytes(file.get_file_image())
 
 
+def opened_image(image: bytes) -> h5f.FileID:
+    """Open the bytes of a file for reading, in memory; whoever takes it closes it."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_fapl_core(_BLOCK_BYTES, False)
+    access.set_file_image(image)
+    return h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDONLY, fapl=access)
+
+
 def add_group(
     parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> h5g.GroupID:

@@ -19,6 +19,7 @@ import numpy as np
 from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
+from daq_service.archive.nexus import opened_image
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
@@ -40,7 +41,7 @@ from hardware_drivers.measurement import (
 )
 
 # What h5py raises on damaged or foreign files, besides our own errors.
-_HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
 _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
@@ -134,22 +135,61 @@ def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
         records, damages = _read_records(entry)
         if damages and not (skip_damaged and records):
             raise _damaged(path, damages)
-        return SetRecord(
-            set_index=int(entry["set_index"][()]),
-            due_utc_ns=int(entry["due_utc_ns"][()]),
-            due_h=float(entry["due_h"][()]),
-            started_utc_ns=int(entry["started_utc_ns"][()]),
-            ended_utc_ns=int(entry["ended_utc_ns"][()]),
-            rig_kind=_text(entry["instrument/name"][()]),
-            positions=_read_positions(entry),
-            shots=[record for record in records if isinstance(record, Shot)],
-            echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
-            missed=_read_missed(entry),
-            outcomes=_superseded(_read_table(entry), records),
-            trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
-            environment=_read_environment(entry),
-            provenance=json.loads(_text(entry["provenance/data"][0])),
-        )
+        return _record_of(entry, records)
+
+
+def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
+    """Read every record of a set's file that is in memory, and what it says of them.
+
+    Returns
+    -------
+    tuple
+        What can be read of it, None where that is no set; and the damaged records.
+
+    Raises
+    ------
+    CorruptArchiveError
+        It cannot be read as a whole.
+    """
+    with _opened(path, content) as entry:
+        records, damages = _read_records(entry)
+        try:
+            return (_record_of(entry, records) if records else None), damages
+        except HDF5_ERRORS:
+            if damages:
+                return None, damages
+            raise
+
+
+def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
+    """List what of a set's file in memory cannot be read beside its records.
+
+    Raises
+    ------
+    CorruptArchiveError
+        It cannot be read as a whole.
+    """
+    with _opened(path, content) as entry:
+        return _unreadable(entry)
+
+
+def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
+    return SetRecord(
+        set_index=int(entry["set_index"][()]),
+        due_utc_ns=int(entry["due_utc_ns"][()]),
+        due_h=float(entry["due_h"][()]),
+        started_utc_ns=int(entry["started_utc_ns"][()]),
+        ended_utc_ns=int(entry["ended_utc_ns"][()]),
+        rig_kind=_text(entry["instrument/name"][()]),
+        positions=_read_positions(entry),
+        shots=[record for record in records if isinstance(record, Shot)],
+        echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+        missed=_read_missed(entry),
+        outcomes=_superseded(_read_table(entry), records),
+        trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
+        environment=_read_environment(entry),
+        provenance=json.loads(_text(entry["provenance/data"][0])),
+    )
 
 
 def _damaged(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
@@ -184,16 +224,20 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
 
 def _verify_file(path: Path) -> list[Damage]:
     with _opened(path) as entry:
-        _, damages = _read_records(entry)
-        unreadable: list[Damage] = []
-        arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
-        _read_everything(entry, "", arrays, unreadable)
-        try:
-            # Looks into the free-space lists of the groups' names too, which no reading touches.
-            entry.visititems(lambda _name, _item: None)
-        except _HDF5_ERRORS as error:
-            unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
-        return damages + unreadable
+        return _read_records(entry)[1] + _unreadable(entry)
+
+
+def _unreadable(entry: h5py.Group) -> list[Damage]:
+    """List what cannot be read beside the records."""
+    unreadable: list[Damage] = []
+    arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
+    _read_everything(entry, "", arrays, unreadable)
+    try:
+        # Looks into the free-space lists of the groups' names too, which no reading touches.
+        entry.visititems(lambda _name, _item: None)
+    except HDF5_ERRORS as error:
+        unreadable.append(Damage(reason=f"the structure of the file is damaged ({error})"))
+    return unreadable
 
 
 class _Group:
@@ -217,7 +261,7 @@ class _Group:
         """Record of a row, or what is wrong with it."""
         try:
             counts = self.signal[row]
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             return f"unreadable ({error})"
         waveform = Waveform(
             counts=counts.astype(counts.dtype.newbyteorder("="), copy=False),
@@ -249,7 +293,7 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
     for name in _group_names(entry):
         try:
             group = _Group(entry, name)
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}
             continue
         is_echo = "gain" in group.data
@@ -384,18 +428,22 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
                 if path not in left_out:
                     item[()]
                 continue
-        except _HDF5_ERRORS as error:
+        except HDF5_ERRORS as error:
             unreadable.append(Damage(reason=f"{path} is unreadable ({error})"))
             continue
         _read_everything(item, f"{path}/", left_out, unreadable)
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[h5py.Group]:
-    """Entry of a set's file; errors below are translated."""
+def _opened(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
+    """Entry of a set's file, or of its content in memory; errors below are translated."""
     try:
         # No lock: a complete file never changes.
-        with patiently(lambda: h5py.File(path, "r", locking=False)) as file:
+        with (
+            patiently(lambda: h5py.File(path, "r", locking=False))
+            if content is None
+            else h5py.File(opened_image(content))
+        ) as file:
             version = _text(file.attrs.get("solimon_format_version", ""))
             if not version.startswith(_READABLE_FORMAT):
                 raise CorruptArchiveError(
@@ -407,7 +455,7 @@ def _opened(path: Path) -> Iterator[h5py.Group]:
         raise SetNotFoundError(f"there is no file {path}") from error
     except PermissionError as error:
         raise ArchiveError(f"{path} cannot be read: {error}; give this user the right to read it") from error
-    except _HDF5_ERRORS as error:
+    except HDF5_ERRORS as error:
         raise CorruptArchiveError(f"{path} is damaged: {error}; bring the file back from a copy") from error
 
 

@@ -214,6 +214,11 @@ def due_utc_ns(reference: SetReference) -> int:
     return parse_utc(reference.removesuffix(".h5").rpartition("_")[2])
 
 
+def set_indices(names: Iterable[str]) -> set[int]:
+    """Return the indices of the sets that have these names of files."""
+    return {int(match[1]) for match in map(_NAME.fullmatch, names) if match}
+
+
 def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
     """Set index to reference of the names that complete sets have, in the order of the sets."""
     found = {

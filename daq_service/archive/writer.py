@@ -203,19 +203,13 @@ class FolderArchive(FolderSetReader):
 
     def set_aside(self, reference: SetReference) -> None:
         """Move a set that cannot be read out of the way, for a person to look at; nothing is deleted."""
-        source, folder = self.folder / reference, self.folder / QUARANTINE_FOLDER
+        source = self.folder / reference
         try:
-            folder.mkdir(exist_ok=True)
-            if not source.exists():
+            if source.exists():
+                move_aside(self.folder, reference)
+            else:
+                (self.folder / QUARANTINE_FOLDER).mkdir(exist_ok=True)
                 self._kept.set_aside(self._index_of(reference), source.name)
-                self._stored = self.sets()
-                return
-            target = folder / source.name
-            while target.exists():  # a second one of this name: nothing is overwritten
-                target = target.with_name(f"again_{target.name}")
-            patiently(lambda: source.replace(target))
-            for changed in (folder, source.parent, self.folder):
-                sync_folder(changed)
         except OSError as error:
             raise _refused(source, error) from error
         self._stored = self.sets()
@@ -247,6 +241,25 @@ class FolderArchive(FolderSetReader):
             f"set {set_index} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
         )
+
+
+def move_aside(folder: Path, reference: SetReference) -> str:
+    """Move a set's file to the quarantine, and return its name there; nothing is overwritten.
+
+    Raises
+    ------
+    OSError
+        It stays where it is.
+    """
+    source, quarantine = folder / reference, folder / QUARANTINE_FOLDER
+    quarantine.mkdir(exist_ok=True)
+    target = quarantine / source.name
+    while target.exists():
+        target = target.with_name(f"again_{target.name}")
+    patiently(lambda: source.replace(target))
+    for changed in (quarantine, source.parent, folder):
+        sync_folder(changed)
+    return f"{QUARANTINE_FOLDER}/{target.name}"
 
 
 def _refused(path: Path, error: OSError) -> ArchiveWriteError:

@@ -42,7 +42,7 @@ def catalogue_damage(folder: Path) -> Iterator[CatalogueDamage]:
     engine = make_engine(path, writable=False)
     try:
         with engine.begin() as connection:
-            yield from _damage(connection)
+            yield from damage_in(connection)
     except UNREADABLE as error:
         yield CatalogueDamage(told=f"{path} cannot be read: {_first_line(error)}")
     finally:
@@ -64,7 +64,8 @@ def refuse_damage(folder: Path) -> None:
         raise CatalogueDamagedError(f"{folder / FILE_NAME} is damaged: {told}{more}; {REMEDY}")
 
 
-def _damage(connection: Connection) -> Iterator[CatalogueDamage]:
+def damage_in(connection: Connection, *, rows: bool = True) -> Iterator[CatalogueDamage]:
+    """Tell what is damaged in an open catalogue; ``rows`` False: an earlier schema, without checksums."""
     try:
         for (told,) in connection.execute(text(f"PRAGMA integrity_check({TOLD})")):
             if told != "ok":
@@ -77,7 +78,7 @@ def _damage(connection: Connection) -> Iterator[CatalogueDamage]:
             )
     except UNREADABLE as error:
         yield CatalogueDamage(told=_first_line(error))
-    for kind in KINDS:
+    for kind in KINDS if rows else ():
         yield from _damaged_rows(connection, kind, table_of(kind))
 
 

@@ -37,6 +37,8 @@ R = TypeVar("R", bound=Row)
 OfSet = TypeVar("OfSet", SetRow, FeatureRow, ThicknessRow, VerdictRow)
 Scope = Literal["set", "shot"]
 
+_ASKED_AT_ONCE = 500
+"""Values in one condition."""
 ORDER_WITHIN_S = 60.0
 """An order that nobody has begun to carry out within this time expires, if its giver says nothing else."""
 
@@ -231,6 +233,25 @@ class Catalogue:
             "events": n_events,
             "active_alarms": n_alarms,
         }
+
+    def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
+        """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
+        positions = list(self.experiment_row().configuration.get("positions", ()))
+        found: dict[int, str] = {}
+        with self._reading() as connection:
+            newest = [
+                connection.execute(select(func.max(sets.c.set_index)).where(sets.c.position == name)).scalar()
+                for name in positions
+            ]
+            last = max((index for index in newest if index is not None), default=-1)
+            left = sorted(set(range(last + 1)) - set(indices))
+            for start in range(0, len(left), _ASKED_AT_ONCE):
+                some = left[start : start + _ASKED_AT_ONCE]
+                statement = select(sets.c.set_index, sets.c.file).where(
+                    sets.c.position.in_(positions), sets.c.set_index.in_(some), sets.c.file.is_not(None)
+                )
+                found |= {row.set_index: row.file for row in connection.execute(statement)}
+        return found
 
     def positions_state(self) -> dict[str, LastWord]:
         """Last word on each position that has a row in ``sets``."""

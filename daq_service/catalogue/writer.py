@@ -187,6 +187,13 @@ class RecorderCatalogue(Catalogue):
             for row in list(checked_rows(connection, SetRow, its_sets)):
                 _change(connection, replace(row, file_sha256=sha256))
 
+    def digest_of(self, file: str) -> str | None:
+        """SHA-256 of a set's file as it was written; None: it is not noted."""
+        wanted = select(sets.c.file_sha256).where(sets.c.file == file, sets.c.file_sha256.is_not(None))
+        with self._reading() as connection:
+            found: str | None = connection.execute(wanted.limit(1)).scalar_one_or_none()
+        return found
+
     def restore(self, rows: Iterable[Row]) -> None:
         """Store rows as they are, with their ids, in the place of any that have these."""
         with self._writing("restoring rows") as connection:

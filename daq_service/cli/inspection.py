@@ -19,12 +19,15 @@ from daq_service.clock import format_utc, parse_utc
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.processes.data_folder import data_folder, settings_and_folder
 from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from daq_service.settings.file import load_settings, settings_schema
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
+SIZED = 1000
+"""``status`` looks whether so many of the newest sets are empty; ``doctor`` and a recorder look at all."""
 PACKED_FRACTION = 0.5
 """Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
 
@@ -147,6 +150,8 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
         click.echo("no data yet")
         return
     click.echo(f"sets      {facts['counts']['sets']}, {facts['counts']['missed_sets']} missed")
+    for file, told in facts["lost"].items():
+        click.echo(f"LOST      {file} {told}; solimon repair --from BACKUP brings it back")
     for name, row in facts["positions"].items():
         click.echo(f"{name:<9} {json.dumps(row)}")
 
@@ -166,11 +171,12 @@ def describe_status(folder: Path) -> dict[str, Any]:
                 "supply": supply,
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
+                "lost": lost_sets(folder, catalogue, newest=SIZED),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
                 "alarms": [values(row) for row in catalogue.rows(AlarmRow, active=True)],
             }
     except NoDataYetError:
-        nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
+        nothing: dict[str, Any] = {"held": None, "counts": None, "lost": {}, "positions": {}, "alarms": []}
         recorder = look_at_recorder(folder, [])
         clock: dict[str, Any] = {"system_ahead_s": None}
         return {"recorder": recorder.description, **clock, "supply": supply, **nothing}

@@ -170,7 +170,7 @@ def status(**options: Any) -> None:
 @JSON
 def rebuild(**options: Any) -> None:
     """Make a lost or damaged catalogue again, from the sets and the history; the old one is kept."""
-    from daq_service.cli.rebuild import print_rebuilt
+    from daq_service.cli.keeping.rebuild import print_rebuilt
 
     print_rebuilt(**options)
 
@@ -275,6 +275,42 @@ def reproduce(**options: Any) -> None:
     from daq_service.cli.reproduce.run import reproduce as carry_out
 
     sys.exit(carry_out(**options))
+
+
+FOLDER_ALONE = click.option("--data-dir", type=FOLDER, required=True, help="Data folder of the test.")
+
+
+@cli.command()
+@FOLDER_ALONE
+@JSON
+def verify(**options: Any) -> None:
+    """Check everything stored: frames, files, rows against files both ways; beside a running test, too."""
+    from daq_service.cli.keeping.command import run_verify
+
+    sys.exit(run_verify(**options))
+
+
+@cli.command()
+@FOLDER_ALONE
+@click.option("--apply", is_flag=True, help="Do it; without, it is only said. Needs a stopped recorder.")
+@click.option("--from", "backup", type=FOLDER, help="A backup of this test, for files that are lost.")
+@JSON
+def repair(**options: Any) -> None:
+    """Mend what needs no guess; says what it would do, and what only a person can."""
+    from daq_service.cli.keeping.command import run_repair
+
+    sys.exit(run_repair(**options))
+
+
+@cli.command()
+@click.argument("destination", type=FOLDER)
+@FOLDER_ALONE
+@JSON
+def backup(**options: Any) -> None:
+    """Copy a test to DESTINATION while it runs; a second backup copies only what is new."""
+    from daq_service.cli.keeping.command import run_backup
+
+    sys.exit(run_backup(**options))
 
 
 def main() -> None:

@@ -32,7 +32,13 @@ from daq_service.processes.child import (
     stop_on_signals,
     tell_supervisor,
 )
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_and_folder, sweep
+from daq_service.processes.data_folder import (
+    own_data_folder,
+    prepare_data_folder,
+    settings_and_folder,
+    settings_of_folder,
+    sweep,
+)
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 from daq_service.settings.tree import Settings
 
@@ -230,7 +236,7 @@ def serve_alone(
     from daq_service.web.app import create_app
     from daq_service.web.server import serve
 
-    settings, folder = settings_and_folder(config, data_dir)
+    settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")
     if restarted_because:

@@ -79,8 +79,12 @@ _OWNER_OFFSET = 1
 CONFIGURATION_FILE = "configuration.json"
 """What a test that nobody wrote a configuration for was run with."""
 
+BACKUP_FILE = "backup.json"
+"""In a folder that `solimon backup` made: which test it is of."""
+
 OWN_NAMES = frozenset(
     {
+        BACKUP_FILE,
         "catalogue.sqlite",
         CONFIGURATION_FILE,
         "drive.json",
@@ -297,6 +301,22 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
         log.warning("going on with the configuration that the catalogue keeps: %s", error)
         settings = kept
     return settings, data_folder(settings, config, data_dir)
+
+
+def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
+    """Read the configuration for whoever only looks: of a folder alone, the one that its catalogue keeps.
+
+    Raises
+    ------
+    UsageError
+        The configuration is refused, with the reason.
+    """
+    kept = None if config is not None or data_dir is None else _kept_settings(data_dir)
+    return (
+        settings_and_folder(config, data_dir)
+        if kept is None or data_dir is None
+        else (kept, data_dir.absolute())
+    )
 
 
 def _kept_settings(folder: Path) -> Settings | None:

@@ -8,12 +8,15 @@ import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
+from typing import Any, TypeVar
 
 from daq_service.archive import Archive, CorruptArchiveError, SetNotFoundError, SetReference
 from daq_service.archive.compaction import compact_set
 from daq_service.processes.worker import one_worker
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 AGAIN_AFTER_S = 10.0
 """A set whose file could not be made stays in the journal, where it is safe."""
@@ -53,6 +56,18 @@ class Compaction:
         except BrokenExecutor:
             self._executor = None
             self._again_s[set_index] = self._mono_s()
+
+    def beside(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
+        """Let the worker do something else; None: it has sets to make files of, or has just died."""
+        if self.waits:
+            return None
+        if self._executor is None:
+            self._executor = self._start()
+        try:
+            return self._executor.submit(work, *arguments)
+        except BrokenExecutor:
+            self._executor = None
+            return None
 
     def work(self) -> None:
         """Look what is done; called while the line is idle."""

@@ -43,6 +43,7 @@ from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
+from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.provenance import provenance
@@ -89,6 +90,7 @@ class Recorder:
         features_of: FeaturesOf = features_of,
         left_alone: threading.Event | None = None,
         compaction: Compaction | None = None,
+        idle_check: IdleCheck | None = None,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
@@ -113,6 +115,9 @@ class Recorder:
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         self._provenance = provenance(settings, rig, experiment=catalogue.experiment_row())
         self._compaction = compaction
+        self._idle_check = idle_check
+        self._told_damaged: dict[str, str] = {}
+        self._free_until_ns: float = -math.inf
         self._acknowledged = acknowledged
         self._history = history
         self._told_ids: set[int] = set()
@@ -191,6 +196,7 @@ class Recorder:
     def linger(self) -> None:
         """Listen to the operator, strike nothing, until told to stop."""
         self._doing = "waiting for orders; every set is taken"
+        self._free_until_ns = math.inf
         while self._idle():
             self._stop.wait(LINGER_S)
 
@@ -208,6 +214,8 @@ class Recorder:
     def _take_when_due(self, due: DueSet) -> None:
         self._calibrate_before(due)
         self._doing = f"waiting for set {due.set_index}"
+        # Simulated time has no idle hours: there files are checked after the last set.
+        self._free_until_ns = due.due_utc_ns if self._may_run_ahead else -math.inf
         if not self._rig.clock.wait_until(due.due_utc_ns, self._idle) or self._miss(due):
             return
         if self._orders.held:
@@ -476,7 +484,24 @@ class Recorder:
                 self._archive.set_aside(file)
                 del self._orphans[set_index]
                 self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
-        self._ledger.tell(damage_condition(self._archive.quarantined()), self._moment())
+        if self._idle_check is not None:
+            alarm = self._ledger.alarms.get((None, "data_damaged"))
+            stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
+            self._idle_check.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
+        self._tell_damage(at_the_start=True)
+
+    def _tell_damage(self, *, at_the_start: bool = False) -> None:
+        """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
+        damaged = {} if self._idle_check is None else self._idle_check.damaged
+        if damaged == self._told_damaged and not at_the_start:
+            return
+        new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
+        self._told_damaged = dict(damaged)
+        for file, told in new.items():
+            log.error("%s: %s", file, told)
+            self._say("data_damaged", {"file": file, "told": told})
+        condition = damage_condition(self._archive.quarantined(), damaged)
+        self._backlog.put(partial(self._ledger.tell, condition, self._moment()))
 
     def _miss(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
         """Close a set whose time is over, since the next one is due.
@@ -610,6 +635,9 @@ class Recorder:
             self._tell_compaction(self._compaction.trouble)
         if self._history is not None:
             self._history.follow()
+        if self._idle_check is not None and self._backlog.trouble is None:
+            self._idle_check.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
+            self._tell_damage()
         return self._look_around()
 
     def _idle_in_a_set(self) -> bool:

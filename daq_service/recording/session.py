@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,10 @@ from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answ
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
+from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.worker import one_worker
 from daq_service.recording.compaction import Compaction
+from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
@@ -146,6 +149,7 @@ def record(
         for set_index in archive.to_compact():
             compaction.put(set_index)
         stack.callback(compaction.close)
+        idle_check = IdleCheck(folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of)
         live = LivePicture(folder, rig.kind)
         recorder = Recorder(
             settings,
@@ -159,6 +163,7 @@ def record(
             tell=tell,
             left_alone=left_alone,
             compaction=compaction,
+            idle_check=idle_check,
             acknowledged=acknowledged,
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,

@@ -33,6 +33,7 @@ from daq_service.catalogue.rows import (
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -192,6 +193,7 @@ class Line:
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
+        idle_check: IdleCheck | None = None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -233,6 +235,7 @@ class Line:
                 left_alone=left_alone,
                 mono_s=mono_s,
                 acknowledged=acknowledged,
+                idle_check=idle_check,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
             )

@@ -49,9 +49,14 @@ class Frame:
 
     Attributes
     ----------
+    start, end
+        Where it lies in its segment, by what its header says.
     sound
         Facts and counts match their checksum; of a frame that is not only the header is known.
     """
+
+    start: int
+    end: int
 
     kind: Kind
     set_index: int
@@ -199,6 +204,8 @@ def frames(content: bytes) -> Iterator[Frame]:
         facts, counts = bytes(whole[start : start + n_facts]), bytes(whole[start + n_facts : end])
         sound = end <= len(content) and _body_crc32(facts, zlib.crc32(counts)) == body
         yield Frame(
+            start=place,
+            end=end,
             kind=Kind(kind),
             set_index=set_index,
             sequence=sequence,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -181,11 +181,16 @@ def read_journal(folder: Path) -> dict[int, JournaledSet]:
         A segment cannot be read.
     """
     found: dict[int, JournaledSet] = {}
-    for number, path in segments(folder).items():
-        try:
-            content = read_shared(path)
-        except FileNotFoundError:
-            continue
+    for number, content in contents(folder):
         for frame in frames(content):
             found.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
     return dict(sorted(found.items()))
+
+
+def contents(folder: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of each segment, in order; one that goes meanwhile is left out."""
+    for number, path in segments(folder).items():
+        try:
+            yield number, read_shared(path)
+        except FileNotFoundError:
+            continue

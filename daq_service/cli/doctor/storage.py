@@ -10,13 +10,16 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from daq_service.alarms.data_trouble import SHOWN
 from daq_service.archive import FolderSetReader
-from daq_service.catalogue import check_owner
+from daq_service.catalogue import check_owner, open_catalogue
+from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
+from daq_service.processes.lost_sets import lost_sets
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
 
@@ -63,7 +66,13 @@ def owner_of(folder: Path) -> str:
 
 def storage_checks(settings: Settings, folder: Path) -> list[Check]:
     """Look at the folder; a probe file is written and removed, nothing else is made."""
-    return [_place(folder), _writable(folder), _owner(settings, folder), _space(settings, folder)]
+    return [
+        _place(folder),
+        _writable(folder),
+        _owner(settings, folder),
+        *_stored(folder),
+        _space(settings, folder),
+    ]
 
 
 def _existing(folder: Path) -> Path:
@@ -137,6 +146,34 @@ def _owner(settings: Settings, folder: Path) -> Check:
         found=f"free for this configuration ({own_hash[:12]})",
         values={"configuration_hash": own_hash},
     )
+
+
+def _stored(folder: Path) -> list[Check]:
+    """Look whether every set that has rows is there; what is in them only `solimon verify` reads."""
+    name = "data folder: sets"
+    try:
+        with open_catalogue(folder) as catalogue:
+            lost = lost_sets(folder, catalogue)
+    except (NoDataYetError, SchemaVersionError):
+        return []  # nothing begun, or an earlier version's: its owner's check says what is wrong
+    except (StorageError, OSError) as error:
+        return [_cannot(name, str(error), "solimon verify says more")]
+    if not lost:
+        return [
+            Check(area="folder", name=name, found="every set that has rows is there", values={"lost_sets": 0})
+        ]
+    told = "; ".join(f"{file} {how}" for file, how in list(lost.items())[:SHOWN])
+    more = f"; and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
+    return [
+        Check(
+            area="folder",
+            name=name,
+            state="fail",
+            found=f"{told}{more}",
+            remedy="bring them back with solimon repair --from BACKUP; solimon verify looks at everything",
+            values={"lost_sets": len(lost)},
+        )
+    ]
 
 
 def _space(settings: Settings, folder: Path) -> Check:

@@ -195,6 +195,12 @@ def test_a_folder_of_the_same_test_is_good_and_counts_what_it_holds(tmp_path: Pa
     assert checks["disk: space"].values["stored_bytes"] == sum(
         path.stat().st_size for path in (tmp_path / "sets").glob("*.h5")
     )
+    lost, emptied, *_ = sorted((tmp_path / "sets").glob("*.h5"))
+    lost.unlink()
+    emptied.write_bytes(b"")
+    found = by_name(storage_checks(settings, tmp_path))["data folder: sets"]
+    assert (found.state, found.values["lost_sets"]) == ("fail", 2)
+    assert found.found == f"sets/{lost.name} is missing; sets/{emptied.name} is empty"
     other = by_name(storage_checks(small_settings(twin={"seed": 2}), tmp_path))
     assert other["data folder: configuration"].state == "fail"
     assert "belongs to the experiment" in other["data folder: configuration"].found

@@ -1,0 +1,178 @@
+"""Look into a catalogue without changing a file of its folder, and whatever its revision is."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+import tempfile
+from contextlib import ExitStack, closing
+from functools import cached_property, partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from sqlalchemy import NullPool, create_engine
+
+from daq_service.catalogue.connection import BUSY_TIMEOUT_S, FILE_NAME
+from daq_service.catalogue.damage import UNREADABLE, CatalogueDamage, damage_in
+from daq_service.catalogue.errors import (
+    CatalogueDamagedError,
+    CatalogueError,
+    CatalogueWriteError,
+    NoDataYetError,
+)
+from daq_service.catalogue.migrations import SCHEMA_REVISION
+from daq_service.catalogue.tables import metadata
+from daq_service.shared_file import remove_quietly
+
+
+class CatalogueLook:
+    """The rows as they stand in the file: names of columns to values, whatever columns there are.
+
+    A usual reader of a catalogue that nobody has open makes two files beside it. This one makes none: it
+    reads an idle file as one that does not change, and one that a power cut left with its log in a copy.
+
+    Raises
+    ------
+    NoDataYetError
+        There is no catalogue.
+    CatalogueDamagedError
+        It cannot be read; so do all methods but `troubles`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / FILE_NAME
+        if not self._path.is_file():
+            raise NoDataYetError(f"{self._path}: there is no catalogue")
+        self._stack = ExitStack()
+        self._connect()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    def _connect(self) -> None:
+        self._stack.close()
+        path, log = self._path, self._beside("-wal")
+        self._shared = self._beside("-shm").exists()
+        if not self._shared and log.exists() and log.stat().st_size:
+            copies = Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="solimon-")))
+            for source in (path, log):
+                shutil.copy(source, copies)
+            path = copies / FILE_NAME
+        mode = "mode=rw" if path != self._path else "mode=ro" if self._shared else "mode=ro&immutable=1"
+        self._uri = f"{path.absolute().as_uri()}?{mode}"
+        self._connection = sqlite3.connect(self._uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None)
+        self._stack.callback(self._connection.close)
+        self._connection.row_factory = sqlite3.Row
+
+    def _beside(self, suffix: str) -> Path:
+        return self._path.with_name(f"{FILE_NAME}{suffix}")
+
+    def _ask(self, sql: str, *values: Any) -> list[dict[str, Any]]:
+        if not self._shared and self._beside("-shm").exists():
+            self._connect()  # a recorder has started: from now on the file changes
+        try:
+            return [dict(row) for row in self._connection.execute(sql, values)]
+        except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a name of the schema
+            raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
+
+    def _values(self, sql: str) -> list[Any]:
+        return [value for row in self._ask(sql) for value in row.values()]
+
+    def troubles(self) -> list[CatalogueDamage]:
+        """Say what is damaged: pages, indexes, rows without their parents, rows that were not stored so."""
+        shared = self._shared
+        opened = partial(sqlite3.connect, self._uri, uri=True, timeout=BUSY_TIMEOUT_S)
+        engine = create_engine("sqlite://", creator=opened, poolclass=NullPool)
+        try:
+            revision = self._values("SELECT version_num FROM alembic_version")
+            with engine.connect() as connection:
+                found = list(damage_in(connection, rows=revision == [SCHEMA_REVISION]))
+        except (*UNREADABLE, CatalogueDamagedError) as error:
+            found = [CatalogueDamage(told=f"{self._path} cannot be read: {error}")]
+        finally:
+            engine.dispose()
+        if found and not shared and self._beside("-shm").exists():
+            self._connect()
+            return self.troubles()  # it began to change under this look
+        return found
+
+    def copy_to(self, target: Path) -> None:
+        """Copy the catalogue as it is at one moment, whole and without files beside it.
+
+        A reader of the copy makes none either, and a writer beside the copying is not held up.
+
+        Raises
+        ------
+        CatalogueDamagedError
+            What was copied is damaged.
+        CatalogueWriteError
+            The disk does not take it.
+        """
+        try:
+            self._copy_to(target)
+        except CatalogueError:
+            remove_quietly(target)
+            raise
+
+    def _copy_to(self, target: Path) -> None:
+        remove_quietly(target)
+        try:
+            with closing(sqlite3.connect(target, isolation_level=None)) as copy:
+                self._connection.backup(copy)
+                copy.execute("PRAGMA journal_mode = DELETE")
+                found = [str(row[0]) for row in copy.execute("PRAGMA integrity_check")]
+        except sqlite3.OperationalError as error:
+            raise CatalogueWriteError(
+                f"{target} cannot be written: {error}; free or mend the disk"
+            ) from error
+        except sqlite3.DatabaseError as error:
+            raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
+        if found != ["ok"]:
+            raise CatalogueDamagedError(f"{self._path} is damaged: {found[0]}; solimon verify says more")
+
+    def n_rows(self) -> int:
+        """Count the rows of all tables."""
+        tables = self._values(
+            "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
+        )
+        return sum(self._values(f'SELECT count(*) FROM "{table}"')[0] for table in tables)
+
+    def experiment(self) -> dict[str, Any] | None:
+        """Row of the experiment; None: it has not begun."""
+        return next(iter(self._rows("experiment", "")), None)
+
+    def set_indices(self) -> set[int]:
+        """Return the sets that have rows."""
+        return set(self._values("SELECT DISTINCT set_index FROM sets"))
+
+    @cached_property
+    def _positions(self) -> list[str]:
+        return self._values("SELECT DISTINCT position FROM sets")
+
+    def of_set(self, table: str, set_index: int) -> list[dict[str, Any]]:
+        """Rows of a set in a table that has a position and a set index."""
+        # Its indexes begin with the position.
+        marks = ", ".join("?" * len(self._positions))
+        where = f"WHERE position IN ({marks}) AND set_index = ?"
+        return self._rows(table, where, *self._positions, set_index)
+
+    def _rows(self, table: str, where: str, *given: Any) -> list[dict[str, Any]]:
+        """Rows by today's names of columns; an earlier revision lacks some."""
+        rows = self._ask(f"SELECT * FROM {table} {where}", *given)
+        if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):
+            told = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
+            raise CatalogueDamagedError(told)
+        return rows
+
+    def strays(self) -> list[int]:
+        """Shots (`sequence`) whose set has no row of their position."""
+        return self._values(
+            "SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets"
+            " WHERE sets.position = shots.position AND sets.set_index = shots.set_index)"
+        )

@@ -1,0 +1,114 @@
+"""Carry out ``verify``, ``repair`` and ``backup`` for a person or a program."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from daq_service.cli.keeping.backup import back_up
+from daq_service.cli.keeping.repair import carry_out, planned
+from daq_service.cli.keeping.verify import Finding, verify_folder
+from daq_service.errors import EXIT_OK, StorageError
+from daq_service.processes.data_folder import is_owned, own_data_folder
+
+TOLD_EVERY_S = 10.0
+"""Where nobody sees a line that is rewritten."""
+LOWEST_PRIORITY = 19
+
+
+def run_verify(*, data_dir: Path, as_json: bool) -> int:
+    """Check a folder; 4 where something is damaged."""
+    _give_way(data_dir)
+    report = verify_folder(data_dir, _progress("files"))
+    if as_json:
+        damage = [asdict(finding) for finding in report.damage]
+        click.echo(json.dumps({"ok": not damage, "checked": report.checked, "damage": damage}))
+    else:
+        _tell(report.damage)
+        for note in report.notes:
+            click.echo(f"note      {note}")
+        counts = {name: number for name, number in report.checked.items() if name != "bytes"}
+        click.echo(f"checked   {_listed(counts)}, {report.checked['bytes'] / 1e6:.1f} MB")
+        click.echo("damage    none" if not report.damage else f"damage    {len(report.damage)}, named above")
+    return StorageError.exit_code if report.damage else EXIT_OK
+
+
+def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
+    """Mend a folder, or say what would be done; 4 while something stays damaged."""
+    with own_data_folder(data_dir) if apply else nullcontext():
+        report = verify_folder(data_dir, _progress("files"))
+        steps = planned(data_dir, report, backup)
+        if apply:
+            for step in steps:
+                try:
+                    carry_out(data_dir, step, backup)
+                except OSError as error:
+                    raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
+            report = verify_folder(data_dir, _progress("files"))
+    if as_json:
+        told = {"applied": apply, "steps": [asdict(step) for step in steps]}
+        click.echo(
+            json.dumps({"ok": not report.damage, **told, "damage": [asdict(item) for item in report.damage]})
+        )
+    else:
+        for step in steps:
+            click.echo(f"{step.does:<13} {step.file}: {step.why}")
+        if any(step.does != "nothing" for step in steps) and not apply:
+            click.echo("nothing is done yet: --apply does it")
+        click.echo(f"damage left   {len(report.damage)}")
+    return StorageError.exit_code if report.damage else EXIT_OK
+
+
+def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
+    """Copy a folder; 4 where a file in it is damaged."""
+    _give_way(data_dir)
+    copied = back_up(data_dir, destination, _progress("files"))
+    if as_json:
+        facts = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
+        click.echo(json.dumps(facts))
+    else:
+        _tell(copied.damage)
+        click.echo(
+            f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
+            f"{copied.present} sets were there already"
+        )
+    return StorageError.exit_code if copied.damage else EXIT_OK
+
+
+def _tell(damage: list[Finding]) -> None:
+    for finding in damage:
+        click.echo(f"{finding.kind:<18} {finding.file}: {finding.told}")
+
+
+def _listed(counts: dict[str, int]) -> str:
+    return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
+
+
+def _give_way(folder: Path) -> None:
+    """Let a recorder that runs have processor and disk first."""
+    if is_owned(folder) and hasattr(os, "nice"):
+        os.nice(LOWEST_PRIORITY)
+
+
+def _progress(what: str) -> Callable[[int, int], None]:
+    """Tell on standard error how far it is: a line that is rewritten, or now and then a new one."""
+    terminal, told_s = sys.stderr.isatty(), time.monotonic()
+
+    def tell(done: int, planned: int) -> None:
+        nonlocal told_s
+        text, now_s = f"{done} of {planned} {what}", time.monotonic()
+        if terminal:
+            click.echo(f"\r{text} ", nl=done == planned, err=True)
+        elif now_s - told_s >= TOLD_EVERY_S:
+            told_s = now_s
+            click.echo(text, err=True)
+
+    return tell

@@ -1,0 +1,225 @@
+"""Damaged files and segments: named, or every value that is read is the one that was written."""
+
+import hashlib
+from contextlib import closing
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from support.archived_sets import SET_INDEX, make_set, other_set
+from support.damaging import PAGE, damaged
+from support.memory_archive import bits
+
+from daq_service.archive import FolderArchive, SetNotFoundError
+from daq_service.archive.compaction import compact_set
+from daq_service.archive.journal import frames as frame_format
+from daq_service.archive.journal.reader import read_journal, segment_path
+from daq_service.archive.layout import build_image
+from daq_service.archive.verification import check_file, check_journal
+
+QUICK = [range(30)]
+SLOW = [pytest.param(range(start, start + 100), marks=pytest.mark.slow) for start in range(30, 1030, 100)]
+
+
+@pytest.fixture(scope="module")
+def image():
+    return build_image(make_set())
+
+
+@pytest.fixture
+def path(tmp_path, image):
+    (tmp_path / "set.h5").write_bytes(image)
+    return tmp_path / "set.h5"
+
+
+def test_a_file_as_it_was_written_is_clean(path, image):
+    for sha256 in (None, hashlib.sha256(image).hexdigest()):
+        found = check_file(path, sha256=sha256)
+        assert (found.damages, found.touched, found.n_bytes) == ([], False, len(image))
+        assert bits(found.record) == bits(make_set())
+    assert check_file(path, sha256="ab" * 32).touched
+
+
+@pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
+def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers):
+    named = 0
+    for number in numbers:
+        content = damaged(image, number)
+        path.write_bytes(content)
+        found = check_file(path)
+        named += bool(found.damages)
+        assert found.damages or bits(found.record) == bits(make_set()), number
+        if not found.damages:
+            # With its SHA-256 a touched file is named also where nothing of value was hit.
+            touched = check_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
+            assert touched == (content != image), number
+    assert named > len(numbers) / 2
+
+
+def test_a_damaged_record_is_named_by_its_shot(path, image):
+    with h5py.File(path, "r+") as file:
+        place = file["entry/B_waveforms/waveform"].id.get_chunk_info(1).byte_offset
+    content = bytearray(image)
+    content[place + 100] ^= 1
+    path.write_bytes(content)
+    found = check_file(path)
+    assert [damage.sequence for damage in found.damages] == [42]
+    assert [item.sequence for item in found.record.records] == [40, 41, 43, 44]
+
+
+def test_a_file_that_contradicts_itself_is_named_by_the_place(path):
+    with h5py.File(path, "r+") as file:
+        file["entry/B_waveforms/time"][3] = 1.0
+        file["entry/B_waveforms"].attrs["signal"] = np.bytes_("waveform")
+    found = check_file(path)
+    assert "entry/B_waveforms/time is not what the rest of the file says" in map(str, found.damages)
+
+
+def test_what_only_another_library_packs_otherwise_is_no_damage(path, image):
+    with h5py.File(path, "r+") as file:
+        values = file["entry/B_waveforms/waveform"][()]
+        file["entry/B_waveforms/waveform"][()] = values
+    assert path.read_bytes() != image
+    assert check_file(path).damages == []
+
+
+def test_an_empty_file_is_unreadable_and_a_missing_one_is_not_there(path):
+    path.write_bytes(b"")
+    found = check_file(path)
+    assert (found.record, len(found.damages)) == (None, 1)
+    path.unlink()
+    with pytest.raises(SetNotFoundError):
+        check_file(path)
+
+
+# The journal ---------------------------------------------------------------------------------------
+
+
+def begun(archive, record):
+    archive.begin_set(
+        record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+    )
+    for item in record.records:
+        archive.append(item, item.stamp.utc_ns)
+    archive.sync()
+
+
+@pytest.fixture
+def journal(tmp_path):
+    """A whole set and an open one."""
+    with closing(FolderArchive(tmp_path, journal=True)) as archive:
+        begun(archive, make_set())
+        archive.store_set(make_set())
+        begun(archive, other_set(make_set(), SET_INDEX + 1))
+    return tmp_path
+
+
+def told_by(folder):
+    """Everything that a start would take from the journal."""
+    found = read_journal(folder)
+    return {
+        index: bits(item.record() if item.is_whole else item.opened()) if item.end or item.begin else None
+        for index, item in found.items()
+    }
+
+
+def test_a_journal_as_it_was_written_is_clean(journal):
+    found = check_journal(journal)
+    assert (found.damages, sorted(found.sets)) == ([], [SET_INDEX, SET_INDEX + 1])
+    assert found.n_frames == 2 * (1 + 5) + 1
+
+
+@pytest.mark.parametrize("numbers", [*QUICK, *SLOW], ids=str)
+def test_a_damaged_segment_is_named_or_reads_as_it_was_written(journal, numbers):
+    path = segment_path(journal, 1)
+    content, before = path.read_bytes(), told_by(journal)
+    used = len(content.rstrip(b"\0"))
+    whole = [*(frame.end for frame in frame_format.frames(content))]
+    for number in numbers:
+        broken = damaged(content, number, used=used)
+        path.write_bytes(broken)
+        found = check_journal(journal)
+        end = min(len(broken), used)
+        if not any(broken[end - end % PAGE :]):
+            end -= end % PAGE
+        if end < used:
+            # It ends early, as after a crash: what is left is read, and no value is another one.
+            assert sum(frame.sound for frame in frame_format.frames(broken)) == sum(e <= end for e in whole)
+        else:
+            assert found.damages or told_by(journal) == before, number
+        assert all(file == "journal/000001.journal" for file, _ in found.damages)
+
+
+def test_a_damaged_frame_is_named_by_its_shot_and_the_others_are_read(journal):
+    path = segment_path(journal, 1)
+    content = bytearray(path.read_bytes())
+    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
+    content[shot.end - 1] ^= 1
+    path.write_bytes(content)
+    ((file, damage),) = check_journal(journal).damages
+    assert (file, damage.sequence, damage.position) == ("journal/000001.journal", 42, "B")
+    opened = 1000 + 42
+    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == opened)
+    content[shot.end - 1] ^= 1
+    path.write_bytes(content)
+    assert [damage.sequence for _, damage in check_journal(journal).damages] == [42, opened]
+
+
+def test_a_frame_whose_header_is_damaged_is_told_by_its_place(journal):
+    """Of an open set nothing names its records."""
+    path = segment_path(journal, 1)
+    content = bytearray(path.read_bytes())
+    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 1000 + 42)
+    content[shot.start + 8] ^= 1
+    path.write_bytes(content)
+    ((file, damage),) = check_journal(journal).damages
+    assert (file, damage.sequence) == ("journal/000001.journal", None)
+    assert str(damage).startswith(f"bytes {shot.start} to {shot.end} are no frame")
+
+
+@pytest.mark.parametrize("cut", [1, 40, frame_format.HEADER.size, 200])
+def test_a_frame_that_was_being_written_is_no_damage(journal, cut):
+    """Of a segment that was not allocated at once: on one that was, whole pages of zeros follow."""
+    path = segment_path(journal, 1)
+    content = path.read_bytes()
+    last = [*frame_format.frames(content)][-1]
+    path.write_bytes(content[: last.start + cut])
+    assert check_journal(journal).damages == []
+
+
+def test_a_group_that_failed_and_went_to_a_new_segment_is_no_damage(journal):
+    first, second = segment_path(journal, 1), segment_path(journal, 2)
+    content = first.read_bytes()
+    last = [*frame_format.frames(content)][-1]
+    second.write_bytes(content[last.start : last.end])
+    broken = bytearray(content)
+    broken[last.end - 1] ^= 1
+    first.write_bytes(broken)
+    assert check_journal(journal).damages == []
+
+
+def test_a_frame_whose_set_has_its_file_is_needed_by_nobody(journal):
+    compact_set(journal, SET_INDEX)
+    path = segment_path(journal, 1)
+    content = bytearray(path.read_bytes())
+    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
+    content[shot.end - 1] ^= 1
+    path.write_bytes(content)
+    assert check_journal(journal).damages == []
+
+
+def test_records_of_format_1_0_are_compared_with_what_that_format_says(path, monkeypatch):
+    older = replace(make_set(), outcomes={}, missed=[], trouble="", environment={})
+    monkeypatch.setattr("daq_service.archive.layout.FORMAT_VERSION", "1.0")
+    content = build_image(older)
+    monkeypatch.undo()
+    path.write_bytes(content)
+    with h5py.File(path, "r+") as file:
+        del file["entry/shots/outcome"]
+    assert check_file(path).damages == []
+    with h5py.File(path, "r+") as file:
+        file["entry/preview/time"][2] = 9.0
+    assert [str(damage) for damage in check_file(path).damages] == [
+        "entry/preview/time is not what the rest of the file says"
+    ]
