@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,12 +14,13 @@ from sqlalchemy import Connection, bindparam, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.reader import Catalogue
+from daq_service.catalogue.reader import Catalogue, due_time_counts, made
 from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
     CommandRow,
     CommandState,
+    CountsRow,
     EnvironmentRow,
     EventRow,
     ExperimentRow,
@@ -31,7 +32,17 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.catalogue.tables import alarms, commands, experiment, sets, shots, table_of, verdicts
+from daq_service.catalogue.tables import (
+    alarms,
+    commands,
+    counts,
+    experiment,
+    sets,
+    shots,
+    table_of,
+    verdicts,
+)
+from hardware_drivers.methods import PULSE_ECHO
 
 ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
 
@@ -121,10 +132,18 @@ class RecorderCatalogue(Catalogue):
             )
         return begun
 
-    def committed_sets(self) -> set[int]:
-        """Return the indices of the sets whose rows are stored: those a restart leaves out."""
+    def committed_sets(self, among: Collection[int] | None = None) -> set[int]:
+        """Return the indices of the sets, of all or ``among`` some, whose rows are stored."""
+        statement = select(sets.c.set_index).distinct()
+        if among is not None:
+            statement = statement.where(sets.c.set_index.in_(sorted(among)))
         with self._reading() as connection:
-            return set(connection.execute(select(sets.c.set_index).distinct()).scalars())
+            return set(connection.execute(statement).scalars())
+
+    def last_ended_utc_ns(self) -> int | None:
+        """Return when the set that ended last did so; None before the first one with a record."""
+        with self._reading() as connection:
+            return connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
 
     def next_sequence(self) -> int:
         """Sequence of the next shot, 1 in a new catalogue."""
@@ -141,7 +160,9 @@ class RecorderCatalogue(Catalogue):
         CatalogueError
             Nothing was stored.
         """
+        indices = {row.set_index for row in commit.sets}
         with self._writing("storing a set") as connection:
+            before = due_time_counts(connection, indices)
             _insert(connection, commit.sets)
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
@@ -151,6 +172,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
             event_ids = _insert_for_ids(connection, _dated_events(commit, alarm_ids))
+            _count(connection, commit, before, due_time_counts(connection, indices))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -235,6 +257,22 @@ def _storable(rows: Iterable[Row]) -> list[dict[str, Any]]:
 def _insert(connection: Connection, rows: Sequence[Row]) -> None:
     if rows:
         connection.execute(insert(table_of(type(rows[0]))), _storable(rows))
+
+
+def _count(
+    connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
+) -> None:
+    """Carry the counts over a commit; a shot comes with the row of its set."""
+    echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
+    n_echoes = sum(row.position in echoes for row in commit.shots)
+    added = {name: after[name] - before[name] for name in after} | {
+        "shots": len(commit.shots) - n_echoes,
+        "pulse_echo_records": n_echoes,
+        "events": len(commit.events),
+    }
+    (row,) = made(connection, CountsRow, select(counts))
+    changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
+    connection.execute(update(counts), _storable([changed])[0])
 
 
 def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:

@@ -115,7 +115,7 @@ def record(
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
-            resuming=bool(catalogue.committed_sets()),
+            resuming=bool(catalogue.rows(SetRow, limit=1)),
             restarted=bool(restarted_because),
             heartbeat=heartbeat,
             stop=stop,
@@ -228,9 +228,9 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
     """Where a simulated clock goes on: at the end of the last committed set, or within an open one."""
-    ended = [row.ended_utc_ns for row in catalogue.rows(SetRow) if row.ended_utc_ns is not None]
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
-    return max([*ended, *opened], default=epoch_ns)
+    ended_ns = catalogue.last_ended_utc_ns()
+    return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
 
 
 def _why_not_running(beat: Beat | None, restarted_because: str) -> str:
