@@ -4,8 +4,8 @@
 
 A set every half hour, 19 transducers with ten shots and one probe, as `commit_set` stores them; a kept
 ``--folder`` is filled once. The archive holds a name for each set, the newest file is a real one. Each route
-is asked over HTTP in many ways, first and deep pages. "plain" is the obvious way to the same answer, measured in
-the same run: one scan of the rows.
+is asked in many ways, first and deep pages. "plain" is the obvious way to the same answer, measured in the
+same run: one scan of the rows, without making anything of them.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def year_settings() -> Settings:
     positions: dict[str, Any] = {"P00": {"method": "pulse_echo"}}
     positions |= {f"P{number:02d}": {"method": "solitary_wave"} for number in range(1, 20)}
     phases = [{"until_h": SETS / 2, "interval_h": 0.5}]
-    return Settings(**{"positions": positions, "schedule": {"phases": phases}})
+    return Settings(positions=positions, schedule={"phases": phases})
 
 
 # The folder ------------------------------------------------------------------------------------------
@@ -255,7 +255,8 @@ def records_of(settings: Settings, due: DueSet, first: int) -> SetRecord:
                     counts=counts, sample_rate_hz=echo.sample_rate_hz, pretrigger_samples=0,
                     calibration=calibration,
                 )  # fmt: skip
-                records.append(PulseEchoRecord(**taken, waveform=wave, gain_db=30.0, offset_v=0.0, averages=16))
+                gain: dict[str, Any] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 16}
+                records.append(PulseEchoRecord(**taken, **gain, waveform=wave))
                 continue
             wave = Waveform(
                 counts=rng.normal(0.0, 300.0, 13_600).astype(np.int16), sample_rate_hz=1e7,
@@ -315,7 +316,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
     end_h = n_sets / 2
     middle, position = round(chance.uniform(0.0, end_h), 1), f"P{chance.randrange(20):02d}"
     index = chance.randrange(n_sets)
-    hours = [f"from_h={middle}", f"to_h={middle}", f"from_h={middle}&to_h={middle + 24}", f"to_h=1",
+    hours = [f"from_h={middle}", f"to_h={middle}", f"from_h={middle}&to_h={middle + 24}", "to_h=1",
              f"from_h={end_h - 1}"]  # fmt: skip
     named = [f"position={position}", *(f"position={position}&{part}" for part in hours)]
     asked = {
@@ -435,7 +436,7 @@ def measured(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
     with closing(sqlite3.connect(folder / "catalogue.sqlite")) as connection:
         names = ("sets", "shots", "features", "verdicts", "thickness", "environment", "events", "alarms")
         rows = {name: connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in names}
-    status = times_s(lambda: describe_status(folder), rounds)
+    status = times_s(lambda: describe_status(folder, settings), rounds)
     starts = [start_s(folder, settings) for _ in range(STARTS)]
     routes = asyncio.run(routes_s(folder, settings, n_sets, rounds))
     return {

@@ -59,7 +59,8 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h``, ``first_set <= set_index <= last_set``.
+    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h``,
+    ``first_set <= set_index <= last_set``.
     """
 
     position: str | None
@@ -83,13 +84,15 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
-    "active": lambda table, active: (
-        table.c.state.in_(ACTIVE_STATES) if active else table.c.state == "normal"
-    ),
+    "active": lambda table, active: table.c.state.in_(ACTIVE_STATES) if active else table.c.state == "normal",
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
-    "first_h": lambda table, hour: (table.c.due_h >= hour) & (table.c.set_index >= _set_at(table, hour, "first")),
-    "last_h": lambda table, hour: (table.c.due_h <= hour) & (table.c.set_index <= _set_at(table, hour, "last")),
+    "first_h": lambda table, hour: (
+        (table.c.due_h >= hour) & (table.c.set_index >= _set_at(table, hour, "first"))
+    ),
+    "last_h": lambda table, hour: (
+        (table.c.due_h <= hour) & (table.c.set_index <= _set_at(table, hour, "last"))
+    ),
     "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
     "first_set": lambda table, index: table.c.set_index >= index,
     "last_set": lambda table, index: table.c.set_index <= index,
@@ -172,6 +175,11 @@ class Catalogue:
         newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
         return self._rows(kind, newest_first)[::-1]
 
+    def newest_file(self) -> str | None:
+        """Name the file of the newest set that has records; None before it."""
+        row = self._newest_row(SetRow, sets.c.file.is_not(None))
+        return None if row is None else row.file
+
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Tell the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)
@@ -180,7 +188,13 @@ class Catalogue:
         return found[0] if found else None
 
     def columns(
-        self, kind: type[Row], names: Sequence[str], *, limit: int | None = None, **filters: Unpack[Filters]
+        self,
+        kind: type[Row],
+        names: Sequence[str],
+        /,
+        *,
+        limit: int | None = None,
+        **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
         """Rows by column: name to the values of all rows in order.
 
@@ -252,7 +266,7 @@ class Catalogue:
         """Last word on each position that has a row in ``sets``."""
         with self._reading() as connection:
             last_sets = _newest(connection, SetRow)
-            last_features = _newest(connection, FeatureRow, "set")
+            last_features = _newest(connection, FeatureRow)
             last_verdicts = _newest(connection, VerdictRow)
             last_thicknesses = _newest(connection, ThicknessRow)
             active = made(connection, AlarmRow, _chosen(select(alarms), alarms, {"active": True}))
@@ -373,8 +387,8 @@ def due_time_counts(connection: Connection, indices: Collection[int] | None = No
 
 
 def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
-    given = {name: value for name, value in filters.items() if value is not None}
-    after_id = given.pop("after_id", None)
+    given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
+    after_id = filters.get("after_id")
     for name, value in given.items():
         condition = _CONDITIONS.get(name)
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
@@ -399,7 +413,7 @@ def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[
     return [kind(**dict(zip(kind.__slots__, row, strict=True))) for row in connection.execute(statement)]
 
 
-def _newest(connection: Connection, kind: type[OfSet], scope: Scope | None = None) -> dict[str, OfSet]:
+def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Row of the highest set index of each position that has a row in ``sets``."""
     # One step in the index leads to the next name, however many sets have it.
     first = select(func.min(sets.c.position).label("position")).cte("places", recursive=True)
@@ -408,8 +422,8 @@ def _newest(connection: Connection, kind: type[OfSet], scope: Scope | None = Non
     table = table_of(kind)
     of_place = table.alias("of_place")
     newest = select(of_place.c.id).where(of_place.c.position == places.c.position)
-    if scope is not None:
-        newest = newest.where(_CONDITIONS["scope"](of_place, scope))
+    if kind is FeatureRow:  # of a set
+        newest = newest.where(of_place.c.shot_index.is_(None))
     last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
     statement = select(table).join(places, table.c.id == last)
     return {row.position: row for row in made(connection, kind, statement)}

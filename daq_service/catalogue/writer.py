@@ -143,7 +143,8 @@ class RecorderCatalogue(Catalogue):
     def last_ended_utc_ns(self) -> int | None:
         """Return when the set that ended last did so; None before the first one with a record."""
         with self._reading() as connection:
-            return connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
+            last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
+        return last
 
     def next_sequence(self) -> int:
         """Sequence of the next shot, 1 in a new catalogue."""

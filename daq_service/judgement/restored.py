@@ -15,7 +15,6 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
     EventRow,
     FeatureRow,
@@ -58,13 +57,11 @@ def restored_solitary_wave(
     healthy = catalogue.rows(SetRow, position=position, tried=True, last_set=last_baseline_set)
     recent = _recent_sets(position, settings, catalogue, reinstated_at)
     sets = [*healthy, *(row for row in recent if row.set_index > last_baseline_set)]
-    ranges: list[Filters] = [{"last_set": last_baseline_set}]
-    if recent:
-        ranges.append({"first_set": max(recent[0].set_index, last_baseline_set + 1)})
+    since = max([last_baseline_set + 1, *(row.set_index for row in recent[:1])])
     features = {
         row.set_index: row
-        for sets_of in ranges
-        for row in catalogue.rows(FeatureRow, position=position, scope="set", **sets_of)
+        for first, last in ((0, last_baseline_set), (since, None))
+        for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=first, last_set=last)
     }
     for part in (
         [row for row in sets if row.set_index < reinstated_at],
@@ -89,9 +86,7 @@ def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
     return NEVER if not first or first[0].set_index is None else first[0].set_index
 
 
-def _recent_sets(
-    position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int
-) -> list[SetRow]:
+def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:
     """List the last sets of a transducer, as far back as its memory reaches; untried ones say nothing."""
     baseline = catalogue.baseline(position)
     name = settings.novelty.limit

@@ -27,7 +27,7 @@ from daq_service.acquisition.taken_set import (
     features_of_a_rehearsal,
 )
 from daq_service.alarms.clock_trouble import doubt_condition
-from daq_service.alarms.data_trouble import damage_condition, storage_condition
+from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
@@ -37,6 +37,7 @@ from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
+from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
@@ -63,6 +64,8 @@ SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
 one comes at once, since nobody knows how long the boards have been warm."""
 
+DISK_SPACE = "disk_space"
+"""Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
 OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 Teller = Callable[..., None]
@@ -91,6 +94,7 @@ class Recorder:
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
         remote_drive: RemoteDrive | None = None,
+        disk: DiskWatch | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -115,8 +119,12 @@ class Recorder:
         self._told_ids: set[int] = set()
         self._cost = Cost()
         self._mono_s = mono_s
+        self._disk = disk
         self._backlog = Backlog(
-            limit_bytes=settings.storage.memory_mb * 10**6, on_change=self._tell_trouble, mono_s=mono_s
+            limit_bytes=settings.storage.memory_mb * 10**6,
+            on_change=self._tell_trouble,
+            refusal=self._refusal,
+            mono_s=mono_s,
         )
         done = catalogue.committed_sets()
         self._open = dict(archive.open_sets())
@@ -273,6 +281,8 @@ class Recorder:
 
     def _acknowledge(self) -> bool:
         """Make durable what was taken, and tell its ids; a disk that refuses is asked again at the end."""
+        if self._refusal():
+            return False
         try:
             self._tell_ids(self._archive.sync())
         except PASSING as error:
@@ -359,7 +369,7 @@ class Recorder:
         def judged() -> Transaction:
             stored = self._archive.store_set(record)
             self._tell_ids(stored.crc32)
-            self._told_ids.clear()
+            self._told_ids.difference_update(stored.crc32)
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
@@ -542,6 +552,9 @@ class Recorder:
     def _wait_for_the_disk(self) -> None:
         while self._backlog.trouble is not None and self._idle():
             self._stop.wait(LINGER_S)
+        if self._backlog.trouble is not None and self._disk is not None:
+            self._disk.give_back()
+            self._backlog.work(at_once=True)
         if self._backlog.trouble is not None:
             log.error(
                 "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
@@ -555,6 +568,23 @@ class Recorder:
         while self._idle() and self._compaction.waits and self._mono_s() < until_s:
             self._compaction.try_again()
             self._stop.wait(LINGER_S)
+
+    def _refusal(self) -> str:
+        """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
+        return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
+
+    def _look_at_the_disk(self) -> None:
+        """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
+        space = None if self._disk is None else self._disk.look()
+        if space is None:
+            return
+        log.warning("%s: level %s", space.told, space.level)
+        self._say(DISK_SPACE, asdict(space))
+        condition = space_condition(
+            space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+        )
+        with suppress(*PASSING):  # the event follows when the disk takes it
+            self._ledger.tell(condition, self._moment())
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
@@ -607,6 +637,7 @@ class Recorder:
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._tell_clock_steps()
+        self._look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._backlog.trouble is None:
             self._backlog.put(self._orders.listen)

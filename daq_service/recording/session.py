@@ -20,6 +20,7 @@ from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elap
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
 from daq_service.processes.worker import one_worker
 from daq_service.recording.compaction import Compaction
@@ -55,6 +56,7 @@ def record(
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[Before], Clock] = WallClock,
     remote_drive: RemoteDrive | None = None,
+    disk_usage: Usage = disk_usage,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -78,6 +80,8 @@ def record(
         Makes the clock of a test in real time, of what is known of the time before.
     remote_drive
         The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
+    disk_usage
+        Tells free and all bytes of the folder's volume.
 
     Returns
     -------
@@ -143,6 +147,7 @@ def record(
             acknowledged=acknowledged,
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,
+            disk=DiskWatch(folder, settings.storage, usage=disk_usage),
         )
         stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)

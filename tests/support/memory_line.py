@@ -32,6 +32,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
@@ -192,6 +193,7 @@ class Line:
         left_alone: threading.Event | None = None,
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
+        disk: DiskWatch | None = None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -235,6 +237,7 @@ class Line:
                 acknowledged=acknowledged,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
+                disk=disk,
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:

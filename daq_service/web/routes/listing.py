@@ -67,7 +67,7 @@ def add_listing(
     filters: Mapping[str, tuple[Any, Any]],
     answers: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
 ) -> None:
-    """Serve a table at ``/{resource}``: bounded pages, in the order of its ids or of the sets (`Catalogue.rows`).
+    """Serve a table at ``/{resource}``: bounded pages in the order of `Catalogue.rows`.
 
     Parameters
     ----------

@@ -115,9 +115,9 @@ def remembered(line, monkeypatch, looks):
             pass
         states = [ledger._assessors[name]._state for name in "BCD"]
     known = [
-        (state.alarm, state.hole, state.poor_sets, [found.set_index for found in state.healthy], state.n_left_out)
+        (state.alarm, state.hole, state.poor_sets, [found.set_index for found in state.healthy])
         for state in states
-    ]  # fmt: skip
+    ]
     return known, max(read)
 
 
