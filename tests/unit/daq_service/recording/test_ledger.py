@@ -143,6 +143,19 @@ def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, mo
     assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
 
 
+def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
+        baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
+        alarms={"k": 2, "n": 3},
+    )
+    # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
+    line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
+    line.run()
+    known, _ = remembered(line, monkeypatch, (4, None))
+    assert [alarm.active for alarm, *_ in known] == [True] * 3
+
+
 def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
     line.run()
     _, most = remembered(line, monkeypatch, (6, None))
