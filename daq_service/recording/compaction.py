@@ -82,6 +82,11 @@ class Compaction:
         return self._refusal or self._damage
 
     @property
+    def n_under_way(self) -> int:
+        """Sets that the worker was given and has not finished."""
+        return len(self._running)
+
+    @property
     def waits(self) -> bool:
         """A set has no file yet."""
         return bool(self._running or self._again_s)

@@ -57,6 +57,8 @@ log = logging.getLogger(__name__)
 
 WAIT_FOR_FILES_S = 60.0
 """A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
+MOST_UNDER_WAY = 40
+"""Whole sets whose files are being made: two segments of the journal."""
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
@@ -177,6 +179,7 @@ class Recorder:
                 self._take_when_due(due)
             if not self._stop.is_set() and not self._may_run_ahead:
                 self._wait_for_the_disk()
+                self._wait_for_the_worker()
             if self._stop.is_set():
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
@@ -559,6 +562,11 @@ class Recorder:
             log.error(
                 "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
             )
+
+    def _wait_for_the_worker(self) -> None:
+        """Simulated time must not outrun the files: journal and memory would grow with the test."""
+        while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and self._idle():
+            self._stop.wait(LINGER_S / 10.0)
 
     def _wait_for_the_files(self) -> None:
         """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""

@@ -34,6 +34,7 @@ from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.compaction import Compaction
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -194,6 +195,7 @@ class Line:
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
         disk: DiskWatch | None = None,
+        compaction: Compaction | None = None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -238,6 +240,7 @@ class Line:
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
                 disk=disk,
+                compaction=compaction,
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:

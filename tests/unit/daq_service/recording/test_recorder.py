@@ -190,6 +190,37 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     assert "jobs are lost that no disk took" in caplog.text
 
 
+class SlowWorker:
+    """Finishes a set at every fourth look."""
+
+    trouble = ""
+
+    def __init__(self):
+        self.n_under_way = self.most = self.looks = 0
+
+    @property
+    def waits(self):
+        return self.n_under_way > 0
+
+    def put(self, set_index):
+        self.n_under_way += 1
+        self.most = max(self.most, self.n_under_way)
+
+    def work(self):
+        self.looks += 1
+        self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
+
+    try_again = work
+
+
+def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
+    monkeypatch.setattr("daq_service.recording.recorder.MOST_UNDER_WAY", 2)
+    worker = SlowWorker()
+    assert line.run(archive=MemoryArchive(line.shelf, journal=True), compaction=worker)
+    assert (worker.most, worker.n_under_way) == (3, 0)
+    assert states(line, "B") == ["done"] * SETS
+
+
 class Volume:
     """A volume of 100 GB that fills when a set is struck, and is freed after so many looks at it."""
 
