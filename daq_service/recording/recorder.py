@@ -564,7 +564,7 @@ class Recorder:
             )
 
     def _wait_for_the_worker(self) -> None:
-        """Simulated time must not outrun the files: journal and memory would grow with the test."""
+        """Let no simulated time outrun the files: journal and memory would grow with the test."""
         while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and self._idle():
             self._stop.wait(LINGER_S / 10.0)
 

@@ -132,6 +132,8 @@ def record(
             compaction.put(set_index)
         stack.callback(compaction.close)
         live = LivePicture(folder, rig.kind)
+        disk = DiskWatch(folder, settings.storage, usage=disk_usage)
+        stack.callback(disk.give_back)
         recorder = Recorder(
             settings,
             archive,
@@ -147,7 +149,7 @@ def record(
             acknowledged=acknowledged,
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,
-            disk=DiskWatch(folder, settings.storage, usage=disk_usage),
+            disk=disk,
         )
         stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)
