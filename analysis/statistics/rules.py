@@ -71,6 +71,16 @@ def next_alarm_state(
     return AlarmState(recent=recent, active=not clears if state.active else count >= rule.k)
 
 
+def decides(outliers: Sequence[bool | None], rule: AlarmRule) -> bool:
+    """Tell whether the state after these sets is theirs alone, whatever came before them.
+
+    A full window with outliers enough, or few enough, leaves no doubt whether the alarm is on.
+    """
+    judged = [outlier for outlier in outliers if outlier is not None]
+    counts = [sum(judged[first : first + rule.n]) for first in range(len(judged) - rule.n + 1)]
+    return any(count >= rule.k or count <= rule.off_at_most for count in counts)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HoleRule:
     """A hole: no reflected wave in ``shots`` shots of a set, in ``consecutive_sets`` sets running.

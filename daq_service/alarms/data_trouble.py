@@ -43,6 +43,25 @@ def _sentence(what: str) -> str:
     return what if what.startswith("is ") else f"is damaged: {what}"
 
 
+def space_condition(told: str, *, present: bool, stops: bool) -> Condition:
+    """Alarm while little of the volume is free; severe once nothing more is stored.
+
+    Parameters
+    ----------
+    told
+        How much is free.
+    """
+    follows = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
+    return Condition(
+        position=None,
+        kind="disk_space",
+        family="device",
+        severity="high" if stops else "medium",
+        present=present,
+        message=f"{told}: {follows}; free some, or take other data off the volume",
+    )
+
+
 def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
     """Alarm while sets wait in memory, or whole ones in the journal, because the disk takes nothing.
 

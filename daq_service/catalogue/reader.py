@@ -10,7 +10,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
-from sqlalchemy import ColumnElement, Connection, Engine, Select, Table, case, func, insert, select
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Engine,
+    ScalarSelect,
+    Select,
+    Table,
+    case,
+    func,
+    insert,
+    literal,
+    select,
+    tuple_,
+)
 
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
@@ -18,6 +31,7 @@ from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
     CommandRow,
+    CountsRow,
     EnvironmentRow,
     EventRow,
     ExperimentRow,
@@ -26,11 +40,11 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
     VerdictRow,
+    values,
 )
 from daq_service.catalogue.sealed import checked_rows, storable
-from daq_service.catalogue.tables import alarms, commands, events, sets, shots, table_of
+from daq_service.catalogue.tables import alarms, commands, counts, events, sets, table_of
 from daq_service.clock import boot_name, elapsed_ns
-from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_S
 
 R = TypeVar("R", bound=Row)
@@ -39,6 +53,7 @@ Scope = Literal["set", "shot"]
 
 _ASKED_AT_ONCE = 500
 """Values in one condition."""
+ACTIVE_STATES = ("acknowledged", "returned_unacknowledged", "unacknowledged")
 ORDER_WITHIN_S = 60.0
 """An order that nobody has begun to carry out within this time expires, if its giver says nothing else."""
 
@@ -47,7 +62,8 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``first_h <= due_h <= last_h``, ``since_utc_ns <= due_utc_ns (or utc_ns) < until_utc_ns``.
+    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h``,
+    ``first_set <= set_index <= last_set``.
     """
 
     position: str | None
@@ -57,10 +73,13 @@ class Filters(TypedDict, total=False):
     scope: Scope | None
     active: bool | None
     topics: Collection[str] | None
+    topic: str | None
+    kind: str | None
     first_h: float | None
     last_h: float | None
-    since_utc_ns: int | None
-    until_utc_ns: int | None
+    tried: bool | None
+    first_set: int | None
+    last_set: int | None
     after_id: int | None
 
 
@@ -68,20 +87,36 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
-    "active": lambda table, active: table.c.state != "normal" if active else table.c.state == "normal",
+    "active": lambda table, active: table.c.state.in_(ACTIVE_STATES) if active else table.c.state == "normal",
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
-    "first_h": lambda table, hour: table.c.due_h >= hour,
-    "last_h": lambda table, hour: table.c.due_h <= hour,
-    "since_utc_ns": lambda table, utc_ns: _date(table) >= utc_ns,
-    "until_utc_ns": lambda table, utc_ns: _date(table) < utc_ns,
-    "after_id": lambda table, row_id: table.c.id > row_id,
+    "first_h": lambda table, hour: (
+        (table.c.due_h >= hour) & (table.c.set_index >= _set_at(table, hour, "first"))
+    ),
+    "last_h": lambda table, hour: (
+        (table.c.due_h <= hour) & (table.c.set_index <= _set_at(table, hour, "last"))
+    ),
+    "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
+    "first_set": lambda table, index: table.c.set_index >= index,
+    "last_set": lambda table, index: table.c.set_index <= index,
+    # As text in the statement: only then is it found in the index of this topic.
+    "topic": lambda table, topic: table.c.topic == literal(topic, literal_execute=True),
 }
-"""A filter that is not listed asks for a column's value."""
+"""A filter that is not listed asks for a column's value; ``after_id`` is `_behind`."""
 
 
-def _date(table: Table) -> ColumnElement[int]:
-    return table.c.due_utc_ns if "due_utc_ns" in table.c else table.c.utc_ns
+def _set_at(table: Table, hour: float, which: Literal["first", "last"]) -> ScalarSelect[int]:
+    """Find the first set due at an hour or later, or the last one due until then.
+
+    Hours rise with the index of the set: so a range of hours is a range of sets, and read by index.
+    """
+    due = sets if "position" in table.c else table
+    found = select(due.c.set_index).limit(1)
+    if which == "first":
+        found = found.where(due.c.due_h >= hour).order_by(due.c.due_h)
+    else:
+        found = found.where(due.c.due_h <= hour).order_by(due.c.due_h.desc())
+    return found.scalar_subquery()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,11 +166,38 @@ class Catalogue:
     # Rows of every kind
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
-        """Rows of a table in the order in which they were stored."""
+        """Rows of a table in the order in which they were stored; of chosen sets in the order of the sets."""
         return self._rows(kind, _chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
 
+    def last_rows(
+        self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
+    ) -> list[R]:
+        """Rows of the last sets of a position (None: of all), in the order of the sets."""
+        table = table_of(kind)
+        statement = _chosen(select(table), table, {**filters, "position": position})
+        newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
+        return self._rows(kind, newest_first)[::-1]
+
+    def newest_file(self) -> str | None:
+        """Name the file of the newest set that has records; None before it."""
+        row = self._newest_row(SetRow, sets.c.file.is_not(None))
+        return None if row is None else row.file
+
+    def first_reading(self, position: str) -> ThicknessRow | None:
+        """Tell the first pulse-echo result with a travel time; None before it."""
+        table = table_of(ThicknessRow)
+        statement = _chosen(select(table), table, {"position": position})
+        found = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
+        return found[0] if found else None
+
     def columns(
-        self, kind: type[Row], names: Sequence[str], *, limit: int | None = None, **filters: Unpack[Filters]
+        self,
+        kind: type[Row],
+        names: Sequence[str],
+        /,
+        *,
+        limit: int | None = None,
+        **filters: Unpack[Filters],
     ) -> dict[str, list[Any]]:
         """Rows by column: name to the values of all rows in order.
 
@@ -155,7 +217,7 @@ class Catalogue:
 
     def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
         with self._reading() as connection:
-            return _made(connection, kind, statement)
+            return made(connection, kind, statement)
 
     def _newest_row(self, kind: type[R], condition: ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row, of those that meet a condition; None where there is none."""
@@ -191,47 +253,13 @@ class Catalogue:
             missed altogether, ``partial_sets``: of the ``sets``, those that lack something;
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
-        lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
-        missed = case((sets.c.state == "missed", 1), else_=0)
-        due_times = (
-            select(
-                func.sum(sets.c.n_taken).label("taken"),
-                func.sum(lacking).label("lacking"),
-                func.sum(missed).label("missed"),
-            )
-            .group_by(sets.c.set_index)
-            .subquery()
-        )
-        has_data = due_times.c.taken > 0
         with self._reading() as connection:
-            n_taken, n_missed, n_partial = connection.execute(
-                select(
-                    func.count().filter(has_data),
-                    func.count().filter(~has_data, due_times.c.missed > 0),
-                    func.count().filter(has_data, due_times.c.lacking > 0),
-                ).select_from(due_times)
-            ).one()
-            methods = dict(
-                connection.execute(
-                    select(sets.c.position, func.max(sets.c.method)).group_by(sets.c.position)
-                ).all()
-            )
-            per_position = connection.execute(
-                select(shots.c.position, func.count()).group_by(shots.c.position)
-            ).all()
-            n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
+            (row,) = made(connection, CountsRow, select(counts))
             n_alarms = connection.execute(
-                select(func.count()).select_from(alarms).where(alarms.c.state != "normal")
+                _chosen(select(func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
-        echoes = sum(count for position, count in per_position if methods.get(position) == PULSE_ECHO)
-        return {
-            "sets": n_taken,
-            "missed_sets": n_missed,
-            "partial_sets": n_partial,
-            "shots": sum(count for _, count in per_position) - echoes,
-            "pulse_echo_records": echoes,
-            "events": n_events,
-            "active_alarms": n_alarms,
+        return {name: number for name, number in values(row).items() if name != "id"} | {
+            "active_alarms": n_alarms
         }
 
     def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
@@ -257,10 +285,10 @@ class Catalogue:
         """Last word on each position that has a row in ``sets``."""
         with self._reading() as connection:
             last_sets = _newest(connection, SetRow)
-            last_features = _newest(connection, FeatureRow, "set")
+            last_features = _newest(connection, FeatureRow)
             last_verdicts = _newest(connection, VerdictRow)
             last_thicknesses = _newest(connection, ThicknessRow)
-            active = _made(connection, AlarmRow, _chosen(select(alarms), alarms, {"active": True}))
+            active = made(connection, AlarmRow, _chosen(select(alarms), alarms, {"active": True}))
         return {
             position: LastWord(
                 position=position,
@@ -296,7 +324,13 @@ class Catalogue:
 
     def last_told(self, *kinds: str) -> EventRow | None:
         """Newest event of the service itself of one of these kinds, None where there is none."""
-        return self._newest_row(EventRow, (events.c.topic == "service") & events.c.kind.in_(kinds))
+        told = _chosen(select(func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
+        newest = told.where(events.c.kind.in_(kinds)).scalar_subquery()
+        return self._newest_row(EventRow, events.c.id == newest)
+
+    def last_event(self, topic: str) -> EventRow | None:
+        """Newest event of a topic that is told with every set; None where there is none."""
+        return self._newest_row(EventRow, events.c.topic == topic)
 
     def held(self) -> str | None:
         """Who holds the test and why, None while nobody does."""
@@ -349,24 +383,65 @@ class Catalogue:
         return self._command_engine
 
 
+def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
+    """Count due times (`CountsRow`) by reading their rows: of some sets, or (None) of all."""
+    lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
+    missed = case((sets.c.state == "missed", 1), else_=0)
+    due_times = select(
+        func.sum(sets.c.n_taken).label("taken"),
+        func.sum(lacking).label("lacking"),
+        func.sum(missed).label("missed"),
+    ).group_by(sets.c.set_index)
+    if indices is not None:
+        due_times = due_times.where(sets.c.set_index.in_(sorted(indices)))
+    found = due_times.subquery()
+    has_data = found.c.taken > 0
+    counted = select(
+        func.count().filter(has_data).label("sets"),
+        func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
+        func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
+    ).select_from(found)
+    return dict(connection.execute(counted).mappings().one())
+
+
 def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
-    for name, value in filters.items():
-        if value is not None:
-            condition = _CONDITIONS.get(name)
-            statement = statement.where(condition(table, value) if condition else table.c[name] == value)
-    return statement.order_by(*table.primary_key.columns)
+    given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
+    after_id = filters.get("after_id")
+    for name, value in given.items():
+        condition = _CONDITIONS.get(name)
+        statement = statement.where(condition(table, value) if condition else table.c[name] == value)
+    # Indices begin with what is asked for and go on with the set: so a page needs no sorting.
+    by_set = "set_index" in table.c and table is not events and not given.keys() <= {"scope"}
+    order = (*([table.c.set_index] if by_set else []), *table.primary_key.columns)
+    if after_id is not None:
+        statement = statement.where(_behind(table, order, after_id))
+    return statement.order_by(*order)
 
 
-def _made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:
+def _behind(table: Table, order: Sequence[ColumnElement[Any]], row_id: int) -> ColumnElement[bool]:
+    """Rows that follow one in an order."""
+    if len(order) == 1:
+        return order[0] > row_id
+    place = [select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
+    return (order[0] >= place[0]) & (tuple_(*order) > tuple_(*place))
+
+
+def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:
+    """Rows of a statement that asks for a table's columns, each compared with its checksum."""
     return list(checked_rows(connection, kind, statement))
 
 
-def _newest(connection: Connection, kind: type[OfSet], scope: Scope | None = None) -> dict[str, OfSet]:
-    """Row of the highest set index of each position."""
-    table, filters = table_of(kind), Filters(scope=scope)
-    newest = select(table.c.position, func.max(table.c.set_index).label("set_index"))
-    last = _chosen(newest, table, filters).order_by(None).group_by(table.c.position).subquery()
-    statement = select(table).join(
-        last, (table.c.position == last.c.position) & (table.c.set_index == last.c.set_index)
-    )
-    return {row.position: row for row in _made(connection, kind, _chosen(statement, table, filters))}
+def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
+    """Row of the highest set index of each position that has a row in ``sets``."""
+    # One step in the index leads to the next name, however many sets have it.
+    first = select(func.min(sets.c.position).label("position")).cte("places", recursive=True)
+    following = select(func.min(sets.c.position)).where(sets.c.position > first.c.position)
+    places = first.union_all(select(following.scalar_subquery()).where(first.c.position.is_not(None)))
+    table = table_of(kind)
+    of_place = table.alias("of_place")
+    newest = select(of_place.c.id).where(of_place.c.position == places.c.position)
+    if kind is FeatureRow:  # of a set
+        newest = newest.where(of_place.c.shot_index.is_(None))
+    last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
+    statement = select(table).join(places, table.c.id == last)
+    return {row.position: row for row in made(connection, kind, statement)}

@@ -258,6 +258,19 @@ class CommandRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CountsRow(Row):
+    """Sizes of the experiment so far, kept up with every commit, so that nobody counts; there is one row."""
+
+    id: int = 1
+    sets: int = 0  # due times with at least one record
+    missed_sets: int = 0  # due times that were missed altogether
+    partial_sets: int = 0  # of the `sets`, those that lack something
+    shots: int = 0  # solitary waves
+    pulse_echo_records: int = 0
+    events: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
     """A field of a row; ``told`` describes it in the API, None where its name does."""
 

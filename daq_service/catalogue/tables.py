@@ -22,6 +22,7 @@ from sqlalchemy import (
     String,
     Table,
     UniqueConstraint,
+    literal,
 )
 from sqlalchemy.schema import SchemaItem
 from sqlalchemy.types import TypeEngine
@@ -97,6 +98,10 @@ def _unique(table: str, *names: str) -> UniqueConstraint:
     return UniqueConstraint(*names, name=f"uq_{table}_{'_'.join(names[:3])}")
 
 
+def _index(table: Table, *names: str) -> None:
+    Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
+
+
 experiment = _table("experiment", rows.ExperimentRow)
 sets = _table(
     "sets",
@@ -105,6 +110,13 @@ sets = _table(
     n_missed=DefaultClause("0"),
     n_restrikes=DefaultClause("0"),
 )
+# What the routes, `solimon status` and a start ask for is found in an index, never by reading every row:
+# hours by the set that is due then (`reader._first_set_at`), states, the latest end.
+_index(sets, "set_index")
+_index(sets, "due_h")
+_index(sets, "ended_utc_ns")
+_index(sets, "state", "set_index")
+_index(sets, "position", "state", "set_index")
 shots = _table(
     "shots",
     rows.ShotRow,
@@ -112,12 +124,7 @@ shots = _table(
     outcome=DefaultClause("accepted"),
 )
 features = _table("features", rows.FeatureRow, sequence=ForeignKey("shots.sequence"))
-Index(
-    "ix_features_position_set_index_shot_index",
-    features.c.position,
-    features.c.set_index,
-    features.c.shot_index,
-)
+_index(features, "position", "set_index", "shot_index")
 # One feature a set, and the trend of a position without reading past its shots.
 Index(
     "uq_features_set",
@@ -126,13 +133,16 @@ Index(
     unique=True,
     sqlite_where=features.c.shot_index.is_(None),
 )
+_index(features, "set_index")
 thickness = _table(
     "thickness",
     rows.ThicknessRow,
     _unique("thickness", "position", "set_index"),
     sequence=ForeignKey("shots.sequence"),
 )
+_index(thickness, "set_index")
 environment = _table("environment", rows.EnvironmentRow, _unique("environment", "set_index"))
+_index(environment, "due_h")
 baselines = _table("baselines", rows.BaselineRow, _unique("baselines", "name"))
 verdicts = _table(
     "verdicts",
@@ -140,10 +150,18 @@ verdicts = _table(
     _unique("verdicts", "position", "set_index"),
     baseline_id=ForeignKey("baselines.id"),
 )
+_index(verdicts, "set_index")
 alarms = _table("alarms", rows.AlarmRow)
-Index("ix_alarms_position_kind", alarms.c.position, alarms.c.kind)
+_index(alarms, "position", "kind")
+_index(alarms, "state")
 events = _table("events", rows.EventRow, autoincrement=True)
+# The service's own words and the alarms are few among the news of sets.
+for _topic in ("service", "alarms"):
+    _few = events.c.topic == literal(_topic, literal_execute=True)
+    Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
 commands = _table("commands", rows.CommandRow, autoincrement=True)
+_index(commands, "state")
+counts = _table("counts", rows.CountsRow)
 
 KINDS = tuple(_TABLES)
 """Kinds of rows; what one refers to stands before it."""

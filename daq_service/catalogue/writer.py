@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
@@ -12,12 +12,13 @@ from sqlalchemy import Connection, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.reader import Catalogue
+from daq_service.catalogue.reader import Catalogue, due_time_counts, made
 from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
     CommandRow,
     CommandState,
+    CountsRow,
     EnvironmentRow,
     EventRow,
     ExperimentRow,
@@ -29,7 +30,8 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.catalogue.sealed import checked_rows, numbered, storable
-from daq_service.catalogue.tables import commands, experiment, sets, shots, table_of, verdicts
+from daq_service.catalogue.tables import commands, counts, events, experiment, sets, shots, table_of, verdicts
+from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
 
@@ -121,10 +123,19 @@ class RecorderCatalogue(Catalogue):
             )
         return begun
 
-    def committed_sets(self) -> set[int]:
-        """Return the indices of the sets whose rows are stored: those a restart leaves out."""
+    def committed_sets(self, among: Collection[int] | None = None) -> set[int]:
+        """Return the indices of the sets, of all or ``among`` some, whose rows are stored."""
+        statement = select(sets.c.set_index).distinct()
+        if among is not None:
+            statement = statement.where(sets.c.set_index.in_(sorted(among)))
         with self._reading() as connection:
-            return set(connection.execute(select(sets.c.set_index).distinct()).scalars())
+            return set(connection.execute(statement).scalars())
+
+    def last_ended_utc_ns(self) -> int | None:
+        """Return when the set that ended last did so; None before the first one with a record."""
+        with self._reading() as connection:
+            last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
+        return last
 
     def next_sequence(self) -> int:
         """Sequence of the next shot, 1 in a new catalogue."""
@@ -141,7 +152,9 @@ class RecorderCatalogue(Catalogue):
         CatalogueError
             Nothing was stored.
         """
+        indices = {row.set_index for row in commit.sets}
         with self._writing("storing a set") as connection:
+            before = due_time_counts(connection, indices)
             _insert(connection, commit.sets)
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
@@ -151,6 +164,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
             event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids)))
+            _count(connection, commit, before, due_time_counts(connection, indices))
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -174,28 +188,43 @@ class RecorderCatalogue(Catalogue):
         )
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
 
-    def without_digest(self) -> list[str]:
-        """Return the files of sets whose SHA-256 is not noted."""
-        wanted = select(sets.c.file).where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)).distinct()
+    def without_digest(self) -> dict[int, str]:
+        """Return the files of sets whose SHA-256 is not noted, by set index."""
+        noted = (sets.c.file.is_not(None), sets.c.file_sha256.is_(None))
         with self._reading() as connection:
-            return [str(file) for file in connection.execute(wanted).scalars()]
+            wanted = connection.execute(select(sets.c.set_index, sets.c.file).where(*noted))
+            return {index: str(file) for index, file in wanted}
 
-    def set_digest(self, file: str, sha256: str) -> None:
+    def set_digest(self, set_index: int, file: str, sha256: str) -> None:
         """Note the SHA-256 of a set's file in its rows."""
         with self._writing("noting a file") as connection:
-            its_sets = select(sets).where(sets.c.file == file, sets.c.file_sha256.is_(None))
+            of_file = (sets.c.set_index == set_index, sets.c.file == file)
+            its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
             for row in list(checked_rows(connection, SetRow, its_sets)):
                 _change(connection, replace(row, file_sha256=sha256))
 
-    def digest_of(self, file: str) -> str | None:
+    def digest_of(self, set_index: int) -> str | None:
         """SHA-256 of a set's file as it was written; None: it is not noted."""
-        wanted = select(sets.c.file_sha256).where(sets.c.file == file, sets.c.file_sha256.is_not(None))
+        noted = sets.c.file_sha256.is_not(None)
+        wanted = select(sets.c.file_sha256).where(sets.c.set_index == set_index, noted)
         with self._reading() as connection:
             found: str | None = connection.execute(wanted.limit(1)).scalar_one_or_none()
         return found
 
+    def recount(self) -> None:
+        """Count again what each commit carries on: by reading every row."""
+        echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
+        with self._writing("counting") as connection:
+            numbers = {
+                "shots": select(func.count()).where(shots.c.position.not_in(echoes)),
+                "pulse_echo_records": select(func.count()).where(shots.c.position.in_(echoes)),
+                "events": select(func.count()).select_from(events),
+            }
+            counted = {name: connection.execute(number).scalar_one() for name, number in numbers.items()}
+            _change(connection, CountsRow(**due_time_counts(connection), **counted))
+
     def restore(self, rows: Iterable[Row]) -> None:
-        """Store rows as they are, with their ids, in the place of any that have these."""
+        """Store rows as they are, with their ids, in the place of any that have these; `recount` follows."""
         with self._writing("restoring rows") as connection:
             for row in rows:
                 if not _change(connection, row):
@@ -256,6 +285,22 @@ def _change(connection: Connection, row: Row) -> bool:
     table, stored = table_of(type(row)), storable(row)
     key = table.primary_key.columns[0]
     return connection.execute(update(table).where(key == stored.pop(key.name)).values(stored)).rowcount == 1
+
+
+def _count(
+    connection: Connection, commit: SetCommit, before: Mapping[str, int], after: Mapping[str, int]
+) -> None:
+    """Carry the counts over a commit; a shot comes with the row of its set."""
+    echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
+    n_echoes = sum(row.position in echoes for row in commit.shots)
+    added = {name: after[name] - before[name] for name in after} | {
+        "shots": len(commit.shots) - n_echoes,
+        "pulse_echo_records": n_echoes,
+        "events": len(commit.events),
+    }
+    (row,) = made(connection, CountsRow, select(counts))
+    changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
+    _change(connection, changed)
 
 
 def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,11 @@ from daq_service.acquisition.schedule import plan
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, values
+from daq_service.cli.forecast import record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.processes.data_folder import data_folder, settings_and_folder
+from daq_service.processes.disk_policy import disk_usage, outlook
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
@@ -28,8 +29,6 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 SIZED = 1000
 """``status`` looks whether so many of the newest sets are empty; ``doctor`` and a recorder look at all."""
-PACKED_FRACTION = 0.5
-"""Size on disk over raw size: int16 pulses at 1-3 counts of noise pack to less than half."""
 
 
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
@@ -68,9 +67,8 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
     planned = plan(settings.schedule.phases, start_ns, end_h=settings.schedule.end_h)
     strikes = len(planned) * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
     echoes = len(planned) * len(settings.names_of(PULSE_ECHO))
-    strike, echo = _records(settings)
+    strike, echo = record_sizes(settings)
     raw_bytes = strikes * strike.n_bytes + echoes * echo.n_bytes
-    existing = next(place for place in (folder, *folder.parents) if place.exists())
     return {
         "name": settings.name,
         "configuration_hash": settings.configuration_hash(),
@@ -81,58 +79,18 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "sample_rate_hz": strike.sample_rate_hz if strike.known else None,
         "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
         "raw_bytes": raw_bytes,
-        "stored_bytes": round(PACKED_FRACTION * raw_bytes),
-        "free_bytes": shutil.disk_usage(existing).free,
+        "stored_bytes": stored_bytes(settings, len(planned)),
+        "free_bytes": disk_usage(folder)[0],
         "data_folder": str(folder),
         "last_due_h": planned[-1].due_h if planned else None,
         "end_utc": format_utc(planned[-1].due_utc_ns, 3) if planned else None,
     }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Record:
-    """Size of one record.
-
-    Attributes
-    ----------
-    known
-        False for a recording that is played back: its records are assumed to be like the twin's.
-    """
-
-    samples: int
-    sample_rate_hz: float
-    bytes_per_sample: int = 2
-    known: bool = True
-
-    @property
-    def n_bytes(self) -> int:
-        return self.samples * self.bytes_per_sample
-
-
-def _records(settings: Settings) -> tuple[_Record, _Record]:
-    """Record of a strike and of an echo, as the configured instruments will make them."""
-    adc, sampled_echo = settings.twin.adc, settings.twin.echo
-    known = settings.rig.kind != "playback"
-    strike = _Record(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
-    echo = _Record(
-        samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known
-    )
-    boards, probes = settings.rig.daqmx, settings.rig.niscope
-    if settings.rig.kind == "daqmx" and boards is not None:
-        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
-        strike = _Record(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
-    if settings.rig.kind == "daqmx" and probes is not None:
-        # The sum of the averaged records.
-        echo = _Record(
-            samples=probes.record_samples, sample_rate_hz=probes.sample_rate_hz, bytes_per_sample=4
-        )
-    return strike, echo
-
-
 def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Carry out ``status``."""
-    _, folder = settings_and_folder(config, data_dir)
-    facts = describe_status(folder)
+    settings, folder = settings_and_folder(config, data_dir)
+    facts = describe_status(folder, settings)
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -152,12 +110,21 @@ def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -
     click.echo(f"sets      {facts['counts']['sets']}, {facts['counts']['missed_sets']} missed")
     for file, told in facts["lost"].items():
         click.echo(f"LOST      {file} {told}; solimon repair --from BACKUP brings it back")
+    click.echo(f"disk      {_told_of_the_disk(facts['disk'])}")
     for name, row in facts["positions"].items():
         click.echo(f"{name:<9} {json.dumps(row)}")
 
 
-def describe_status(folder: Path) -> dict[str, Any]:
-    """Read the recorder's state, the counts, and the last word on each position."""
+def _told_of_the_disk(disk: dict[str, Any]) -> str:
+    level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
+    needed = disk["needed_bytes"]
+    rest = "" if needed is None else f", about {needed / 1e9:.2f} GB still to come"
+    full = "" if disk["full_at_h"] is None else f": full at hour {disk['full_at_h']:g}"
+    return f"{disk['free_bytes'] / 1e9:.2f} GB free{level}{rest}{full}"
+
+
+def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
+    """Read the recorder's state, the counts, the disk, and the last word on each position."""
     drive = look_at_drive(folder)
     supply = None if drive is None else {**asdict(drive), "description": described(drive)}
     try:
@@ -172,11 +139,13 @@ def describe_status(folder: Path) -> dict[str, Any]:
                 "held": catalogue.held(),
                 "counts": catalogue.counts(),
                 "lost": lost_sets(folder, catalogue, newest=SIZED),
+                "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {name: asdict(word) for name, word in catalogue.positions_state().items()},
                 "alarms": [values(row) for row in catalogue.rows(AlarmRow, active=True)],
             }
     except NoDataYetError:
-        nothing: dict[str, Any] = {"held": None, "counts": None, "lost": {}, "positions": {}, "alarms": []}
+        nothing: dict[str, Any] = {"held": None, "counts": None, "positions": {}, "alarms": []}
+        nothing |= {"disk": None, "lost": {}}
         recorder = look_at_recorder(folder, [])
         clock: dict[str, Any] = {"system_ahead_s": None}
         return {"recorder": recorder.description, **clock, "supply": supply, **nothing}

@@ -14,7 +14,7 @@ from dataclasses import replace
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, EventRow, Severity
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive, SupplyDrive, no_supply, summary
@@ -186,13 +186,10 @@ class DriveWatch:
 def _state_before(supply: SupplyParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
     state = DriveState()
-    told = catalogue.rows(EventRow, topics={"environment"})
-    if supply is not None and told:
-        state = restored_state(
-            catalogue.last_environment(),
-            written_utc_ns=told[-1].utc_ns,
-            parameters=supply,
-        )
+    row = None if supply is None else catalogue.last_environment()
+    told = None if row is None else catalogue.last_event("environment")
+    if supply is not None and told is not None:
+        state = restored_state(row, written_utc_ns=told.utc_ns, parameters=supply)
     tripped = alarms.get((None, "interlock_tripped"))
     standing = tripped is not None and tripped.state in ("unacknowledged", "acknowledged")
     return replace(state, tripped=tripped.message if tripped is not None and standing else None)

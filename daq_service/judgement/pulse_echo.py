@@ -45,8 +45,7 @@ class PulseEchoAssessor:
 
     def feed(self, row: ThicknessRow) -> None:
         """Take in a reading: a new one, or one that was judged before."""
-        loss_m = None if row.quality == "bad" else row.thickness_loss_m
-        self._alarm = next_alarm_state(self._alarm, self._too_thin(loss_m), self._rule)
+        self._alarm = next_alarm_state(self._alarm, self.too_thin(row), self._rule)
 
     def reinstate(self) -> None:
         """Forget nothing: a probe never retires."""
@@ -126,8 +125,10 @@ class PulseEchoAssessor:
             velocity_m_per_s=settings.velocity_m_per_s,
         )
 
-    def _too_thin(self, loss_m: float | None) -> bool | None:
-        if loss_m is None or not math.isfinite(loss_m):
+    def too_thin(self, row: ThicknessRow) -> bool | None:
+        """Tell whether a reading lies beyond the limit; None where it says nothing."""
+        loss_m = row.thickness_loss_m
+        if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
             return None
         return (
             loss_m

@@ -1,4 +1,4 @@
-"""Assessors that know what the catalogue and the archive hold: a restart feeds every set again.
+"""Assessors that know what the catalogue and the archive hold: a restart feeds the sets that they remember.
 
 The assessors, and the numerics below them, are imported when one is made: the web only asks what methods
 there are.
@@ -6,16 +6,29 @@ there are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from analysis.statistics.rules import AlarmRule, decides
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetReader, SetReference
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, values
+from daq_service.catalogue.rows import (
+    EventRow,
+    FeatureRow,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+    values,
+)
 from daq_service.settings.tree import Settings
+
+LOOK_BACK_SETS = (64, 1024, None)
+"""How many sets a restart reads; as a rule the first look tells all that a recorder would remember."""
+NEVER = 2**63 - 1
 
 if TYPE_CHECKING:
     from daq_service.judgement.pulse_echo import PulseEchoAssessor
@@ -26,54 +39,83 @@ if TYPE_CHECKING:
 def restored_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    """Give the assessor of a transducer, fed with every set and with a person's word to reinstate it."""
+    """Give the assessor of a transducer, fed with the sets that count and a person's word to reinstate it."""
     from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
 
     del archive
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
     in_baseline = [hour for hour in due_hours(settings.schedule.phases) if hour <= settings.baseline.hours]
+    last_baseline_set = len(in_baseline) - 1
     assessor = SolitaryWaveAssessor(
         position,
         settings,
-        last_baseline_set=len(in_baseline) - 1,
+        last_baseline_set=last_baseline_set,
         baseline_id=1 + list(settings.positions).index(position),
         rehearsal=rehearsal,
     )
-    before, since = _sets_by_reinstatement(position, catalogue)
-    for sets in (before, since):
+    reinstated_at = _first_set_reinstated(position, catalogue)
+    healthy = catalogue.rows(SetRow, position=position, tried=True, last_set=last_baseline_set)
+    recent = _recent_sets(position, settings, catalogue, reinstated_at)
+    sets = [*healthy, *(row for row in recent if row.set_index > last_baseline_set)]
+    since = max([last_baseline_set + 1, *(row.set_index for row in recent[:1])])
+    features = {
+        row.set_index: row
+        for first, last in ((0, last_baseline_set), (since, None))
+        for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=first, last_set=last)
+    }
+    for part in (
+        [row for row in sets if row.set_index < reinstated_at],
+        [row for row in sets if row.set_index >= reinstated_at],
+    ):
         assessor.reinstate()
-        for found in _fed(position, catalogue, sets, settings.alarms.hole_sets):
+        for found in _fed(position, catalogue, part, features, settings.alarms.hole_sets):
             assessor.feed(found)
     return assessor
 
 
-def _sets_by_reinstatement(position: str, catalogue: Catalogue) -> tuple[list[SetRow], list[SetRow]]:
-    """List a position's sets as they were committed: until it was last reinstated, and since."""
-    rows = catalogue.rows(SetRow, position=position)
-    resets = [
-        event.id or 0
-        for event in catalogue.events_after(0, {"alarms"}, limit=None)
-        if event.kind == "alarm_reset" and event.position == position and event.payload["kind"] in RETIRING
-    ]
+def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
+    """Find the first set that was committed since a transducer was last reinstated; 0: it never was.
+
+    By the order of commits: a set may be taken long after it was due.
+    """
+    told = catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position)
+    resets = [event.id or 0 for event in told if event.payload["kind"] in RETIRING]
     if not resets:
-        return [], rows
-    # By the order of commits: a set may be taken long after it was due.
-    since = {
-        event.set_index
-        for event in catalogue.events_after(resets[-1], {"sets"}, limit=None)
-        if event.position == position
-    }
-    return (
-        [row for row in rows if row.set_index not in since],
-        [row for row in rows if row.set_index in since],
-    )
+        return 0
+    first = catalogue.rows(EventRow, topic="sets", position=position, after_id=resets[-1], limit=1)
+    return NEVER if not first or first[0].set_index is None else first[0].set_index
 
 
-def _fed(position: str, catalogue: Catalogue, sets: Sequence[SetRow], hole_sets: int) -> Iterator[SetOfShots]:
+def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:
+    """List the last sets of a transducer, as far back as its memory reaches; untried ones say nothing."""
+    baseline = catalogue.baseline(position)
+    name = settings.novelty.limit
+    limit = None if baseline is None else baseline.limit_f if name == "f_predictive" else baseline.limit_paper
+    rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
+    for count in LOOK_BACK_SETS:
+        rows = catalogue.last_rows(SetRow, position, count, tried=True)
+        if len(rows) != count:
+            break
+        since = [row for row in rows if row.set_index >= reinstated_at]
+        good = any(row.n_valid >= settings.baseline.minimum_valid_shots for row in since)
+        silence_ends = good and sum(row.n_taken > 0 for row in since) >= settings.alarms.hole_sets
+        if len(since) < len(rows) or silence_ends:
+            verdicts = catalogue.rows(VerdictRow, position=position, first_set=rows[0].set_index)
+            if limit is None or decides([row.outlier for row in verdicts], rule):
+                break
+    return rows
+
+
+def _fed(
+    position: str,
+    catalogue: Catalogue,
+    sets: Sequence[SetRow],
+    of_set: Mapping[int, FeatureRow],
+    hole_sets: int,
+) -> Iterator[SetOfShots]:
     """Give sets as the step takes them; the last ones have flags, the hole rule looks no further back."""
     from daq_service.judgement.solitary_wave_step import SetOfShots
 
-    of_set = {row.set_index: row for row in catalogue.rows(FeatureRow, position=position, scope="set")}
     recent = [row.set_index for row in sets if row.n_taken][-hole_sets:]
     for row in sets:
         index = row.set_index
@@ -95,17 +137,22 @@ def _fed(position: str, catalogue: Catalogue, sets: Sequence[SetRow], hole_sets:
 def restored_pulse_echo(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> PulseEchoAssessor:
-    """Give the assessor of a probe, fed with every reading; a rehearsal's echoes are real ones."""
+    """Give the assessor of a probe, fed with the readings that count; a rehearsal's echoes are real ones."""
     from daq_service.judgement.pulse_echo import PulseEchoAssessor
 
     del rehearsal
     assessor = PulseEchoAssessor(position, settings)
-    rows = catalogue.rows(ThicknessRow, position=position)
-    read = [row.set_index for row in rows if row.travel_time_s is not None]
-    if read:
-        (its_set,) = catalogue.rows(SetRow, position=position, set_index=read[0])
-        assert its_set.file is not None, "it was read"
-        assessor.refer_to(archive.read_waveform(SetReference(its_set.file), position, 0))
+    first = catalogue.first_reading(position)
+    if first is None:
+        return assessor
+    (its_set,) = catalogue.rows(SetRow, position=position, set_index=first.set_index)
+    assert its_set.file is not None, "it was read"
+    assessor.refer_to(archive.read_waveform(SetReference(its_set.file), position, 0))
+    rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
+    for count in LOOK_BACK_SETS:
+        rows = catalogue.last_rows(ThicknessRow, position, count)
+        if len(rows) != count or decides([assessor.too_thin(row) for row in rows], rule):
+            break
     for row in rows:
         assessor.feed(row)
     return assessor

@@ -98,6 +98,7 @@ OWN_NAMES = frozenset(
         "live",
         "logs",
         "quarantine",
+        "reserve",
     }
 )
 LOCK_FILE = "recorder.lock"

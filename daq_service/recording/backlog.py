@@ -33,6 +33,8 @@ class Backlog:
     ----------
     limit_bytes
         Memory that waiting sets may take.
+    refusal
+        Why nothing may be stored now; empty: it may.
     on_change
         Called with the trouble when it begins or changes its message, with None when all is stored.
     """
@@ -42,10 +44,12 @@ class Backlog:
         *,
         limit_bytes: int,
         on_change: Callable[[Trouble | None], None],
+        refusal: Callable[[], str] = lambda: "",
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._limit_bytes = limit_bytes
         self._on_change = on_change
+        self._refusal = refusal
         self._mono_s = mono_s
         self._jobs: deque[tuple[Callable[[], None], int]] = deque()
         self._n_bytes = 0
@@ -76,13 +80,16 @@ class Backlog:
         if self.trouble is None:
             self._work()
 
-    def work(self) -> None:
-        """Try again if it is time to."""
-        if self._jobs and self._mono_s() >= self._next_s:
+    def work(self, *, at_once: bool = False) -> None:
+        """Try again if it is time to, or at once."""
+        if self._jobs and (at_once or self._mono_s() >= self._next_s):
             self._work()
 
     def _work(self) -> None:
         while self._jobs:
+            if refusal := self._refusal():
+                self._wait(refusal)
+                return
             job, n_bytes = self._jobs[0]
             try:
                 job()

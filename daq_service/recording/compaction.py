@@ -28,7 +28,7 @@ class Compaction:
     Parameters
     ----------
     filed
-        Told the file of a set and its SHA-256 before the journal forgets the set.
+        Told a set, its file and the SHA-256 of that before the journal forgets the set.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class Compaction:
         *,
         start: Callable[[], Executor] = one_worker,
         mono_s: Callable[[], float] = time.monotonic,
-        filed: Callable[[str, str], None] = lambda file, sha256: None,
+        filed: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
     ) -> None:
         self._folder, self._archive = folder, archive
         self._start, self._mono_s, self._filed = start, mono_s, filed
@@ -80,7 +80,7 @@ class Compaction:
 
     def _take_back(self, set_index: int, future: Future[tuple[SetReference, str]]) -> None:
         try:
-            self._filed(*future.result())
+            self._filed(set_index, *future.result())
         except SetNotFoundError:
             log.debug("set %d is not in the journal: it has its file already", set_index)
         except CorruptArchiveError as error:
@@ -102,6 +102,11 @@ class Compaction:
     def trouble(self) -> str:
         """Why a set has no file although one was tried; empty: there is no such set."""
         return self._refusal or self._damage
+
+    @property
+    def n_under_way(self) -> int:
+        """Sets that the worker was given and has not finished."""
+        return len(self._running)
 
     @property
     def waits(self) -> bool:

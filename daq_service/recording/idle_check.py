@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from daq_service.archive import SetNotFoundError
-from daq_service.archive.records import SETS_FOLDER, referenced_sets
+from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_indices
 from daq_service.archive.verification import damage_of
 from daq_service.recording.backlog import PASSING
 from daq_service.recording.compaction import Compaction
@@ -33,7 +33,7 @@ class IdleCheck:
     lost
         Names the files that are gone, and how (`lost_sets`).
     sha256_of
-        Tells the SHA-256 of a file as it was written; None: nobody noted it.
+        Tells the SHA-256 of a set's file as it was written; None: nobody noted it.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class IdleCheck:
         folder: Path,
         compaction: Compaction,
         lost: Callable[[], Mapping[str, str]],
-        sha256_of: Callable[[str], str | None],
+        sha256_of: Callable[[int], str | None],
         *,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -95,8 +95,9 @@ class IdleCheck:
                 self.begin()
             if self._to_come:
                 file = self._to_come[0]
+                (set_index,) = set_indices([Path(file).name])
                 future_or_none = self._compaction.beside(
-                    damage_of, self._folder / file, self._sha256_of(file)
+                    damage_of, self._folder / file, self._sha256_of(set_index)
                 )
                 if future_or_none is not None:
                     self._running = file, future_or_none

@@ -183,7 +183,7 @@ class Ledger:
         Called again after an error, it first looks whether the commit took place all the same.
         """
         indices = {row.set_index for row in transaction.sets}
-        if transaction is self._tried and indices <= self._catalogue.committed_sets():
+        if transaction is self._tried and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         self._tried = transaction if indices else self._tried

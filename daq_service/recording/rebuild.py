@@ -109,6 +109,7 @@ def rebuild(
             its_settings = stored_settings(experiment.configuration)
             found = replay(its_settings, experiment, archive, catalogue, told, progress, features_of)
             refuse_foreign(found.foreign, str(folder))
+            catalogue.recount()
             n_events = catalogue.counts()["events"]
         refuse_damage(place)
         name = _replace(folder, place)

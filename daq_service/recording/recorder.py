@@ -27,7 +27,7 @@ from daq_service.acquisition.taken_set import (
     features_of_a_rehearsal,
 )
 from daq_service.alarms.clock_trouble import doubt_condition
-from daq_service.alarms.data_trouble import damage_condition, storage_condition
+from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
@@ -38,6 +38,7 @@ from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
+from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
@@ -59,6 +60,8 @@ log = logging.getLogger(__name__)
 
 WAIT_FOR_FILES_S = 60.0
 """A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
+MOST_UNDER_WAY = 40
+"""Whole sets whose files are being made: two segments of the journal."""
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
@@ -66,6 +69,8 @@ SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
 one comes at once, since nobody knows how long the boards have been warm."""
 
+DISK_SPACE = "disk_space"
+"""Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
 OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 Teller = Callable[..., None]
@@ -96,6 +101,7 @@ class Recorder:
         listen_every_s: float = LISTEN_EVERY_S,
         remote_drive: RemoteDrive | None = None,
         history: HistoryFollower | None = None,
+        disk: DiskWatch | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -123,8 +129,12 @@ class Recorder:
         self._told_ids: set[int] = set()
         self._cost = Cost()
         self._mono_s = mono_s
+        self._disk = disk
         self._backlog = Backlog(
-            limit_bytes=settings.storage.memory_mb * 10**6, on_change=self._tell_trouble, mono_s=mono_s
+            limit_bytes=settings.storage.memory_mb * 10**6,
+            on_change=self._tell_trouble,
+            refusal=self._refusal,
+            mono_s=mono_s,
         )
         done = catalogue.committed_sets()
         self._open = dict(archive.open_sets())
@@ -179,6 +189,7 @@ class Recorder:
                 self._take_when_due(due)
             if not self._stop.is_set() and not self._may_run_ahead:
                 self._wait_for_the_disk()
+                self._wait_for_the_worker()
             if self._stop.is_set():
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
@@ -288,6 +299,8 @@ class Recorder:
 
     def _acknowledge(self) -> bool:
         """Make durable what was taken, and tell its ids; a disk that refuses is asked again at the end."""
+        if self._refusal():
+            return False
         try:
             self._tell_ids(self._archive.sync())
         except PASSING as error:
@@ -374,7 +387,7 @@ class Recorder:
         def judged() -> Transaction:
             stored = self._archive.store_set(record)
             self._tell_ids(stored.crc32)
-            self._told_ids.clear()
+            self._told_ids.difference_update(stored.crc32)
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
@@ -577,10 +590,18 @@ class Recorder:
     def _wait_for_the_disk(self) -> None:
         while self._backlog.trouble is not None and self._idle():
             self._stop.wait(LINGER_S)
+        if self._backlog.trouble is not None and self._disk is not None:
+            self._disk.give_back()
+            self._backlog.work(at_once=True)
         if self._backlog.trouble is not None:
             log.error(
                 "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
             )
+
+    def _wait_for_the_worker(self) -> None:
+        """Let no simulated time outrun the files: journal and memory would grow with the test."""
+        while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and self._idle():
+            self._stop.wait(LINGER_S / 10.0)
 
     def _wait_for_the_files(self) -> None:
         """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
@@ -590,6 +611,23 @@ class Recorder:
         while self._idle() and self._compaction.waits and self._mono_s() < until_s:
             self._compaction.try_again()
             self._stop.wait(LINGER_S)
+
+    def _refusal(self) -> str:
+        """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
+        return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
+
+    def _look_at_the_disk(self) -> None:
+        """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
+        space = None if self._disk is None else self._disk.look()
+        if space is None:
+            return
+        log.warning("%s: level %s", space.told, space.level)
+        self._say(DISK_SPACE, asdict(space))
+        condition = space_condition(
+            space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+        )
+        with suppress(*PASSING):  # the event follows when the disk takes it
+            self._ledger.tell(condition, self._moment())
 
     def _tell_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
@@ -647,6 +685,7 @@ class Recorder:
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._tell_clock_steps()
+        self._look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._backlog.trouble is None:
             self._backlog.put(self._orders.listen)

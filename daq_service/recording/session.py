@@ -25,6 +25,7 @@ from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elap
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
 from daq_service.errors import BusyError, RigError
 from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.worker import one_worker
@@ -63,6 +64,7 @@ def record(
     waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
     wall_clock: Callable[[Before], Clock] = WallClock,
     remote_drive: RemoteDrive | None = None,
+    disk_usage: Usage = disk_usage,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
@@ -86,6 +88,8 @@ def record(
         Makes the clock of a test in real time, of what is known of the time before.
     remote_drive
         The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
+    disk_usage
+        Tells free and all bytes of the folder's volume.
 
     Returns
     -------
@@ -132,7 +136,7 @@ def record(
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, tell=tell, time_line=line)
         rig = _open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
-            resuming=bool(catalogue.committed_sets()),
+            resuming=bool(catalogue.rows(SetRow, limit=1)),
             restarted=bool(restarted_because),
             heartbeat=heartbeat,
             stop=stop,
@@ -151,6 +155,8 @@ def record(
         stack.callback(compaction.close)
         idle_check = IdleCheck(folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of)
         live = LivePicture(folder, rig.kind)
+        disk = DiskWatch(folder, settings.storage, usage=disk_usage)
+        stack.callback(disk.give_back)
         recorder = Recorder(
             settings,
             archive,
@@ -168,6 +174,7 @@ def record(
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,
             history=history,
+            disk=disk,
         )
         stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)
@@ -195,10 +202,10 @@ def _made_again(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[
 
 def _note_digests(catalogue: RecorderCatalogue, archive: Archive) -> None:
     """Note the SHA-256 of files from before it was, or that a crash kept from being noted."""
-    for file in catalogue.without_digest():
+    for set_index, file in catalogue.without_digest().items():
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
-            catalogue.set_digest(file, sha256)
+            catalogue.set_digest(set_index, file, sha256)
 
 
 def longest_call_s(rig: RigSettings) -> float:
@@ -276,9 +283,9 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
     """Where a simulated clock goes on: at the end of the last committed set, or within an open one."""
-    ended = [row.ended_utc_ns for row in catalogue.rows(SetRow) if row.ended_utc_ns is not None]
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
-    return max([*ended, *opened], default=epoch_ns)
+    ended_ns = catalogue.last_ended_utc_ns()
+    return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
 
 
 def _why_not_running(beat: Beat | None, restarted_because: str) -> str:

@@ -238,9 +238,30 @@ class StorageSettings(Section):
     """Data folder, relative to the configuration file."""
     memory_mb: int = Field(default=512, ge=1, le=1_000_000)
     """Records kept in memory, in MB, while the disk takes nothing; sets due beyond are missed."""
+    reserve_mb: int = Field(default=64, ge=0, le=100_000)
+    """Space kept in a file of the data folder and given back when the disk is full, so that a stop is still
+    stored in order; 0: none."""
+    warn_free_fraction: float = Field(default=0.20, ge=0.0, le=0.9)
+    """Free part of the volume below which an event warns."""
+    alarm_free_fraction: float = Field(default=0.10, ge=0.0, le=0.9)
+    """Free part below which the alarm `disk_space` stands."""
+    stop_free_fraction: float = Field(default=0.05, ge=0.0, le=0.9)
+    """Free part below which nothing more is stored; the test goes on by itself when space is freed."""
+    volume_gb: float = Field(default=1000.0, gt=0.0, le=1e9)
+    """Of a larger volume the parts are those of one of this size: 5 % of 10 TB would be far too much."""
     journal: bool = True
     """Each shot is durable at once (on a simulated clock each set), and a set that is cut short goes on after
     a restart; false: whole sets only."""
+
+    @model_validator(mode="after")
+    def _limits_follow_each_other(self) -> Self:
+        if not self.stop_free_fraction <= self.alarm_free_fraction <= self.warn_free_fraction:
+            raise ValueError(
+                f"stop_free_fraction is {self.stop_free_fraction:g}, alarm_free_fraction "
+                f"{self.alarm_free_fraction:g}, warn_free_fraction {self.warn_free_fraction:g}; each must be "
+                "at most the next"
+            )
+        return self
 
 
 class WebSettings(Section):

@@ -56,6 +56,7 @@ def test_the_next_recorder_makes_it_again_and_goes_on_from_the_same_hour_0(machi
     machine.sleep(3000.0)
     assert run(settings_of(), begun, wall_clock=machine.clock)
     after = table_rows(begun)
+    del before["counts"]  # they go on; below they are compared
     for name, rows in before.items():
         columns = 4 if name == "verdicts" else None  # those of the baseline's sets waited for it
         assert [row[:columns] for row in after[name][: len(rows)]] == [row[:columns] for row in rows], name

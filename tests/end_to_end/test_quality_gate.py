@@ -531,7 +531,7 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
     ]
     assert not run(settings, tmp_path, rig=ordering_rig(tmp_path, stop_at_2))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
-    assert describe_status(tmp_path)["held"] == "held by ann: hands in the rig"
+    assert describe_status(tmp_path, Settings())["held"] == "held by ann: hands in the rig"
     print_status(config=None, data_dir=tmp_path, as_json=False)
     assert "on hold   held by ann: hands in the rig" in capsys.readouterr().out
     orders: list[Order] = [(2.4, "release", {"note": "closed"}), (2.4, "release", {})]
@@ -546,7 +546,7 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
         ("done", "released"),
         ("refused", "the test is not on hold"),
     ]
-    assert describe_status(tmp_path)["held"] is None
+    assert describe_status(tmp_path, Settings())["held"] is None
 
 
 def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> None:

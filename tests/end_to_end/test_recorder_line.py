@@ -19,7 +19,9 @@ import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
+from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -60,6 +62,16 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     folder = tmp_path_factory.mktemp("pair")
     assert run(pair_settings(), folder)
     return rows_of(folder)
+
+
+def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
+    settings = small_settings()
+    files = sum(path.stat().st_size for path in (finished / "sets").iterdir())
+    # 5 %: temperature, drop height and thinning wall make pulses, so also their bytes, differ by shot.
+    assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
+    # The empty tables, 0.3 MB, weigh more beside ten records a set than in a test of months.
+    catalogue = (finished / FILE_NAME).stat().st_size
+    assert pytest.approx(catalogue, abs=0.4e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 
 
 def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None:

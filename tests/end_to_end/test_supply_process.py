@@ -190,7 +190,7 @@ class Test:
         now = look_at_drive(self.folder)
         assert now is not None
         assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
-        said = describe_status(self.folder)["supply"]["description"]
+        said = describe_status(self.folder, Settings())["supply"]["description"]
         assert "switched off and kept off: nobody watched" in said
 
 

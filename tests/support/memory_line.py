@@ -32,7 +32,9 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.orders.obey import LISTEN_EVERY_S
+from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
@@ -194,6 +196,8 @@ class Line:
         mono_s: Callable[[], float] = time.monotonic,
         acknowledged: Callable[[int], None] = lambda shot_id: None,
         idle_check: IdleCheck | None = None,
+        disk: DiskWatch | None = None,
+        compaction: Compaction | None = None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -238,6 +242,8 @@ class Line:
                 idle_check=idle_check,
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
+                disk=disk,
+                compaction=compaction,
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sqlalchemy import Engine, text
+from sqlalchemy import Engine, insert, text
 
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
-from daq_service.catalogue.sealed import seal_unsealed
-from daq_service.catalogue.tables import metadata
+from daq_service.catalogue.rows import CountsRow
+from daq_service.catalogue.sealed import seal_unsealed, storable
+from daq_service.catalogue.tables import counts, metadata
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 """The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four
@@ -42,6 +43,7 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
             connection.execute(text(_VERSION_TABLE))
             version = text("INSERT INTO alembic_version VALUES (:revision)")
             connection.execute(version, {"revision": SCHEMA_REVISION})
+            connection.execute(insert(counts), storable(CountsRow()))
         return
     # Alembic takes half a second to import: only a folder of an earlier version needs it.
     from alembic import command

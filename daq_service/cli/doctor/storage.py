@@ -19,6 +19,7 @@ from daq_service.cli.doctor.check import Check
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
+from daq_service.processes.disk_policy import disk_space
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
@@ -180,13 +181,14 @@ def _space(settings: Settings, folder: Path) -> Check:
     facts = describe_plan(settings, folder)
     stored = FolderSetReader(folder).n_bytes()
     needed, free = max(0, facts["stored_bytes"] - stored), int(facts["free_bytes"])
-    enough = free >= needed
+    level = disk_space(folder, settings.storage).level
+    enough = free >= needed and level != "stop"
     return Check(
         area="folder",
         name="disk: space",
-        state="fail" if not enough else "ok" if free >= COMFORTABLE * needed else "warn",
+        state="fail" if not enough else "ok" if free >= COMFORTABLE * needed and level == "ample" else "warn",
         found=f"{free / 1e9:.2f} GB free, about {needed / 1e9:.2f} GB still to come "
         f"({facts['sets']} sets planned, {stored / 1e9:.2f} GB stored)",
         remedy="free space, or choose a larger disk with --data-dir",
-        values={"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored},
+        values={"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored, "level": level},
     )

@@ -32,6 +32,7 @@ from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.keeping.verify import BACK, Finding, expected_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
+from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
 from daq_service.shared_file import (
     O_BINARY,
@@ -48,6 +49,7 @@ LEFT_OUT = {
     JOURNAL_FOLDER,
     BACKUP_FILE,
     HISTORY_FILE,
+    RESERVE_FILE,
     "live",
     HEARTBEAT_FILE,
     LOCK_FILE,

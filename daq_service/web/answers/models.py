@@ -326,6 +326,16 @@ class RecorderHealth(Answer):
     deadline_s: float | None
 
 
+class DiskOutlook(Answer):
+    """What is free, and whether the rest of the test fits; null: not known before the first set's file."""
+
+    free_bytes: int
+    total_bytes: int
+    level: Literal["ample", "warn", "alarm", "stop"]
+    needed_bytes: int | None
+    full_at_h: float | None
+
+
 class ServiceHealth(Answer):
     """How the parts are."""
 
@@ -335,6 +345,7 @@ class ServiceHealth(Answer):
     stream_clients: int
     waveform_clients: int
     disk_free_bytes: int
+    disk: DiskOutlook
 
 
 class Trend(Answer):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
+from dataclasses import asdict
 
 from fastapi import APIRouter
 
+from daq_service.processes.disk_policy import outlook
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Liveness, ServiceHealth, problems
 from daq_service.web.context import ContextOf
@@ -32,6 +33,7 @@ def get_health(context: ContextOf) -> JsonAnswer:
     """Tell the recorder's sign of life, how much is stored, who is connected, free disk."""
     fresh = context.freshness()
     beat = fresh.recorder.beat
+    disk = outlook(context.data_folder, context.settings, context.catalogue())
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),
@@ -44,6 +46,7 @@ def get_health(context: ContextOf) -> JsonAnswer:
             "counts": context.catalogue().counts(),
             "stream_clients": context.hub.clients,
             "waveform_clients": context.live.clients,
-            "disk_free_bytes": shutil.disk_usage(context.data_folder).free,
+            "disk_free_bytes": disk.free_bytes,
+            "disk": asdict(disk),
         }
     )

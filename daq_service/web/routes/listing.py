@@ -16,7 +16,6 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf, Freshness
-from hardware_drivers.nanoseconds import NS_PER_H
 
 LARGEST_PAGE = 1000
 LARGEST_HOUR = 1e7
@@ -68,7 +67,7 @@ def add_listing(
     filters: Mapping[str, tuple[Any, Any]],
     answers: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
 ) -> None:
-    """Serve a table at ``/{resource}``: bounded pages in the order of its ids.
+    """Serve a table at ``/{resource}``: bounded pages in the order of `Catalogue.rows`.
 
     Parameters
     ----------
@@ -90,7 +89,7 @@ def add_listing(
         name = listing_name(resource, **given)
         given["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        rows = catalogue.rows(kind, limit=limit + 1, **_filters(kind, fresh, given))
+        rows = catalogue.rows(kind, limit=limit + 1, **_filters(given))
         of_page = rows[:limit]
         shown = answers(context, fresh, of_page) if answers else [fresh.row(row) for row in of_page]
         following = cursors.encode(name, shown[-1]["id"]) if len(rows) > limit else None
@@ -117,16 +116,11 @@ def add_listing(
     )(listing)
 
 
-def _filters(kind: type[Row], fresh: Freshness, given: Mapping[str, Any]) -> Filters:
-    """Translate for the catalogue; what has a date by it, the rest by the hour it belongs to."""
+def _filters(given: Mapping[str, Any]) -> Filters:
+    """Translate for the catalogue."""
     from_h, to_h = given.get("from_h"), given.get("to_h")
     chosen: dict[str, Any] = {name: given[name] for name in given if name not in HOURS}
-    if not {"due_utc_ns", "utc_ns"}.isdisjoint(kind.__slots__):
-        chosen["since_utc_ns"] = None if from_h is None else fresh.epoch_utc_ns + round(from_h * NS_PER_H)
-        chosen["until_utc_ns"] = None if to_h is None else fresh.epoch_utc_ns + round(to_h * NS_PER_H)
-    else:
-        chosen |= {"first_h": from_h, "last_h": last_hour(from_h, to_h)}
-    return cast(Filters, chosen)
+    return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
 
 
 def listing_name(resource: str, **filters: object) -> str:

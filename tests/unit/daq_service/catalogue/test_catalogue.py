@@ -627,10 +627,7 @@ def test_sets_are_filtered_and_paged(filled):
     rest = filled.rows(SetRow, after_id=first[-1].id)
     assert len(first) == 4
     assert [row.id for row in first + rest] == [row.id for row in filled.rows(SetRow)]
-    between = filled.rows(
-        SetRow, position="B", since_utc_ns=EPOCH_NS + 2 * NS_PER_H, until_utc_ns=EPOCH_NS + 4 * NS_PER_H
-    )
-    assert [row.set_index for row in between] == [2, 3]
+    assert [row.set_index for row in filled.rows(SetRow, position="B", first_h=2.0, last_h=3.5)] == [2, 3]
 
 
 def test_features_are_asked_for_by_hours_inclusive(filled):

@@ -42,7 +42,7 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
     catalogue.finish_command(order, "done", "on hold")
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
-    catalogue.set_digest("sets/a.h5", "ab" * 32)
+    catalogue.set_digest(0, "sets/a.h5", "ab" * 32)
     follower.follow()
     follower.follow()
     history = read_history(tmp_path)

@@ -18,7 +18,7 @@ from daq_service.processes.supervisor import FINAL_CODES
     ],
 )
 def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, raised, code, words):
-    def fail(folder):
+    def fail(folder, settings):
         raise raised
 
     monkeypatch.setattr(inspection, "describe_status", fail)

@@ -164,7 +164,7 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     if left is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(left(), encoding="utf-8")
-    assert describe_status(folder)["recorder"] in (REBOOTED, "never started here")
+    assert describe_status(folder, Settings())["recorder"] in (REBOOTED, "never started here")
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
             give_order(kind, config=None, data_dir=folder, note="", author="ann", as_json=False)

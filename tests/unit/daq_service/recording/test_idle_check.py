@@ -44,7 +44,7 @@ class Idle:
         self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
         self.compaction = Compaction(folder, FolderArchive(folder), start=lambda: self.worker)
         self.check = IdleCheck(
-            folder, self.compaction, lambda: self.lost, lambda file: None, mono_s=lambda: self.now_s
+            folder, self.compaction, lambda: self.lost, lambda index: None, mono_s=lambda: self.now_s
         )
 
     def steps(self, count, free_s=LONG_S):

@@ -3,6 +3,7 @@
 import threading
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
@@ -25,6 +26,12 @@ def line(tmp_path):
     folder = tmp_path / "data"
     folder.mkdir()
     return Line(folder)
+
+
+@pytest.fixture(autouse=True)
+def looks_back_in_small_steps(monkeypatch):
+    """A restart reads a year of sets in two looks: here even these few take more than one."""
+    monkeypatch.setattr("daq_service.judgement.restored.LOOK_BACK_SETS", (1, 3, 7, None))
 
 
 class Drive:
@@ -89,6 +96,70 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
         with ledger_of(again) as ledger:  # a new one for every set
             judge(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
+
+
+def remembered(line, monkeypatch, looks):
+    """What a restart knows of each transducer, and how many sets it read."""
+    read = []
+
+    def last_rows(self, kind, position, count, **filters):
+        rows = found(self, kind, position, count, **filters)
+        read.append(len(rows))
+        return rows
+
+    found = RecorderCatalogue.last_rows
+    monkeypatch.setattr("daq_service.judgement.restored.LOOK_BACK_SETS", looks)
+    with monkeypatch.context() as patched, ledger_of(line) as ledger:
+        patched.setattr(RecorderCatalogue, "last_rows", last_rows)
+        with ledger_of(line):
+            pass
+        states = [ledger._assessors[name]._state for name in "BCD"]
+    known = [
+        (state.alarm, state.hole, state.poor_sets, [found.set_index for found in state.healthy])
+        for state in states
+    ]
+    return known, max(read)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_restart_that_reads_the_last_sets_knows_what_all_of_them_tell(line, monkeypatch, seed):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},
+        baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 2},
+        quality={"retire_after_sets": 0, "restrikes_per_set": 0},
+        alarms={"k": 2, "n": 3, "hole_shots": 3, "hole_sets": 30},
+    )
+
+    def script(key):
+        lot = np.random.default_rng([seed, ord(key.position), key.set_index // 3]).random()
+        if key.position == "A" or lot < 0.4 or key.set_index < 16:
+            return healthy(key)
+        return healthy(key, shift=0.5) if lot < 0.7 else silent("noisy") if lot < 0.85 else None
+
+    line.script = script
+    line.run()
+    expected, _ = remembered(line, monkeypatch, (None,))
+    assert remembered(line, monkeypatch, (2, 4, 9, None))[0] == expected
+    assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
+
+
+def test_a_restart_knows_an_alarm_that_was_raised_long_before(line, monkeypatch):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
+        baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
+        alarms={"k": 2, "n": 3},
+    )
+    # Two outliers running raise it; one in three is too much for it to clear, and too little to raise it.
+    line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
+    line.run()
+    known, _ = remembered(line, monkeypatch, (4, None))
+    assert [alarm.active for alarm, *_ in known] == [True] * 3
+
+
+def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
+    line.run()
+    _, most = remembered(line, monkeypatch, (6, None))
+    assert most == 6
 
 
 def test_a_hole_trips_the_drive_at_once_and_once(line):

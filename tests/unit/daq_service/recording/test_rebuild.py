@@ -103,7 +103,7 @@ def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):
     assert [row for row in before["events"] if row not in after["events"]] == [
         row for row in before["events"] if row[4] == "hold"
     ]
-    assert {name for name in before if before[name] != after[name]} == {"events"}
+    assert {name for name in before if before[name] != after[name]} == {"events", "counts"}
 
 
 def test_a_lost_line_that_follows_from_a_set_has_its_id_again(line):

@@ -11,7 +11,9 @@ from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.errors import RigError
+from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
 from daq_service.recording.backlog import Backlog
+from daq_service.settings.tree import StorageSettings
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -186,6 +188,105 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     assert not line.run(archive=FullDisk(line, 3, 10**9), stop=stop, mono_s=Seconds())
     assert len(line.rows("sets", "B")) == 3
     assert "jobs are lost that no disk took" in caplog.text
+
+
+class SlowWorker:
+    """Finishes a set at every fourth look."""
+
+    trouble = ""
+
+    def __init__(self):
+        self.n_under_way = self.most = self.looks = 0
+
+    @property
+    def waits(self):
+        return self.n_under_way > 0
+
+    def put(self, set_index):
+        self.n_under_way += 1
+        self.most = max(self.most, self.n_under_way)
+
+    def work(self):
+        self.looks += 1
+        self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
+
+    try_again = work
+
+
+def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
+    monkeypatch.setattr("daq_service.recording.recorder.MOST_UNDER_WAY", 2)
+    worker = SlowWorker()
+    assert line.run(archive=MemoryArchive(line.shelf, journal=True), compaction=worker)
+    assert (worker.most, worker.n_under_way) == (3, 0)
+    assert states(line, "B") == ["done"] * SETS
+
+
+class Volume:
+    """A volume of 100 GB that fills when a set is struck, and is freed after so many looks at it."""
+
+    def __init__(self, line, set_index, free_gb, looks):
+        self.line, self.set_index, self.free_gb, self.left = line, set_index, free_gb, looks
+        line.script = self.script
+
+    def script(self, key):
+        self.struck = key.set_index
+        return healthy(key)
+
+    def __call__(self, folder):
+        full = self.left and getattr(self, "struck", 0) >= self.set_index
+        self.left -= bool(full)
+        return round((self.free_gb if full else 50.0) * 1e9), 10**11
+
+    def watch(self):
+        return DiskWatch(self.line.folder, StorageSettings(reserve_mb=1), usage=self, mono_s=Seconds())
+
+
+def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
+    assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
+    assert_same_rows(line, whole)
+    alarms = {row.kind: row for row in line.rows("alarms")}
+    assert alarms["disk_space"].severity == "high"
+    assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
+    assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
+    assert [row.payload["level"] for row in told(line, "disk_space")] == ["stop", "ample"]
+    assert any("below 5% nothing more is stored" in doing for doing in line.heartbeat.told)
+
+
+def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
+    line.settings = memory_settings(clock={"kind": "wall"})
+    volume, archive, at = Volume(line, 3, 4.9, 60), MemoryArchive(line.shelf, journal=True), []
+    assert line.run(
+        disk=volume.watch(),
+        mono_s=Seconds(),
+        archive=archive,
+        acknowledged=lambda shot_id: at.append((shot_id, volume.left)),
+    )
+    assert line.instruments[0].struck == whole.instruments[0].struck
+    assert line.rows("sets") == whole.rows("sets")
+    assert {left for _, left in at} == {60, 0}, "before the volume was full and after it was freed"
+    assert sorted(shot_id for shot_id, _ in at) == [row.sequence for row in line.rows("shots")]
+
+
+@pytest.mark.parametrize(
+    ("free_gb", "level", "alarms"), [(15.0, "warn", []), (9.0, "alarm", [("disk_space", "medium")])]
+)
+def test_above_five_percent_the_test_goes_on_with_an_event_or_an_alarm(line, whole, free_gb, level, alarms):
+    assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
+    assert [row.payload["level"] for row in told(line, "disk_space")] == [level, "ample"]
+    assert [(row.kind, row.severity) for row in line.rows("alarms")] == alarms
+    assert_same_rows(line, whole)
+
+
+def test_a_stop_stores_what_waits_in_the_space_that_is_left(line, caplog):
+    stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
+    volume = Volume(line, 2, 4.9, 10**9)
+    line.settings = memory_settings(clock={"kind": "wall"})
+    line.script = lambda key: (stop.set() if key == last else None, volume.script(key))[1]
+    disk = volume.watch()
+    assert not line.run(disk=disk, stop=stop, mono_s=Seconds(1.0))
+    assert states(line, "B") == ["done"] * 4
+    assert not (line.folder / RESERVE_FILE).exists()
+    assert "jobs are lost" not in caplog.text
 
 
 def test_a_restart_gives_the_rows_of_a_run_in_one_go(line, tmp_path):

@@ -235,6 +235,7 @@ def test_a_long_gap_is_believed_of_a_synchronised_clock_and_a_short_one_of_any(
 
 
 def test_a_person_may_trust_a_doubted_clock(laboratory):
+    laboratory.line.listen_every_s = 0.0
     laboratory.killed_after(2.2)
     laboratory.machine.start_again(laboratory.machine.utc_ns + 100 * NS_PER_H)
     laboratory.machine.after(0.01, lambda: laboratory.line.order("trust_clock"))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from daq_service.cli.doctor.machine import ask_system, machine_checks
 from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.cli.doctor.trial import Trial
+from daq_service.cli.forecast import stored_bytes
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import config_file, load_settings
@@ -233,19 +235,29 @@ def test_a_network_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert (found.state, "nfs4" in found.found) == ("fail", True)
 
 
-@pytest.mark.parametrize(("free", "state"), [(10_000_000_000, "ok"), (300_000_000, "warn"), (1_000, "fail")])
+@pytest.mark.parametrize(
+    ("free", "state"), [(10 * 10**9, "ok"), (600 * 10**6, "warn"), (300 * 10**6, "fail")]
+)
 def test_the_disk_is_compared_with_the_plan(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
 ) -> None:
     class Usage:
-        pass
+        total = 10_000_000_000
 
     Usage.free = free  # type: ignore[attr-defined]
-    monkeypatch.setattr("daq_service.cli.inspection.shutil.disk_usage", lambda place: Usage)
+    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: Usage)
     found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
     assert found.state == state
-    # 425 sets of 30 strikes and one echo, int16, packed to half.
-    assert found.values["needed_bytes"] == 425 * (30 * 13_600 + 2048)
+    assert found.values["needed_bytes"] == stored_bytes(Settings(), 425)
+
+
+@pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
+def test_a_full_volume_is_told_though_the_test_would_fit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
+) -> None:
+    usage = SimpleNamespace(free=free * 10**9, total=10**12)
+    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
+    assert by_name(storage_checks(Settings(), tmp_path))["disk: space"].state == state
 
 
 # Owner ----------------------------------------------------------------------------------------------

@@ -1,0 +1,143 @@
+"""How large a test's folder becomes: from the file of one set, built in memory as the archive builds it.
+
+Records pack as well as their noise lets them, so the built set is made of noisy records: of the twin's noise,
+also where other instruments will strike. Nobody knows theirs before they have.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from daq_service.settings.tree import Settings
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+
+CATALOGUE_BYTES_A_RECORD = 470
+"""Rows and events in the catalogue over records: `benchmarks/year_of_20_positions.py` prints both."""
+FOLDER_BYTES = 2 * 16 * 2**20 + 2**20
+"""Two segments of the journal, and a catalogue without rows, live pictures and configuration."""
+BUILT_BYTES = 32 * 2**20
+"""A set of more raw bytes is built with fewer shots and scaled, so that a plan is told at once."""
+TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
+"""The twin stores as many facts with each shot."""
+ECHO_TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(6)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordSize:
+    """Size of one record.
+
+    Attributes
+    ----------
+    known
+        False for a recording that is played back: its records are assumed to be like the twin's.
+    """
+
+    samples: int
+    sample_rate_hz: float
+    bytes_per_sample: int = 2
+    known: bool = True
+
+    @property
+    def n_bytes(self) -> int:
+        """Bytes of its counts."""
+        return self.samples * self.bytes_per_sample
+
+
+def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
+    """Record of a strike and of an echo, as the configured instruments will make them."""
+    adc, sampled_echo = settings.twin.adc, settings.twin.echo
+    known = settings.rig.kind != "playback"
+    strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
+    echo = RecordSize(
+        samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known
+    )
+    boards, probes = settings.rig.daqmx, settings.rig.niscope
+    if settings.rig.kind == "daqmx" and boards is not None:
+        # Boards of up to 16 bits; one of 18 bits takes twice as much, which only the board itself tells.
+        strike = RecordSize(samples=boards.record_samples, sample_rate_hz=boards.sample_rate_hz)
+    if settings.rig.kind == "daqmx" and probes is not None:
+        # The sum of the averaged records.
+        echo = RecordSize(
+            samples=probes.record_samples, sample_rate_hz=probes.sample_rate_hz, bytes_per_sample=4
+        )
+    return strike, echo
+
+
+def stored_bytes(settings: Settings, n_sets: int) -> int:
+    """Bytes of the data folder after so many sets: files, catalogue, journal and reserve."""
+    records = settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE)) + len(
+        settings.names_of(PULSE_ECHO)
+    )
+    a_set = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
+    return round(n_sets * a_set) + FOLDER_BYTES + settings.storage.reserve_mb * 10**6
+
+
+def built_set_bytes(settings: Settings) -> float:
+    """Bytes of the file of one whole set."""
+    from daq_service.archive.layout import build_image
+
+    strike, echo = record_sizes(settings)
+    transducers, shots = len(settings.names_of(SOLITARY_WAVE)), settings.schedule.shots_per_set
+    built = max(1, min(shots, BUILT_BYTES // max(1, strike.n_bytes * transducers)))
+    return len(build_image(_set_of(settings, strike, echo, built))) * shots / built
+
+
+def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
+    """Make a set of noisy records: its pulses only fill the upper bytes of few samples."""
+    import numpy as np
+
+    from daq_service.archive import PositionRecord, SetRecord
+    from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
+
+    random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
+
+    def waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
+        time_s = np.arange(size.samples) / size.sample_rate_hz
+        phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
+        volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4
+        volts += twin.noise.enabled * noise_v * random.standard_normal(size.samples)
+        step_v = adc.range_v / 2.0 ** (adc.resolution_bits - 1)
+        calibration = Calibration(
+            coefficients_v=np.array([0.0, step_v]), resolution_bits=adc.resolution_bits, range_v=adc.range_v
+        )
+        wide = size.bytes_per_sample == 4 or adc.resolution_bits > 16
+        return Waveform(
+            counts=np.rint(volts / step_v)
+            .clip(*calibration.full_scale_counts)
+            .astype(np.int32 if wide else np.int16),
+            sample_rate_hz=size.sample_rate_hz,
+            pretrigger_samples=0,
+            calibration=calibration,
+        )
+
+    for position, place in settings.positions.items():
+        for shot_index in range(1 if place.method == PULSE_ECHO else shots):
+            taken: dict[str, Any] = {
+                "sequence": len(records) + 1,
+                "key": ShotKey(position=position, set_index=0, shot_index=shot_index),
+                "stamp": Stamp(utc_ns=10**18 + len(records), mono_ns=len(records), boot_id="simulated"),
+            }
+            if place.method == PULSE_ECHO:
+                noise_v = twin.echo.noise_rms_v / twin.echo.averages**0.5
+                wave = waveform(echo, twin.echo, noise_v, 10e-6, 1e-6)
+                settings_of: dict[str, Any] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 1}
+                records.append(PulseEchoRecord(**taken, **settings_of, waveform=wave, truth=ECHO_TRUTH))
+            else:
+                wave = waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
+                records.append(Shot(**taken, waveform=wave, truth=TRUTH))
+    return SetRecord(
+        set_index=0,
+        due_utc_ns=10**18,
+        due_h=0.5,
+        started_utc_ns=10**18,
+        ended_utc_ns=10**18,
+        rig_kind=settings.rig.kind,
+        positions=[
+            PositionRecord(position=name, method=place.method, n_planned=shots, label=place.label)
+            for name, place in settings.positions.items()
+        ],
+        shots=[record for record in records if isinstance(record, Shot)],
+        echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
+        provenance={"configuration": settings.model_dump(mode="json")},
+    )

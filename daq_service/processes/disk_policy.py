@@ -1,0 +1,194 @@
+"""How full the volume of a data folder is, what follows from that, and the space kept back for a stop."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from daq_service.acquisition.schedule import due_hours
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.settings.tree import Settings, StorageSettings
+from daq_service.shared_file import O_BINARY, remove_quietly, write_all
+
+log = logging.getLogger(__name__)
+
+RESERVE_FILE = "reserve"
+LOOK_EVERY_S = 10.0
+LEAVES_AT = 1.1
+"""A level ends a tenth above its limit, so that it does not come and go."""
+Level = Literal["ample", "warn", "alarm", "stop"]
+LEVELS: tuple[Level, ...] = ("ample", "warn", "alarm", "stop")
+_CHUNK = bytes(2**20)
+
+Usage = Callable[[Path], tuple[int, int]]
+"""Free and all bytes of the volume on which a folder lies."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiskSpace:
+    """The volume at a moment."""
+
+    free_bytes: int
+    total_bytes: int
+    level: Level
+
+    @property
+    def told(self) -> str:
+        """In words."""
+        share = self.free_bytes / self.total_bytes if self.total_bytes else 0.0
+        return f"{self.free_bytes / 1e9:.2f} GB ({share:.1%}) of the volume are free"
+
+
+def disk_usage(folder: Path) -> tuple[int, int]:
+    """Ask the system; of a folder that is to be made, where it will lie."""
+    found = shutil.disk_usage(next(place for place in (folder, *folder.parents) if place.exists()))
+    return found.free, found.total
+
+
+def disk_space(
+    folder: Path, settings: StorageSettings, *, before: Level = "ample", usage: Usage = disk_usage
+) -> DiskSpace:
+    """Measure the volume and judge it; a level that was reached ``before`` is left `LEAVES_AT` only."""
+    free, total = usage(folder)
+    limits: dict[Level, float] = {
+        "stop": settings.stop_free_fraction,
+        "alarm": settings.alarm_free_fraction,
+        "warn": settings.warn_free_fraction,
+    }
+    level: Level = "ample"
+    for name, fraction in limits.items():
+        limit = fraction * min(total, settings.volume_gb * 1e9)
+        if free < limit * (LEAVES_AT if LEVELS.index(before) >= LEVELS.index(name) else 1.0):
+            level = name
+            break
+    return DiskSpace(free_bytes=free, total_bytes=total, level=level)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outlook:
+    """What is free, and how long that lasts.
+
+    Attributes
+    ----------
+    needed_bytes
+        What the rest of the schedule will take, by the newest set's file; None before the first one.
+    full_at_h
+        Hour of the test at which nothing more is stored; None: the rest of it fits, or nobody knows.
+    """
+
+    free_bytes: int
+    total_bytes: int
+    level: Level
+    needed_bytes: int | None = None
+    full_at_h: float | None = None
+
+
+def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage = disk_usage) -> Outlook:
+    """Compare what is free with what the rest of the test needs."""
+    storage = settings.storage
+    space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_file()
+    found = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
+    path = folder / (newest or "")
+    if newest is None or not path.is_file():  # it is in the journal still
+        return found
+    counts = catalogue.counts()
+    done = counts["sets"] + counts["missed_sets"]
+    hours = list(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))[done:]
+    a_set = path.stat().st_size + (folder / FILE_NAME).stat().st_size / max(1, done)
+    stop_bytes = storage.stop_free_fraction * min(space.total_bytes, storage.volume_gb * 1e9)
+    fitting = int(max(0.0, space.free_bytes - stop_bytes) / a_set)
+    return replace(
+        found,
+        needed_bytes=round(len(hours) * a_set),
+        full_at_h=hours[fitting] if fitting < len(hours) else None,
+    )
+
+
+class DiskWatch:
+    """Looks at the volume from time to time, and holds the reserve.
+
+    Parameters
+    ----------
+    usage
+        Free and all bytes, asked of the system by default.
+
+    Attributes
+    ----------
+    space
+        As it was found last.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: StorageSettings,
+        *,
+        usage: Usage = disk_usage,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path, self._settings = folder / RESERVE_FILE, settings
+        self._usage, self._mono_s = usage, mono_s
+        self._next_s = -float("inf")
+        self._reserve_bytes = settings.reserve_mb * 10**6
+        self.space = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
+
+    def look(self) -> DiskSpace | None:
+        """Measure if it is time to; the space where its level has changed, else None."""
+        if self._mono_s() < self._next_s:
+            return None
+        self._next_s, before = self._mono_s() + LOOK_EVERY_S, self.space.level
+        try:
+            self.space = disk_space(self._path.parent, self._settings, before=before, usage=self._usage)
+        except OSError as error:  # the folder is gone for now: writing there says so
+            log.debug("cannot ask how full %s is: %s", self._path.parent, error)
+            return None
+        if self.space.free_bytes < self._reserve_bytes // 4:
+            self.give_back()
+        elif self.space.level != "stop" and self.space.free_bytes > 2 * self._reserve_bytes:
+            self._keep()
+        return None if self.space.level == before else self.space
+
+    @property
+    def refusal(self) -> str:
+        """Why nothing is stored now; empty: there is room."""
+        if self.space.level != "stop":
+            return ""
+        return (
+            f"{self.space.told}, and below {self._settings.stop_free_fraction:.0%} nothing more is stored: "
+            "free some, the test goes on by itself"
+        )
+
+    def give_back(self) -> None:
+        """Free the reserve: what waits in memory fits there."""
+        remove_quietly(self._path)
+
+    def _keep(self) -> None:
+        """Allocate the reserve, if it is not there."""
+        try:
+            if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:
+                return
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            log.warning("the reserve %s cannot be looked at: %s", self._path, error)
+            return
+        try:
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY, 0o644)
+            try:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(descriptor, 0, self._reserve_bytes)
+                else:
+                    for first in range(0, self._reserve_bytes, len(_CHUNK)):
+                        write_all(descriptor, [memoryview(_CHUNK)[: self._reserve_bytes - first]])
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            log.warning("no reserve of %d MB is kept: %s", self._reserve_bytes // 10**6, error)
+            self.give_back()

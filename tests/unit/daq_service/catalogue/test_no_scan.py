@@ -1,0 +1,198 @@
+"""What is asked every day is found in an index, and is what reading every row would have given."""
+
+import random
+import re
+
+import pytest
+from sqlalchemy import event, func, select
+from support.begun_experiment import begun_catalogue
+
+from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.catalogue.reader import due_time_counts
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    EnvironmentRow,
+    EventRow,
+    FeatureRow,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+)
+from daq_service.catalogue.tables import events, shots
+
+POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}
+GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", "events")
+
+
+def random_catalogue(folder, seed):
+    """Sets of a probe and two transducers, many with something missing, all in the order of the plan."""
+    chance, sequence = random.Random(seed), 0
+    catalogue = begun_catalogue(folder)
+    for index in range(30):
+        commit, due = SetCommit(), {"set_index": index, "due_h": index / 2}
+        for position, method in POSITIONS.items():
+            own = {**due, "position": position}
+            state = chance.choice(["done", "done", "partial", "missed", "retired"])
+            n_taken = {"done": 2, "partial": 1}.get(state, 0)
+            commit.sets.append(
+                SetRow(**own, due_utc_ns=index, ended_utc_ns=index if n_taken else None, method=method,
+                       state=state, n_planned=2, n_taken=n_taken)
+            )  # fmt: skip
+            news = {"utc_ns": index, "position": position, "set_index": index, "payload": {"held": ""}}
+            commit.events.append(EventRow(**news, topic="sets", kind=f"set_{state}"))
+            stamp = {"utc_ns": 0, "mono_ns": 0, "boot_id": "", "crc32": 0, "valid": True, "flags": []}
+            found = {**own, "extractor_version": "1", "quality": "good"}
+            for shot_index in range(n_taken):
+                sequence += 1
+                shot = {"set_index": index, "position": position, "shot_index": shot_index}
+                commit.shots.append(ShotRow(**shot, **stamp, sequence=sequence, attempt=0))
+                if method == "solitary_wave":
+                    feature = {**found, "shot_index": shot_index, "sequence": sequence}
+                    commit.features.append(FeatureRow(**feature, n_valid=1))
+            if n_taken and method == "pulse_echo":
+                time_s = chance.choice([None, 1e-6])
+                commit.thickness.append(ThicknessRow(**found, sequence=sequence, travel_time_s=time_s))
+            elif n_taken:
+                commit.features.append(FeatureRow(**found, shot_index=None, sequence=None, n_valid=n_taken))
+                commit.verdicts.append(VerdictRow(**own, in_baseline=False, limit_name="f_predictive"))
+        if chance.random() < 0.3:
+            word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
+            kind = chance.choice(["hold", "release", "recorder_started"])
+            commit.events.append(EventRow(**word, kind=kind))
+            commit.alarms.append(
+                AlarmRow(position="B", kind="hole", family="damage", severity="high", raised_utc_ns=0,
+                         state=chance.choice(["normal", "acknowledged", "unacknowledged"]), raised_h=0.0,
+                         changed_utc_ns=0, message="", proof={})
+            )  # fmt: skip
+        if chance.random() < 0.8:
+            commit.environment.append(
+                EnvironmentRow(**due, supply_state="on", supply_quality="good", climate_quality="good")
+            )
+        catalogue.commit_set(commit)
+    return catalogue
+
+
+def plainly(rows, filters):
+    """The same filters by looking at every row."""
+    conditions = {
+        "first_h": lambda row, hour: row.due_h >= hour,
+        "last_h": lambda row, hour: row.due_h <= hour,
+        "scope": lambda row, scope: (row.shot_index is None) == (scope == "set"),
+        "active": lambda row, active: (row.state != "normal") == active,
+    }
+    for name, value in filters.items():
+        holds = conditions.get(name, lambda row, value, name=name: getattr(row, name) == value)
+        rows = [row for row in rows if holds(row, value)]
+    return rows
+
+
+HOURS = [{"first_h": 7.2}, {"last_h": 3.0}, {"first_h": 4.0, "last_h": 6.5}, {"first_h": 99.0}]
+OF_A_POSITION = [{"position": position, **hours} for position in "ABX" for hours in ({}, *HOURS)]
+OF_A_SET = [{"set_index": 5}, {"set_index": 5, "position": "B"}]
+STATES = [{"state": state, **of} for state in ("missed", "done") for of in ({}, {"position": "B"}, HOURS[2])]
+PLACES = [{}, *HOURS, *OF_A_POSITION, *OF_A_SET]
+SCOPES = [{"scope": scope, **of} for scope in ("set", "shot") for of in PLACES]
+ASKED = [
+    *((SetRow, filters) for filters in [{}, *HOURS, *OF_A_POSITION, *STATES]),
+    *((FeatureRow, filters) for filters in SCOPES),
+    *((kind, filters) for kind in (ThicknessRow, VerdictRow) for filters in PLACES),
+    *((EnvironmentRow, filters) for filters in [{}, *HOURS]),
+    *((AlarmRow, filters) for filters in [{}, {"active": True}, {"active": False}]),
+    (ShotRow, {"position": "B", "set_index": 5}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, seed):
+    with random_catalogue(tmp_path, seed) as catalogue:
+        for kind, filters in ASKED:
+            expected = plainly(catalogue.rows(kind), filters)
+            assert catalogue.rows(kind, **filters) == expected, (kind, filters)
+            if kind is ShotRow:
+                continue
+            pages, last = [], None
+            while len(page := catalogue.rows(kind, limit=7, after_id=last, **filters)) == 7:
+                pages, last = pages + page, page[-1].id
+            assert pages + page == expected, (kind, filters)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, seed):
+    with random_catalogue(tmp_path, seed) as catalogue:
+        counts, rows = catalogue.counts(), catalogue.rows(SetRow)
+        with catalogue._reading() as connection:
+            expected = due_time_counts(connection)
+            n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
+            echoes, all_shots = (
+                connection.execute(select(func.count()).select_from(shots).where(which)).scalar_one()
+                for which in (shots.c.position == "A", True)
+            )
+        expected |= {"events": n_events, "pulse_echo_records": echoes, "shots": all_shots - echoes}
+        assert {name: counts[name] for name in expected} == expected
+        assert counts["active_alarms"] == len(plainly(catalogue.rows(AlarmRow), {"active": True}))
+        for position, word in catalogue.positions_state().items():
+            for told, kind, filters in (
+                (word.last_set, SetRow, {}),
+                (word.last_feature, FeatureRow, {"scope": "set"}),
+                (word.last_verdict, VerdictRow, {}),
+                (word.last_thickness, ThicknessRow, {}),
+            ):
+                found = plainly(catalogue.rows(kind), {"position": position, **filters})
+                assert told == max(found, key=lambda row: row.set_index, default=None)
+        assert list(catalogue.positions_state()) == ["A", "B", "C"]
+        said = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
+        held = [row for row in said if row.kind in ("hold", "release")]
+        assert catalogue.last_told("hold", "release") == (held[-1] if held else None)
+        assert catalogue.last_told("recorder_stopped") is None
+        assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
+        assert catalogue.committed_sets() == {row.set_index for row in rows}
+        assert catalogue.committed_sets({3, 99}) == {3}
+        reading = plainly(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
+        assert catalogue.first_reading("A") == reading[0]
+        tried = [row for row in rows if row.position == "B" and row.n_taken]
+        assert catalogue.last_rows(SetRow, "B", 4, tried=True) == tried[-4:]
+        assert catalogue.last_rows(SetRow, "B", None, tried=True) == tried
+
+
+def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
+    with random_catalogue(tmp_path, 0), open_catalogue(tmp_path, writer=True) as catalogue:
+        plans = []
+
+        @event.listens_for(catalogue._engine, "before_cursor_execute")
+        def explain(connection, cursor, sql, values, *_rest):
+            if sql.startswith(("SELECT", "WITH")):
+                steps = cursor.execute(f"EXPLAIN QUERY PLAN {sql}", values).fetchall()
+                plans.append((sql, values, [step[-1] for step in steps]))
+
+        for kind, filters in ASKED:
+            for after_id in (None, 3):
+                if kind is not ShotRow or after_id is None:
+                    catalogue.rows(kind, limit=101, after_id=after_id, **filters)
+        catalogue.counts()
+        catalogue.positions_state()
+        catalogue.held()
+        catalogue.last_event_id()
+        catalogue.events_after(7, ["alarms", "sets"])
+        catalogue.events_after(7)
+        catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position="B")
+        catalogue.open_commands()
+        catalogue.command(1)
+        catalogue.alarm(1)
+        catalogue.last_environment()
+        catalogue.last_rows(SetRow, "B", 64, tried=True)
+        catalogue.last_rows(ThicknessRow, "A", 64)
+        catalogue.last_ended_utc_ns()
+        catalogue.next_sequence()
+        catalogue.committed_sets({4})
+    for sql, values, steps in plans:
+        for step in steps:
+            scanned = re.match(r"SCAN (\w+)( USING)?", step)
+            if scanned is not None and scanned[1] in GROWING:
+                # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11.
+                filtered = "WHERE" in sql and "shot_index IS" not in sql
+                page = "LIMIT" in sql and not scanned[2] and not filtered
+                assert page, (sql, values, steps)
+            # Only what is few is sorted: open orders, standing alarms, a position's resets, a set's shots.
+            few = "topic = " in sql or "FROM commands" in sql or "FROM alarms" in sql or "FROM shots" in sql
+            assert step != "USE TEMP B-TREE FOR ORDER BY" or few, (sql, values, steps)
