@@ -272,13 +272,20 @@ class Recorder:
         return self._acknowledge()
 
     def _acknowledge(self) -> bool:
-        """Make durable what was taken, and tell its ids; a disk that refuses is asked again at the end."""
+        """Make durable what was taken, and tell its ids; a disk that refuses is told of, and asked again."""
         try:
-            self._tell_ids(self._archive.sync())
+            self._sync()
         except PASSING as error:
             log.warning("not acknowledged yet: %s", error)
+            if (
+                self._backlog.trouble is None
+            ):  # a set takes minutes: nobody should wait for its end to hear it
+                self._backlog.put(self._sync)
             return False
         return True
+
+    def _sync(self) -> None:
+        self._tell_ids(self._archive.sync())
 
     def _tell_ids(self, shot_ids: Iterable[int]) -> None:
         for shot_id in shot_ids:

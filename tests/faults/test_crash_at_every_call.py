@@ -38,7 +38,7 @@ from daq_service.archive.journal.reader import read_journal
 
 pytestmark = needs_a_preload
 
-SOME = 6
+SOME = 4
 """States of the default run."""
 QUICK, LONG = ("wall", "kept open", "replaced", "replaced and synced"), ("simulated", "worker")
 
@@ -131,9 +131,8 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
     assert count >= (some or 50) - 1
     with capsys.disabled():
         if some is None:
-            print(
-                f"\n{design}, {'/'.join(models)}: {len(calls)} calls, {count} states, {len(whole.counts)} shots"
-            )
+            told = f"{len(calls)} calls, {count} states, {len(whole.counts)} records"
+            print(f"\n{design}, {'/'.join(models)}: {told}")
 
 
 def solimon_record(folder, **environment):

@@ -1,4 +1,4 @@
-"""A recorder whose every call to the disk is written down, and a recorder started on what a crash would leave.
+"""A recorder whose every call to the disk is written down, and one started on what a crash would leave.
 
 The recording line is the real one, with catalogue, journal and files; only rig and features are in memory.
 Run as a program under `traced_files` it records tests, and two designs that are known to lose shots.

@@ -1,15 +1,15 @@
 """Every call that changed a file, and what a disk may show after a crash behind any of them.
 
-`traced_files.c` writes the calls down below Python, SQLite and HDF5 alike; `Disk` takes them up one by one and
-tells what each model of a crash leaves. The models (`MODELS`):
+`traced_files.c` writes the calls down below Python, SQLite and HDF5 alike; `Disk` takes them up one by one
+and tells what each model of a crash leaves. The models (`MODELS`):
 
 - ``kill``: everything that was written; the process died, not the machine.
 - ``nothing``: of what was not synced nothing, names included.
 - ``torn``: of what was not synced a prefix, of each file and of the names.
-- ``pages``: of what was not synced some pages of 512 or 4096 bytes, zeros between them, and a prefix of the names.
+- ``pages``: of what was not synced some pages of 512 or 4096 bytes, zeros between; a prefix of the names.
 
-A name is durable once its folder was synced, nothing less. Names come and go in their order, as journaling file
-systems keep it; the contents behind them do not wait for that.
+A name is durable once its folder was synced, nothing less. Names come and go in their order, as journaling
+file systems keep it; the contents behind them do not wait for that.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MODELS = ("kill", "nothing", "torn", "pages")
 PAGES_BYTES = (512, 4096)
 MARK = "k"
 REBUILT = ("-shm",)
-"""Shared memory of SQLite, which the first connection empties: mapped, so that no call tells what is in it."""
+"""Shared memory of SQLite, which the first connection empties: mapped, no call tells what is in it."""
 _HEAD = struct.Struct("<cIIq")
 
 

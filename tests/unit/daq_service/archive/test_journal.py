@@ -50,7 +50,7 @@ def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, mon
     begun(archive, make_set())
     monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
-    assert list(segments(tmp_path)) == [1, 2]
+    assert list(segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
     assert bits(list(opened.records)) == bits(RECORDS)
 
@@ -70,6 +70,22 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert len([path for path in opened if path.endswith(".journal")]) == 3
+
+
+@pytest.mark.parametrize("name", ["write_all", "synchronise"])
+def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_path, monkeypatch, name):
+    first, *others = RECORDS
+    archive.begin_set(SET_INDEX, due_utc_ns=1, started_utc_ns=1, retired={})
+    archive.append(first, 1)
+    assert archive.sync() == [first.sequence]
+    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 20, errno.EIO))
+    for item in others:
+        archive.append(item, 2)
+        with pytest.raises(ArchiveWriteError):
+            archive.sync()
+    assert list(segments(tmp_path)) == [1], "what is acknowledged stays, nothing else"
+    (opened,) = FolderArchive(tmp_path).open_sets().values()
+    assert first.sequence in {item.sequence for item in opened.records}
 
 
 def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):

@@ -453,6 +453,30 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     assert states(line, "B") == ["done"] * SETS
 
 
+def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
+    """A set of the paper takes two minutes: nobody should wait for its end."""
+    line.settings = memory_settings(clock={"kind": "wall"})
+    archive, told = MemoryArchive(line.shelf, journal=True), []
+    sync, refusals = archive.sync, iter([True] * 4)
+
+    def refusing():
+        if archive.shelf.open and next(refusals, False):
+            raise ArchiveWriteError("No space left on device")
+        return sync()
+
+    def script(key):
+        told.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        return healthy(key)
+
+    archive.sync, line.script = refusing, script
+    assert line.run(archive=archive, mono_s=Seconds())
+    (struck,) = next(doing for position, shot_index, doing in told if (position, shot_index) == ("B", 1))
+    assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
+    assert alarm.state == "returned_unacknowledged"
+    assert states(line, "B") == ["done"] * SETS
+
+
 def test_a_stop_before_the_first_strike_leaves_the_set_due(line):
     stop = threading.Event()
     stop.set()
