@@ -277,9 +277,7 @@ class Recorder:
             self._sync()
         except PASSING as error:
             log.warning("not acknowledged yet: %s", error)
-            if (
-                self._backlog.trouble is None
-            ):  # a set takes minutes: nobody should wait for its end to hear it
+            if self._backlog.trouble is None:  # nobody should wait for the end of the set to hear it
                 self._backlog.put(self._sync)
             return False
         return True
