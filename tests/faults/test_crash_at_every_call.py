@@ -116,7 +116,6 @@ def test_designs_that_lose_shots_are_found_out(trace_of, tmp_path, design, lost_
             for model in MODELS
         ),
         pytest.param("worker", MODELS, 60, id="a worker makes the files", marks=pytest.mark.slow),
-        pytest.param("worker", MODELS, 60, id="compaction in its own process", marks=pytest.mark.slow),
     ],
 )
 def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_row(
