@@ -173,7 +173,7 @@ def _seen_from_the_data(call):
     if call.path == "said" and call.kind == "w":
         told = (json.loads(line) for line in call.content.splitlines())
         return [Call(kind=MARK, path="", number=line["shot_id"]) for line in told if "shot_id" in line]
-    if call.path == "data" or call.path.startswith("data/"):
+    if call.path.startswith("data/") or (call.path == "data" and call.kind == "s"):
         content = call.content.removeprefix(b"data/") if call.kind == "r" else call.content
         path = call.path.removeprefix("data").removeprefix("/")
         return [Call(kind=call.kind, path=path, number=call.number, content=content)]
