@@ -40,7 +40,7 @@ pytestmark = needs_a_preload
 
 SOME = 4
 """States of the default run."""
-QUICK, LONG = ("wall", "kept open", "replaced", "replaced and synced"), ("simulated", "worker")
+QUICK = ("wall", "kept open", "replaced", "replaced and synced")
 
 
 @pytest.fixture(scope="module")
@@ -156,7 +156,7 @@ def test_sixty_states_by_the_command(fast, library, capsys):
     whole = rows_of(folder / "data")
     assert len(whole["shots"]) >= 100
     count = 0
-    for name, state, acknowledged in states(calls, some=60):
+    for name, state, acknowledged in states(calls, some=64):
         after = fast / f"command {count}"
         write_state(state, after / "data")
         assert set(acknowledged) <= durable(after / "data"), name
@@ -164,6 +164,7 @@ def test_sixty_states_by_the_command(fast, library, capsys):
         assert rows_of(after / "data") == whole, name
         shutil.rmtree(after)
         count += 1
+    assert count >= 60
     with capsys.disabled():
         print(f"\nby the command: {count} states")
 

@@ -33,6 +33,7 @@ SOME = [
     case("write", "/journal/*", "ENOSPC", first=5),
     case("write", "/catalogue.sqlite*", "EIO", first=50),
     case("open", "/sets/*.h5", "EMFILE", first=3),
+    case("open", "/catalogue.sqlite", "ENOSPC", count=1),
     case("open", "*", "EMFILE", first=100),
     {"locked_s": 60.0},
 ]
@@ -85,6 +86,7 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
     assert [wrong(told) for told in found] == [[]] * len(SOME), found
     by_journal, by_catalogue, locked = found[0], found[1], found[-1]
     for told in (by_journal, by_catalogue, locked):
+        assert told["told_after_s"] <= TOLD_WITHIN_S
         assert [kind for kind, _ in told["alarms"]] == ["storage_unavailable"]
 
 

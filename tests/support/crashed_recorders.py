@@ -42,12 +42,13 @@ SEGMENT_BYTES = 96 * 1024
 SAMPLES = 1000
 SETS, SHOTS_PER_SET = 8, 5
 """With three transducers 120 shots, and 8 pulse-echo records."""
-KINDS = ("simulated", "wall")
-"""Shots are acknowledged a set at a time, and one by one."""
 
 
 def crash_settings(kind: str, **tables: Any) -> Settings:
-    """Settings of a test of 120 shots, the last set judged by the ones before."""
+    """Settings of a test of 120 shots, the last set judged by the ones before.
+
+    Shots are acknowledged a set at a time where ``kind`` is ``simulated``, and one by one on ``wall``.
+    """
     return memory_settings(
         schedule={
             "phases": [{"until_h": SETS * 0.5, "interval_h": 0.5}],

@@ -167,15 +167,15 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     clock = Time()
     clock.now_ns = begun["now_ns"]
     told_ids: list[int] = begun["told"]
-    library = ctypes.CDLL(os.environ["LD_PRELOAD"]) if "LD_PRELOAD" in os.environ else None
-    refusals = (
-        library.refusals if library is not None and "call" in case else lambda: int(locked.since_s > 0.0)
-    )
+    refusals: Callable[[], int] = ctypes.CDLL(os.environ["LD_PRELOAD"]).refusals
+    if "locked_s" in case:
+        refusals = lambda: int(locked.since_s > 0.0)  # noqa: E731
     instruments = LongerRecords(healthy)
     seen_s: list[tuple[int, float]] = []
     locked = Lock(folder / "catalogue.sqlite", clock, at_s=clock.s() + 28.0, for_s=case.get("locked_s", 0.0))
 
     def look() -> None:
+        assert clock.s() < begun["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {told.said[-3:]}"
         locked.look()
         if refusals() > (seen_s[-1][0] if seen_s else 0):
             seen_s.append((refusals(), clock.s()))
@@ -187,15 +187,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     told = Told(clock, refusals)
     logging.getLogger().addHandler(told)
     log_to(folder / "logs" / "recorder.log")
-    os.environ.update(
-        REFUSE_UNDER=str(folder),
-        REFUSE_FILES=case.get("files", "*"),
-        REFUSE_ERRNO=str(case.get("errno", 0)),
-        REFUSE_WHEN=f"from {case.get('first', 0)} {case.get('count', 0)}",
-        REFUSE_LOG=str(folder.parent / "refused.log"),
-    )
-    if case.get("call"):
-        os.environ["REFUSE_CALLS"] = case["call"]
+    refuse(case, folder)
     ends: list[str] = []
     finished = False
     while not finished and len(ends) < 50:
@@ -229,6 +221,19 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     }
 
 
+def refuse(case: dict[str, Any], folder: Path) -> None:
+    """Tell the library; a case without a call refuses nothing, one without a count only notes."""
+    os.environ.update(
+        REFUSE_UNDER=str(folder),
+        REFUSE_FILES=case.get("files", "*"),
+        REFUSE_ERRNO=str(case.get("errno", 0)),
+        REFUSE_WHEN=f"from {case.get('first', 0)} {case.get('count', 0)}",
+        REFUSE_LOG=str(folder.parent / "refused.log"),
+    )
+    if case.get("call"):
+        os.environ["REFUSE_CALLS"] = case["call"]
+
+
 def left(folder: Path) -> list[str]:
     """What a finished test has no use for."""
     return sorted(path.name for path in (*folder.glob("journal/*"), *folder.glob("**/*.tmp")))
@@ -259,18 +264,16 @@ def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
     child = os.fork()
     if not child:
         try:
-            with patch.object(os, "environ", os.environ):
-                folder = begun.parent / f"case {os.getpid()}" / "data"
-                folder.parent.mkdir()
-                shutil.copytree(begun, folder)
-                shutil.copy(begun.parent / "begun.json", folder.parent)
-                told = follow(case, folder)
-                noted = folder.parent / "refused.log"
-                told["noted"] = (
-                    noted.read_text().splitlines() if not case.get("count") and noted.exists() else []
-                )
-                told["folder"] = str(folder)
-                shutil.rmtree(folder.parent)
+            folder = begun.parent / f"case {os.getpid()}" / "data"
+            folder.parent.mkdir()
+            shutil.copytree(begun, folder)
+            shutil.copy(begun.parent / "begun.json", folder.parent)
+            told = follow(case, folder)
+            noted = folder.parent / "refused.log"
+            only_noted = not case.get("count") and noted.exists()
+            told["noted"] = noted.read_text().splitlines() if only_noted else []
+            told["folder"] = str(folder)
+            shutil.rmtree(folder.parent)
         except BaseException:  # noqa: BLE001 - whatever ends a recorder is the answer
             told = {"fault": traceback.format_exc()}
         with os.fdopen(writing, "w") as answer:
