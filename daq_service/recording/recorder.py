@@ -181,6 +181,8 @@ class Recorder:
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
         self._say("schedule_done" if finished else stopped, farewell)
+        if finished:
+            self._wait_for_the_disk()
         return finished
 
     def linger(self) -> None:

@@ -180,6 +180,20 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
 
 
+def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
+    add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
+
+    def failing(catalogue, *, kind, **values):
+        if kind == "schedule_done" and next(refusals, False):
+            raise CatalogueBusyError("database is locked")
+        return add(catalogue, kind=kind, **values)
+
+    monkeypatch.setattr(RecorderCatalogue, "add_event", failing)
+    assert line.run(mono_s=Seconds())
+    assert "schedule_done" in {row.kind for row in line.rows("events")}
+    assert {row.state for row in line.rows("alarms")} == {"returned_unacknowledged"}
+
+
 def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
     line.script = lambda key: (stop.set() if key == last else None, healthy(key))[1]
