@@ -50,9 +50,19 @@ def compact_set(folder: Path, set_index: int) -> tuple[SetReference, str]:
         write_durably(path, image, temporary=temporary)
         if read_shared(path) != image:
             raise CorruptArchiveError(f"{path} does not read as it was written; the journal keeps the set")
-    if not _same(read_file(path), record):
+    if not _same(_read_back(path), record):
         raise CorruptArchiveError(f"{path} is not what the journal holds; the journal keeps the set")
     return reference, hashlib.sha256(read_shared(path)).hexdigest()
+
+
+def _read_back(path: Path) -> SetRecord:
+    """Read the file; what the system refuses is no damage, and may go better another time."""
+    try:
+        return read_file(path)
+    except (CorruptArchiveError, SetNotFoundError) as error:
+        if isinstance(error.__cause__, OSError) and error.__cause__.errno is not None:
+            raise error.__cause__ from error
+        raise
 
 
 def _same(found: SetRecord, record: SetRecord) -> bool:

@@ -5,6 +5,7 @@
     StorageError
     └── ArchiveError
         ├── ArchiveWriteError      full or failing disk, read-only folder: the set is not stored
+        ├── ArchiveReadError       no right, no free handle: nothing is known of the file
         ├── ConflictingSetError    another file of this set is there already
         ├── CorruptArchiveError    a file is damaged or no set of ours; names the shot
         └── SetNotFoundError       no such file or shot
@@ -21,6 +22,10 @@ class ArchiveError(StorageError):
 
 class ArchiveWriteError(ArchiveError, StorageUnavailableError):
     """The operating system refused; the set is not acknowledged."""
+
+
+class ArchiveReadError(ArchiveError, StorageUnavailableError):
+    """The operating system does not let us read; the file may be sound."""
 
 
 class ConflictingSetError(ArchiveError):

@@ -6,6 +6,7 @@ while the recorder goes on.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,12 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq_service.archive.errors import ArchiveError, CorruptArchiveError, SetNotFoundError
+from daq_service.archive.errors import (
+    ArchiveError,
+    ArchiveReadError,
+    CorruptArchiveError,
+    SetNotFoundError,
+)
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.nexus import opened_image
@@ -42,6 +48,8 @@ from hardware_drivers.measurement import (
 
 # What h5py raises on damaged or foreign files, besides our own errors.
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, IndexError)
+_NOT_NOW = {errno.EMFILE, errno.ENFILE, errno.ENOMEM}
+"""What the system says of itself and not of the file."""
 _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
@@ -454,8 +462,12 @@ def _opened(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
     except FileNotFoundError as error:
         raise SetNotFoundError(f"there is no file {path}") from error
     except PermissionError as error:
-        raise ArchiveError(f"{path} cannot be read: {error}; give this user the right to read it") from error
+        raise ArchiveReadError(
+            f"{path} cannot be read: {error}; give this user the right to read it"
+        ) from error
     except HDF5_ERRORS as error:
+        if isinstance(error, OSError) and error.errno in _NOT_NOW:
+            raise ArchiveReadError(f"{path} cannot be read now: {error}; end other programs") from error
         raise CorruptArchiveError(f"{path} is damaged: {error}; bring the file back from a copy") from error
 
 

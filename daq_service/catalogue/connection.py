@@ -60,6 +60,9 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
             # Opens every file: a writer whose file is held for a moment could only read from then on.
             connection.execute("BEGIN IMMEDIATE" if writable else "BEGIN")
             connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
+            if writable:
+                # A file that cannot be opened for writing is opened for reading, which is told only here.
+                connection.execute("PRAGMA user_version = 0")
             connection.execute("ROLLBACK")
         except BaseException:
             connection.close()

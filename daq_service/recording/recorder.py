@@ -202,6 +202,8 @@ class Recorder:
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
         self._say("schedule_done" if finished else stopped, farewell)
+        if finished:
+            self._wait_for_the_disk()
         return finished
 
     def linger(self) -> None:
@@ -298,15 +300,20 @@ class Recorder:
         return self._acknowledge()
 
     def _acknowledge(self) -> bool:
-        """Make durable what was taken, and tell its ids; a disk that refuses is asked again at the end."""
+        """Make durable what was taken, and tell its ids; a disk that refuses is told of, and asked again."""
         if self._refusal():
             return False
         try:
-            self._tell_ids(self._archive.sync())
+            self._sync()
         except PASSING as error:
             log.warning("not acknowledged yet: %s", error)
+            if self._backlog.trouble is None:  # nobody should wait for the end of the set to hear it
+                self._backlog.put(self._sync)
             return False
         return True
+
+    def _sync(self) -> None:
+        self._tell_ids(self._archive.sync())
 
     def _tell_ids(self, shot_ids: Iterable[int]) -> None:
         for shot_id in shot_ids:

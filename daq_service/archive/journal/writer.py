@@ -141,9 +141,9 @@ class Journal:
             self._abandon()
             self._open_segment(n_bytes)
         assert self._descriptor is not None, "just opened"
-        self._sets_in[self._number] |= self._pending_sets
         write_all(self._descriptor, content)
         synchronise(self._descriptor)
+        self._sets_in[self._number] |= self._pending_sets
         self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
@@ -163,11 +163,14 @@ class Journal:
         sync_folder(path.parent)
 
     def _abandon(self) -> None:
-        """Write no more to the present segment; what it holds stays."""
+        """Write no more to the present segment; it goes where nothing in it was acknowledged or is needed."""
         descriptor, self._descriptor = self._descriptor, None
-        if descriptor is not None:
-            with contextlib.suppress(OSError):  # its last sync has said whether its frames are durable
-                os.close(descriptor)
+        if descriptor is None:
+            return
+        with contextlib.suppress(OSError):  # its last sync has said whether its frames are durable
+            os.close(descriptor)
+        if not self._sets_in[self._number]:  # else a failing disk would be filled with empty segments
+            self._drop(self._number)
 
     def settle(self, set_index: int) -> None:
         """Forget a set that has a file of its own, or rows and no record; segments without others go."""
@@ -178,8 +181,10 @@ class Journal:
                 self._drop(number)
 
     def _drop(self, number: int) -> None:
-        del self._sets_in[number]
-        remove_quietly(segment_path(self._folder, number))
+        path = segment_path(self._folder, number)
+        remove_quietly(path)
+        if not path.exists():  # else the next set that is settled tries again
+            del self._sets_in[number]
 
     def close(self) -> None:
         """Let go of the present segment; nothing of it is lost, and it goes if nobody needs it any more."""

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from contextlib import closing
 from dataclasses import replace
 
@@ -9,8 +10,15 @@ import pytest
 from support.archived_sets import DUE_UTC_NS, SET_INDEX, counts_of, make_set, other_set
 from support.memory_archive import bits
 
-from daq_service.archive import ArchiveWriteError, CorruptArchiveError, FolderArchive, SetNotFoundError
+from daq_service.archive import (
+    ArchiveWriteError,
+    CorruptArchiveError,
+    FolderArchive,
+    SetNotFoundError,
+    reader,
+)
 from daq_service.archive.compaction import compact_set
+from daq_service.archive.errors import ArchiveReadError
 from daq_service.archive.journal import writer
 from daq_service.archive.journal.reader import segments
 from daq_service.archive.journal.writer import Journal
@@ -50,7 +58,7 @@ def test_after_a_refusal_everything_goes_to_a_new_segment(archive, tmp_path, mon
     begun(archive, make_set())
     monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 1))
     assert archive.sync() == [item.sequence for item in RECORDS]
-    assert list(segments(tmp_path)) == [1, 2]
+    assert list(segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
     assert bits(list(opened.records)) == bits(RECORDS)
 
@@ -70,6 +78,22 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert len([path for path in opened if path.endswith(".journal")]) == 3
+
+
+@pytest.mark.parametrize("name", ["write_all", "synchronise"])
+def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_path, monkeypatch, name):
+    first, *others = RECORDS
+    archive.begin_set(SET_INDEX, due_utc_ns=1, started_utc_ns=1, retired={})
+    archive.append(first, 1)
+    assert archive.sync() == [first.sequence]
+    monkeypatch.setattr(writer, name, Refusing(getattr(writer, name), 20, errno.EIO))
+    for item in others:
+        archive.append(item, 2)
+        with pytest.raises(ArchiveWriteError):
+            archive.sync()
+    assert list(segments(tmp_path)) == [1], "what is acknowledged stays, nothing else"
+    (opened,) = FolderArchive(tmp_path).open_sets().values()
+    assert first.sequence in {item.sequence for item in opened.records}
 
 
 def test_what_a_disk_refuses_stays_and_is_acknowledged_later(archive, tmp_path, monkeypatch):
@@ -130,6 +154,46 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     file.unlink()
     compact_set(tmp_path, SET_INDEX)
     assert file.read_bytes() == content
+
+
+def no_file(number):
+    def refuse(*arguments, **options):
+        raise OSError(number, os.strerror(number))
+
+    return refuse
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EMFILE, errno.ENOENT], ids=errno.errorcode.get)
+def test_a_file_that_cannot_be_read_back_now_is_no_damage(archive, tmp_path, monkeypatch, number):
+    """Damage is not tried again, and a set that the journal is said not to have would be forgotten there."""
+    archive.store_set(make_set())
+
+    with monkeypatch.context() as patch:
+        patch.setattr(reader.h5py, "File", no_file(number))
+        with pytest.raises((OSError, ArchiveReadError), match=re.escape(os.strerror(number))):
+            compact_set(tmp_path, SET_INDEX)
+    compact_set(tmp_path, SET_INDEX)
+
+
+def test_a_file_that_no_handle_is_left_for_may_be_sound(archive, tmp_path, monkeypatch):
+    """A start sets damaged files without rows aside, and must not take this one for such."""
+    stored = archive.store_set(make_set())
+    compact_set(tmp_path, SET_INDEX)
+    monkeypatch.setattr(reader.h5py, "File", no_file(errno.EMFILE))
+    with pytest.raises(ArchiveReadError, match=r"cannot be read now: .*Too many open files"):
+        archive.read_set(stored.file)
+
+
+def test_a_segment_that_cannot_be_removed_goes_with_the_next_set(archive, tmp_path, monkeypatch):
+    for index in (SET_INDEX, SET_INDEX + 1):
+        archive.store_set(other_set(make_set(), index))
+        archive._kept._abandon()
+    with monkeypatch.context() as patch:
+        patch.setattr(writer, "remove_quietly", lambda path: None)
+        archive.settle(SET_INDEX)
+    assert list(segments(tmp_path)) == [1, 2]
+    archive.settle(SET_INDEX + 1)
+    assert list(segments(tmp_path)) == []
 
 
 def test_a_set_that_is_not_whole_is_not_compacted(archive, tmp_path):

@@ -832,3 +832,21 @@ def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
         connection_.exec_driver_sql("PRAGMA max_page_count = 1000000")
     writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.committed_sets() == {0, 1}
+
+
+def test_a_writer_that_sqlite_lets_only_read_is_connected_anew(tmp_path, monkeypatch):
+    """One refused open, and SQLite opens the file for reading without a word: nothing would be stored."""
+    begin(tmp_path).close()
+    connect, refused = sqlite3.connect, []
+
+    def once_for_reading(path, **options):
+        if not refused:
+            refused.append(path)
+            path = path.replace("mode=rwc", "mode=ro")
+        return connect(path, **options)
+
+    monkeypatch.setattr(connection.sqlite3, "connect", once_for_reading)
+    with open_catalogue(tmp_path, writer=True) as catalogue:
+        catalogue.add_event(utc_ns=EPOCH_NS, topic="service", kind="gap", payload={})
+        assert catalogue.last_event_id() == 1
+    assert refused

@@ -103,7 +103,7 @@ def test_a_column_that_comes_later_and_is_empty_changes_no_checksum():
 def test_changed_rows_get_their_checksum_again(folder):
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.restore([replace(SET, id=1, file="sets/a.h5"), replace(SET, id=9, position="C")])
-        catalogue.set_digest(0, "sets/a.h5", "ab" * 32)
+        catalogue.set_digest(3, "sets/a.h5", "ab" * 32)
         assert catalogue.without_digest() == {}
         catalogue.commit_set(SetCommit(sets=[replace(SET, position="D")]))
         rows = catalogue.rows(SetRow)

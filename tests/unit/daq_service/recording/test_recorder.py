@@ -182,6 +182,20 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(line, whole, monkeyp
     assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
 
 
+def test_the_last_word_of_a_test_is_waited_for_too(line, monkeypatch):
+    add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
+
+    def failing(catalogue, *, kind, **values):
+        if kind == "schedule_done" and next(refusals, False):
+            raise CatalogueBusyError("database is locked")
+        return add(catalogue, kind=kind, **values)
+
+    monkeypatch.setattr(RecorderCatalogue, "add_event", failing)
+    assert line.run(mono_s=Seconds())
+    assert "schedule_done" in {row.kind for row in line.rows("events")}
+    assert {row.state for row in line.rows("alarms")} == {"returned_unacknowledged"}
+
+
 def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
     line.script = lambda key: (stop.set() if key == last else None, healthy(key))[1]
@@ -551,6 +565,30 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     assert line.run(archive=MemoryArchive(line.shelf, journal=True), acknowledged=told.append)
     assert told == sorted(set(told))
     assert len(told) == len(line.rows("shots"))
+    assert states(line, "B") == ["done"] * SETS
+
+
+def test_a_disk_that_refuses_a_shot_is_told_of_before_the_next_strike(line):
+    """A set of the paper takes two minutes: nobody should wait for its end."""
+    line.settings = memory_settings(clock={"kind": "wall"})
+    archive, told = MemoryArchive(line.shelf, journal=True), []
+    sync, refusals = archive.sync, iter([True] * 4)
+
+    def refusing():
+        if archive.shelf.open and next(refusals, False):
+            raise ArchiveWriteError("No space left on device")
+        return sync()
+
+    def script(key):
+        told.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        return healthy(key)
+
+    archive.sync, line.script = refusing, script
+    assert line.run(archive=archive, mono_s=Seconds())
+    (struck,) = next(doing for position, shot_index, doing in told if (position, shot_index) == ("B", 1))
+    assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
+    assert alarm.state == "returned_unacknowledged"
     assert states(line, "B") == ["done"] * SETS
 
 

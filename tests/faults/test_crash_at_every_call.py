@@ -1,0 +1,188 @@
+"""A crash behind any call that changes a file, of the process or of the power: a start mends it by itself."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from random import Random
+
+import pytest
+from support.crashed_recorders import (
+    crash_settings,
+    lost_of_kept_open,
+    lost_of_replaced,
+    outcome,
+    told_of_a_crash,
+)
+from support.refusing_files import needs_a_preload
+from support.small_experiment import SMALL, rows_of
+from support.traced_files import (
+    MARK,
+    MODELS,
+    Call,
+    Disk,
+    build,
+    read_trace,
+    state_of,
+    states,
+    tracing,
+    write_state,
+)
+
+from daq_service.archive import FolderSetReader
+from daq_service.archive.journal.reader import read_journal
+
+pytestmark = needs_a_preload
+
+SOME = 4
+"""States of the default run."""
+QUICK = ("wall", "kept open", "replaced", "replaced and synced")
+
+
+@pytest.fixture(scope="module")
+def fast():
+    """A folder in memory, where there is one: thousands of states are laid out and synced."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+@pytest.fixture(scope="module")
+def library(fast):
+    return build(fast)
+
+
+@pytest.fixture(scope="module")
+def trace_of(fast, library):
+    """Return a design's folder and calls; those of the default run are recorded by one process."""
+
+    def get(design):
+        if not (fast / design).exists():
+            designs = QUICK if design in QUICK else [design]
+            here = Path(__file__).parents[1]
+            paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
+            environment = {
+                **os.environ,
+                **tracing(library, fast / "none", fast / "none"),
+                "PYTHONPATH": os.pathsep.join(path for path in paths if path),
+            }
+            command = [sys.executable, "-m", "support.crashed_recorders", fast, *designs]
+            subprocess.run(command, env=environment, check=True)
+        return fast / design, read_trace(fast / f"{design}.trace", fast / design)
+
+    return get
+
+
+def test_the_calls_written_down_make_the_folder_again(trace_of):
+    folder, calls = trace_of("wall")
+    disk = Disk()
+    for call in calls:
+        disk.take(call)
+    assert disk.left("kill", Random(1)) == state_of(folder)
+    assert len(disk.marks) >= 100, "each shot is acknowledged by itself"
+    assert any(call.kind == "u" and call.path.startswith("journal/") for call in calls), "segments go"
+    assert sum(call.kind == "r" and call.content.endswith(b".h5") for call in calls) == 8, "files come"
+
+
+@pytest.mark.parametrize(
+    ("design", "lost_of", "models_that_lose"),
+    [
+        ("kept open", lost_of_kept_open, {"kill", "torn", "pages"}),
+        ("replaced", lost_of_replaced, {"nothing", "torn", "pages"}),
+        ("replaced and synced", lost_of_replaced, set()),
+    ],
+)
+def test_designs_that_lose_shots_are_found_out(trace_of, tmp_path, design, lost_of, models_that_lose):
+    _, calls = trace_of(design)
+    losing = Counter()
+    for number, (name, state, marks) in enumerate(states(calls)):
+        folder = tmp_path / f"{number}"
+        write_state(state, folder)
+        losing[name.partition(" ")[0]] += bool(lost_of(folder, marks))
+    assert {model for model, n in losing.items() if n} == models_that_lose
+
+
+@pytest.mark.parametrize(
+    ("design", "models", "some"),
+    [
+        pytest.param("wall", MODELS, SOME, id="some states"),
+        *(
+            pytest.param(design, (model,), None, id=f"{design}, {model}", marks=pytest.mark.slow)
+            for design in ("wall", "simulated")
+            for model in MODELS
+        ),
+        pytest.param("worker", MODELS, 60, id="a worker makes the files", marks=pytest.mark.slow),
+    ],
+)
+def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_row(
+    trace_of, fast, capsys, design, models, some
+):
+    left, calls = trace_of(design)
+    settings = crash_settings("simulated" if design == "simulated" else "wall")
+    whole, count = outcome(left, settings.clock.kind), 0
+    for name, state, acknowledged in states(calls, models=models, some=some):
+        folder = fast / f"{design} {name.replace('/', '_')}"
+        assert told_of_a_crash(state, acknowledged, folder, whole, settings) == [], name
+        shutil.rmtree(folder)
+        count += 1
+    assert count >= (some or 40) - 1
+    with capsys.disabled():
+        if some != SOME:
+            told = f"{len(calls)} calls, {count} states, {len(whole.counts)} records"
+            print(f"\n{design}, {'/'.join(models)}: {told}")
+
+
+def solimon_record(folder, **environment):
+    """Run ``solimon record`` as a person does; what it says on standard output goes to a file."""
+    config = folder / "test.json"
+    config.write_text(
+        json.dumps({**SMALL, "schedule": {**SMALL["schedule"], "end_h": 6.0}}), encoding="utf-8"
+    )
+    command = [sys.executable, "-m", "daq_service.cli", "record", config, "--data-dir", folder / "data"]
+    with (folder / "said").open("w") as said:
+        subprocess.run([*command, "--log-json"], env={**os.environ, **environment}, stdout=said, check=True)
+
+
+@pytest.mark.slow
+def test_sixty_states_by_the_command(fast, library, capsys):
+    folder, trace = fast / "command", fast / "command.trace"
+    folder.mkdir()
+    solimon_record(folder, **tracing(library, trace, folder))
+    calls = [call for found in read_trace(trace, folder) for call in _seen_from_the_data(found)]
+    whole = rows_of(folder / "data")
+    assert len(whole["shots"]) >= 100
+    count = 0
+    for name, state, acknowledged in states(calls, some=64):
+        after = fast / f"command {count}"
+        write_state(state, after / "data")
+        assert set(acknowledged) <= durable(after / "data"), name
+        solimon_record(after)
+        assert rows_of(after / "data") == whole, name
+        shutil.rmtree(after)
+        count += 1
+    assert count >= 60
+    with capsys.disabled():
+        print(f"\nby the command: {count} states")
+
+
+def _seen_from_the_data(call):
+    """A call as of the data folder; a line on standard output is a promise."""
+    if call.path == "said" and call.kind == "w":
+        told = (json.loads(line) for line in call.content.splitlines())
+        return [Call(kind=MARK, path="", number=line["shot_id"]) for line in told if "shot_id" in line]
+    if call.path.startswith("data/") or (call.path == "data" and call.kind == "s"):
+        content = call.content.removeprefix(b"data/") if call.kind == "r" else call.content
+        path = call.path.removeprefix("data").removeprefix("/")
+        return [Call(kind=call.kind, path=path, number=call.number, content=content)]
+    return []
+
+
+def durable(folder):
+    """Ids of the shots that files and journal hold."""
+    reader = FolderSetReader(folder)
+    stored = {item.sequence for file in reader.sets().values() for item in reader.read_set(file).records}
+    return stored | {sequence for item in read_journal(folder).values() for sequence in item.shots}

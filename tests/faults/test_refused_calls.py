@@ -1,0 +1,114 @@
+"""A disk that refuses a call, some, or all until somebody frees it: it costs time, and nobody's hands."""
+
+import errno
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from support.refused_recorders import CALLS, SETS
+from support.refusing_files import build, needs_a_preload
+
+pytestmark = needs_a_preload
+
+ERRORS = ("ENOSPC", "EIO", "EROFS", "EMFILE")
+UNTIL_FREED = 10**6
+COUNTS = (1, 3, UNTIL_FREED)
+TOLD_WITHIN_S = 5.1
+"""Five seconds and a pause between two tries."""
+RECORDS = 10 * SETS
+CHANGING = re.compile(r"[0-9a-f]{32}|(?<=set_)\d+_\d+T\d+Z|\d{6}(?=\.)|(?<=\.)\d+(?=\.tmp)|(?<=/)[A-D](?=\.)")
+"""What of a name is another one each time: number, process, position."""
+
+
+def case(call, files, error, *, first=0, count=UNTIL_FREED):
+    return {"call": call, "files": files, "first": first, "count": count, "errno": getattr(errno, error)}
+
+
+SOME = [
+    case("write", "/journal/*", "ENOSPC", first=5),
+    case("write", "/catalogue.sqlite*", "EIO", first=50),
+    case("open", "/sets/*.h5", "EMFILE", first=3),
+    case("open", "/catalogue.sqlite", "ENOSPC", count=1),
+    case("open", "*", "EMFILE", first=100),
+    {"locked_s": 60.0},
+]
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """Return what becomes of each case; one program forks all of them."""
+    library = build(tmp_path_factory.mktemp("library"))
+
+    def follow(cases, folder):
+        here = Path(__file__).parents[1]
+        paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
+        environment = {
+            **os.environ,
+            "LD_PRELOAD": str(library),
+            "PYTHONPATH": os.pathsep.join(path for path in paths if path),
+        }
+        command = [sys.executable, "-m", "support.refused_recorders", folder]
+        lines = "".join(f"{json.dumps(case)}\n" for case in cases)
+        answer = subprocess.run(
+            command, input=lines, env=environment, stdout=subprocess.PIPE, text=True, check=True
+        )
+        return [json.loads(line) for line in answer.stdout.splitlines()]
+
+    return follow
+
+
+def wrong(told):
+    """Everything that a refusal may not cost; empty: nothing."""
+    if "fault" in told:
+        return told["fault"]
+    checks = {
+        "the recorder ended in the midst": not any(end.startswith("in") for end in told["ends"]),
+        "the test is not finished": told["finished"],
+        "something was refused": told["refusals"] > 0,
+        "acknowledged shots are lost": not told["lost"],
+        "sets were not struck": {(*row,) for row in told["sets"]} == {(n, "done", None) for n in range(SETS)},
+        "shots are lost or double": {told["shots"], told["keys"], told["acknowledged"]} == {RECORDS},
+        "something is left over": not told["left"],
+        "the alarm stays": all(state == "returned_unacknowledged" for _, state in told["alarms"]),
+        "it was told late": told["lasted_s"] < TOLD_WITHIN_S
+        or (told["told_after_s"] is not None and told["told_after_s"] <= TOLD_WITHIN_S),
+    }
+    return [what for what, is_right in checks.items() if not is_right]
+
+
+def test_some_refusals_cost_time_only(followed, tmp_path):
+    found = followed(SOME, tmp_path)
+    assert [wrong(told) for told in found] == [[]] * len(SOME), found
+    by_journal, by_catalogue, locked = found[0], found[1], found[-1]
+    for told in (by_journal, by_catalogue, locked):
+        assert told["told_after_s"] <= TOLD_WITHIN_S
+        assert [kind for kind, _ in told["alarms"]] == ["storage_unavailable"]
+
+
+@pytest.mark.slow
+def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
+    """Each kind of call on each kind of file: the first, a middle and the last one."""
+    (whole,) = followed([{"call": CALLS}], tmp_path / "whole")
+    assert whole["shots"] == RECORDS
+    noted = (line.split(" ", 1) for line in whole["noted"])
+    kinds = Counter((call, CHANGING.sub("*", path.removeprefix(whole["folder"]))) for call, path in noted)
+    cases = [
+        case(call, files, error, first=first, count=count)
+        for (call, files), n in sorted(kinds.items())
+        for first in sorted({0, n // 2, n - 1})
+        for count in COUNTS
+        for error in ERRORS
+    ]
+    faults = {
+        json.dumps({name: told[name] for name in ("call", "files", "first", "count", "errno")}): found
+        for told in followed(cases, tmp_path / "cases")
+        if (found := wrong(told))
+    }
+    with capsys.disabled():
+        print(f"\n{len(kinds)} kinds of calls, {len(cases)} refusals, {len(faults)} not outlived")
+    assert faults == {}

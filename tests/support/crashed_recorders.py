@@ -1,0 +1,343 @@
+"""A recorder whose every call to the disk is written down, and one started on what a crash would leave.
+
+The recording line is the real one, with catalogue, journal and files; only rig and features are in memory.
+Run as a program under `traced_files` it records tests, and two designs that are known to lose shots.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import h5py
+import numpy as np
+
+from daq_service.archive import FolderSetReader, SetReference
+from daq_service.archive.journal.writer import Journal
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.experiment_file import HISTORY_FILE
+from daq_service.catalogue.rows import EventRow
+from daq_service.clock import Before, SimulatedClock, parse_utc
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
+from daq_service.processes.worker import one_worker
+from daq_service.recording import session
+from daq_service.recording.recorder import Recorder
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.measurement import Shot, ShotKey, Waveform
+from support.memory_line import TABLES, ScriptedInstruments, healthy, memory_settings
+from support.small_experiment import AtOnce
+from support.traced_files import State, mark, set_tracing, state_of, write_state
+
+SEGMENT_BYTES = 96 * 1024
+"""Some sets in each segment, so that segments begin and go while a test runs."""
+SAMPLES = 1000
+SETS, SHOTS_PER_SET = 8, 5
+"""With three transducers 120 shots, and 8 pulse-echo records."""
+
+
+def crash_settings(kind: str, **tables: Any) -> Settings:
+    """Settings of a test of 120 shots, the last set judged by the ones before.
+
+    Shots are acknowledged a set at a time where ``kind`` is ``simulated``, and one by one on ``wall``.
+    """
+    return memory_settings(
+        schedule={
+            "phases": [{"until_h": SETS * 0.5, "interval_h": 0.5}],
+            "shots_per_set": SHOTS_PER_SET,
+        },
+        baseline={"hours": 3.5},
+        clock={"kind": kind},
+        **tables,
+    )
+
+
+class LongerRecords(ScriptedInstruments):
+    """Scripted instruments whose shots take some pages on the disk; each has its own counts."""
+
+    def _record(self, key: ShotKey) -> Waveform:
+        short = super()._record(key)
+        seed = [ord(key.position[0]), key.set_index, key.shot_index, key.attempt]
+        counts = np.random.default_rng(seed).integers(-999, 999, SAMPLES, dtype=np.int16)
+        return replace(short, counts=counts, pretrigger_samples=1)
+
+
+def features_by_key(shot: Shot) -> Any:
+    return healthy(shot.key)
+
+
+def _clock_after(before: Before) -> Clock:
+    return SimulatedClock(before.last_utc_ns)
+
+
+@contextmanager
+def in_memory(instruments: ScriptedInstruments) -> Iterator[session.RigOpener]:
+    """Let `session.record` run on scripted instruments, with features by key and short segments."""
+
+    @contextmanager
+    def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+        yield Rig(
+            kind="simulated", clock=clock, striker=instruments, digitizer=instruments, pulse_echo=instruments
+        )
+
+    with ExitStack() as stack:
+        stack.enter_context(patch.object(session, "Recorder", partial(Recorder, features_of=features_by_key)))
+        stack.enter_context(patch.dict(Journal.__init__.__kwdefaults__, segment_bytes=SEGMENT_BYTES))
+        hour_0_ns = parse_utc("2026-01-01T00:00:00Z")
+        stack.enter_context(patch.object(session, "hour_0", lambda system_ns: hour_0_ns))
+        yield opener
+
+
+def record(
+    settings: Settings,
+    folder: Path,
+    *,
+    acknowledged: Callable[[int], None] = lambda shot_id: None,
+    worker: Callable[[], Executor] = AtOnce,
+    instruments: ScriptedInstruments | None = None,
+    **options: Any,
+) -> list[ShotKey]:
+    """Record to the end, as ``solimon record`` does; return what was struck."""
+    instruments = instruments or LongerRecords(healthy)
+    with in_memory(instruments) as opener:
+        prepare_data_folder(folder)
+        with own_data_folder(folder):
+            sweep(folder)
+            finished = session.record(
+                settings,
+                folder,
+                opener,
+                stop=threading.Event(),
+                tell=lambda event, **values: None,
+                acknowledged=acknowledged,
+                compaction_worker=worker,
+                wall_clock=_clock_after,
+                listen_every_s=1e6,
+                **options,
+            )
+    assert finished, "the schedule was not ended"
+    return [key for call, key in instruments.calls if call in ("strike", "acquire") and key is not None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What a finished test has come to.
+
+    Attributes
+    ----------
+    rows
+        Of each table those that a repeated test must repeat; times of a test in real time left out.
+    counts
+        Bytes of every record by its shot id.
+    keys
+        Shot id to position, set, shot and attempt.
+    """
+
+    rows: dict[str, list[Any]]
+    counts: dict[int, bytes]
+    keys: dict[int, tuple[str, int, int, int]]
+
+
+def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
+    """Of each table the rows that a repeated test must repeat; in real time without their times."""
+    rows: dict[str, list[Any]] = {}
+    with open_catalogue(folder) as catalogue:
+        for name, table in TABLES.items():
+            columns = [item.name for item in fields(table)]
+            times = {column for column in columns if column.endswith("_ns") and column != "due_utc_ns"}
+            masked = times if kind == "wall" else times & {"created_utc_ns", "wall_utc_ns"}
+            if table is EventRow:
+                masked.add("id")  # they are numbered among those of the service, which tell of restarts
+            rows[name] = [
+                replace(row, **dict.fromkeys(masked, 0))
+                for row in catalogue.rows(table)
+                if not (isinstance(row, EventRow) and row.topic == "service")
+            ]
+    return rows
+
+
+def outcome(folder: Path, kind: str) -> Outcome:
+    """Read it from catalogue and files."""
+    rows = rows_of(folder, kind)
+    counts = {
+        sequence: content
+        for file in FolderSetReader(folder).sets().values()
+        for sequence, content in _counts(folder / file, (folder / file).read_bytes()).items()
+    }
+    keys = {row.sequence: (row.position, row.set_index, row.shot_index, row.attempt) for row in rows["shots"]}
+    return Outcome(rows=rows, counts=counts, keys=keys)
+
+
+_READ: dict[bytes, dict[int, bytes]] = {}
+
+
+def _counts(path: Path, content: bytes) -> dict[int, bytes]:
+    """Counts of each shot of a file, checked; the same bytes are read once."""
+    if content not in _READ:
+        reader, reference = FolderSetReader(path.parent), SetReference(path.name)
+        assert (damages := reader.verify_set(reference)) == [], "; ".join(map(str, damages))
+        records = reader.read_set(reference).records
+        _READ[content] = {item.sequence: item.waveform.counts.tobytes() for item in records}
+    return _READ[content]
+
+
+def told_of_a_crash(
+    state: State, acknowledged: Sequence[int], folder: Path, whole: Outcome, settings: Settings
+) -> list[str]:
+    """Start a recorder on what a crash left, twice, and say everything that is wrong; nothing is right.
+
+    Parameters
+    ----------
+    whole
+        Outcome of the test that nothing disturbed.
+    """
+    kind = settings.clock.kind
+    write_state(state, folder)
+    wrong = [f"{name} is published and {told}" for name, told in _unreadable(folder)]
+    struck = record(settings, folder)
+    again = {_of(key) for key in struck} & {whole.keys[number] for number in acknowledged}
+    wrong += [f"{len(again)} acknowledged shots are struck again, {min(again)}"] if again else []
+    first = outcome(folder, kind)
+    wrong += [f"{len(lost)} shots are gone"] if (lost := whole.counts.keys() - first.counts.keys()) else []
+    wrong += [
+        f"shot {number} has other counts"
+        for number, counts in first.counts.items()
+        if counts != whole.counts.get(number)
+    ]
+    wrong += _differing(whole.rows, first.rows)
+    if (folder / "quarantine").exists():
+        wrong += [f"{path.name} is set aside" for path in (folder / "quarantine").iterdir()]
+    files = _lasting(folder)
+    if record(settings, folder):
+        wrong.append("a second start strikes again")
+    wrong += [f"second start: {told}" for told in _differing(first.rows, rows_of(folder, kind))]
+    wrong += [f"second start: {name} changed" for name in _changed(files, _lasting(folder))]
+    return wrong
+
+
+def _of(key: ShotKey) -> tuple[str, int, int, int]:
+    return key.position, key.set_index, key.shot_index, key.attempt
+
+
+def _unreadable(folder: Path) -> Iterator[tuple[str, str]]:
+    for path in sorted(folder.glob("sets/set_*.h5")):
+        try:
+            _counts(path, path.read_bytes())
+        except Exception as error:  # noqa: BLE001 - whatever a reader meets is what is wrong
+            yield path.name, f"cannot be read: {error}"
+
+
+def _differing(whole: dict[str, list[Any]], found: dict[str, list[Any]]) -> Iterator[str]:
+    for table, rows in whole.items():
+        if found[table] != rows:
+            pair = next(
+                (pair for pair in zip(rows, found[table], strict=False) if pair[0] != pair[1]),
+                "one is longer",
+            )
+            yield f"{table}: {len(rows)} rows, now {len(found[table])}: {pair}"
+
+
+HINTS = ("catalogue.sqlite", "heartbeat.json", "recorder.lock", "live", "logs")
+"""Not compared byte by byte: hints, and the catalogue, whose rows are."""
+
+
+def _lasting(folder: Path) -> State:
+    return {name: content for name, content in state_of(folder).items() if not name.startswith(HINTS)}
+
+
+def _changed(before: State, after: State) -> list[str]:
+    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    if after.get(HISTORY_FILE, b"").startswith(before.get(HISTORY_FILE, b"")):
+        changed.discard(HISTORY_FILE)  # a start is told there, behind what stood before
+    return sorted(changed)
+
+
+# Designs that are known to lose shots ---------------------------------------------------------------
+
+
+def kept_open(folder: Path, acknowledge: Callable[[int], None]) -> None:
+    """HDF5 kept open: a group a shot, flushed and synced before it is acknowledged."""
+    with h5py.File(folder / "open.h5", "w") as file:
+        _sync(folder)
+        for number in range(1, 21):
+            file.create_dataset(f"shot_{number}/counts", data=np.full(SAMPLES, number, np.int16))
+            file.flush()
+            _sync(folder / "open.h5")
+            acknowledge(number)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    os.fsync(descriptor)
+    os.close(descriptor)
+
+
+def lost_of_kept_open(folder: Path, acknowledged: Sequence[int]) -> list[int]:
+    """Acknowledged shots that a reader of the file does not find."""
+    try:
+        with h5py.File(folder / "open.h5", "r") as file:
+            return [
+                number
+                for number in acknowledged
+                if not np.array_equal(file[f"shot_{number}/counts"][()], np.full(SAMPLES, number, np.int16))
+            ]
+    except (OSError, KeyError, RuntimeError):
+        return list(acknowledged)
+
+
+def replaced(folder: Path, acknowledge: Callable[[int], None], *, synced: bool = False) -> None:
+    """All shots in a file that is replaced by rename: durable only with both syncs."""
+    for number in range(1, 21):
+        partial_file = folder / "shots.tmp"
+        partial_file.write_bytes(np.arange(1, number + 1, dtype="<i8").tobytes())
+        if synced:
+            _sync(partial_file)
+        partial_file.replace(folder / "shots")
+        if synced:
+            _sync(folder)
+        acknowledge(number)
+
+
+def lost_of_replaced(folder: Path, acknowledged: Sequence[int]) -> list[int]:
+    """Acknowledged numbers that are not in the file."""
+    path = folder / "shots"
+    content = path.read_bytes() if path.exists() else b""
+    found = np.frombuffer(content[: len(content) // 8 * 8], dtype="<i8").tolist()
+    return [number for number in acknowledged if number not in found]
+
+
+DESIGNS: dict[str, Callable[[Path, Callable[[int], None]], object]] = {
+    "simulated": lambda folder, acknowledge: record(
+        crash_settings("simulated"), folder, acknowledged=acknowledge
+    ),
+    "wall": lambda folder, acknowledge: record(crash_settings("wall"), folder, acknowledged=acknowledge),
+    "worker": lambda folder, acknowledge: record(
+        crash_settings("wall"), folder, acknowledged=acknowledge, worker=one_worker
+    ),
+    "kept open": kept_open,
+    "replaced": replaced,
+    "replaced and synced": partial(replaced, synced=True),
+}
+
+
+def main() -> None:
+    """Run designs under the library: ``DESIGN...``, each in a folder of its own with a trace beside it."""
+    out = Path(sys.argv[1])
+    for design in sys.argv[2:]:
+        folder, trace = out / design, out / f"{design}.trace"
+        folder.mkdir()
+        set_tracing(trace, folder)
+        DESIGNS[design](folder, partial(mark, trace))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,301 @@
+"""A recorder on a clock that nobody waits for, under a disk that refuses single calls; each case in a fork.
+
+Run as a program under `refusing_files`: ``FOLDER`` holds a test that has begun; cases come as JSON lines on
+standard input, and what became of each goes to standard output. The real line runs, with catalogue, journal,
+compaction and log; rig and features are in memory, and a sleep of anybody's only moves the clock on.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import shutil
+import sqlite3
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+from daq_service import shared_file
+from daq_service.catalogue import connection, open_catalogue
+from daq_service.catalogue.rows import AlarmRow
+from daq_service.clock import WallClock, parse_utc
+from daq_service.errors import StorageError
+from daq_service.orders.obey import OrderListener
+from daq_service.processes.child import log_to
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
+from daq_service.processes.heartbeat import Heartbeat
+from daq_service.recording import session
+from daq_service.recording.compaction import Compaction
+from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.recorder import Recorder
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_S
+from support.crashed_recorders import LongerRecords, features_by_key, in_memory, outcome
+from support.memory_line import healthy, memory_settings
+from support.small_experiment import AtOnce
+
+SETS_BEFORE, SETS = 2, 6
+INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
+"""A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
+starting only as long as no set is due."""
+CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
+
+
+def refusal_settings() -> Settings:
+    """Six sets of ten records, a set every 18 s."""
+    interval_h = INTERVAL_S / 3600.0
+    return memory_settings(
+        schedule={
+            "phases": [{"until_h": SETS * interval_h, "interval_h": interval_h}],
+            "shots_per_set": 3,
+            "shot_interval_s": 1.0,
+        },
+        clock={"kind": "wall"},
+    )
+
+
+class Time:
+    """The machine's clocks, moved by whoever sleeps; ``look`` is called at each step."""
+
+    def __init__(self) -> None:
+        self.now_ns = parse_utc("2026-01-01T00:00:00Z")
+        self.look: Callable[[], None] = lambda: None
+
+    def ns(self) -> int:
+        return self.now_ns
+
+    def s(self) -> float:
+        return self.now_ns / NS_PER_S
+
+    def sleep(self, seconds: float) -> None:
+        self.now_ns += max(round(seconds * NS_PER_S), 1)
+        self.look()
+
+
+class Stop(threading.Event):
+    """Nobody stops; waiting for it moves the clock on."""
+
+    def __init__(self, clock: Time) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def wait(self, timeout: float | None = None) -> bool:
+        self._clock.sleep(timeout or 0.0)
+        return self.is_set()
+
+
+@contextmanager
+def injected(clock: Time) -> Iterator[None]:
+    """Let everything in this process go by a clock that nobody waits for."""
+    named: dict[Callable[..., Any], dict[str, Any]] = {
+        Compaction.__init__: {"mono_s": clock.s},
+        Heartbeat.__init__: {"mono_ns": clock.ns},
+        LivePicture.__init__: {"mono_ns": clock.ns},
+        OrderListener.__init__: {"mono_ns": clock.ns},
+        shared_file.patiently: {"pause": clock.sleep},
+    }
+    with ExitStack() as stack:
+        for function, values in named.items():
+            stack.enter_context(patch.dict(function.__kwdefaults__, values))  # type: ignore[attr-defined]
+        stack.enter_context(patch.object(time, "monotonic", clock.s))
+        stack.enter_context(patch.object(time, "monotonic_ns", clock.ns))
+        stack.enter_context(patch.object(session, "elapsed_ns", clock.ns))
+        stack.enter_context(patch.object(connection, "BUSY_TIMEOUT_S", 0.01))
+        yield
+
+
+def record(folder: Path, clock: Time, instruments: LongerRecords, told_ids: list[int], stop: Stop) -> bool:
+    """Record once, to the end or until ``stop``."""
+    with in_memory(instruments) as opener, injected(clock):
+        recorder = partial(Recorder, features_of=features_by_key, mono_s=clock.s)
+        with patch.object(session, "Recorder", recorder):
+            prepare_data_folder(folder)
+            with own_data_folder(folder):
+                sweep(folder)
+                return session.record(
+                    refusal_settings(),
+                    folder,
+                    opener,
+                    stop=stop,
+                    tell=lambda event, **values: None,
+                    acknowledged=told_ids.append,
+                    compaction_worker=AtOnce,
+                    wall_clock=partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep),
+                    listen_every_s=1.0,
+                )
+
+
+def begin(folder: Path) -> None:
+    """Make a test that has begun: stopped after its second set."""
+    clock, told = Time(), list[int]()
+    stop = Stop(clock)
+    clock.look = lambda: (
+        stop.set() if clock.now_ns > first_ns + (SETS_BEFORE + 0.7) * INTERVAL_S * 1e9 else None
+    )
+    first_ns = clock.now_ns
+    record(folder, clock, LongerRecords(healthy), told, stop)
+    (folder.parent / "begun.json").write_text(json.dumps({"now_ns": clock.now_ns, "told": told}))
+
+
+class Told(logging.Handler):
+    """When something was said for the first time after the first refusal, on the injected clock."""
+
+    def __init__(self, clock: Time, refusals: Callable[[], int]) -> None:
+        super().__init__(logging.WARNING)
+        self._clock, self._refusals = clock, refusals
+        self.first_s: float | None = None
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if self._refusals():
+            self.first_s = self._clock.s() if self.first_s is None else self.first_s
+            self.said.append(record.getMessage())
+
+
+def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Go on with the test under one refusal; return what became of it."""
+    begun = json.loads((folder.parent / "begun.json").read_text())
+    clock = Time()
+    clock.now_ns = begun["now_ns"]
+    told_ids: list[int] = begun["told"]
+    refusals: Callable[[], int] = ctypes.CDLL(os.environ["LD_PRELOAD"]).refusals
+    if "locked_s" in case:
+        refusals = lambda: int(locked.since_s > 0.0)  # noqa: E731
+    instruments = LongerRecords(healthy)
+    seen_s: list[tuple[int, float]] = []
+    locked = Lock(folder / "catalogue.sqlite", clock, at_s=clock.s() + 28.0, for_s=case.get("locked_s", 0.0))
+
+    def look() -> None:
+        assert clock.s() < begun["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {told.said[-3:]}"
+        locked.look()
+        if refusals() > (seen_s[-1][0] if seen_s else 0):
+            seen_s.append((refusals(), clock.s()))
+        patience_s = FREED_AFTER_S if instruments.calls else FREED_BEFORE_THE_START_S
+        if seen_s and clock.s() > seen_s[0][1] + patience_s:
+            os.environ.pop("REFUSE_CALLS", None)
+
+    clock.look = look
+    told = Told(clock, refusals)
+    logging.getLogger().addHandler(told)
+    log_to(folder / "logs" / "recorder.log")
+    refuse(case, folder)
+    ends: list[str] = []
+    finished = False
+    while not finished and len(ends) < 50:
+        try:
+            finished = record(folder, clock, instruments, told_ids, Stop(clock))
+        except StorageError as error:
+            logging.getLogger(__name__).warning("%s", error)
+            ends.append(f"{'in' if instruments.calls else 'before'} the test: {error}")
+            clock.sleep(1.0)  # as the supervisor, who starts it again
+    os.environ.pop("REFUSE_CALLS", None)
+    if left(folder):  # what could not be removed at the end is left to the next start
+        record(folder, clock, instruments, told_ids, Stop(clock))
+    found = outcome(folder, "wall")
+    with open_catalogue(folder) as catalogue:
+        alarms = [(row.kind, row.state) for row in catalogue.rows(AlarmRow)]
+    first_s, last_s = (seen_s[0][1], seen_s[-1][1]) if seen_s else (0.0, 0.0)
+    return {
+        "finished": finished,
+        "ends": ends,
+        "refusals": refusals(),
+        "lasted_s": last_s - first_s,
+        "told_after_s": None if told.first_s is None else max(told.first_s - first_s, 0.0),
+        "said": told.said,
+        "alarms": alarms,
+        "lost": sorted(set(told_ids) - found.counts.keys()),
+        "sets": sorted({(row.set_index, row.state, row.cause) for row in found.rows["sets"]}),
+        "shots": len(found.counts),
+        "keys": len(set(found.keys.values())),
+        "acknowledged": len(set(told_ids)),
+        "left": left(folder),
+    }
+
+
+def refuse(case: dict[str, Any], folder: Path) -> None:
+    """Tell the library; a case without a call refuses nothing, one without a count only notes."""
+    os.environ.update(
+        REFUSE_UNDER=str(folder),
+        REFUSE_FILES=case.get("files", "*"),
+        REFUSE_ERRNO=str(case.get("errno", 0)),
+        REFUSE_WHEN=f"from {case.get('first', 0)} {case.get('count', 0)}",
+        REFUSE_LOG=str(folder.parent / "refused.log"),
+    )
+    if case.get("call"):
+        os.environ["REFUSE_CALLS"] = case["call"]
+
+
+def left(folder: Path) -> list[str]:
+    """What a finished test has no use for."""
+    return sorted(path.name for path in (*folder.glob("journal/*"), *folder.glob("**/*.tmp")))
+
+
+class Lock:
+    """Somebody's exclusive transaction on the catalogue, for a while."""
+
+    def __init__(self, path: Path, clock: Time, *, at_s: float, for_s: float) -> None:
+        self._path, self._clock, self._at_s, self._for_s = path, clock, at_s, for_s
+        self._held: sqlite3.Connection | None = None
+        self.since_s = 0.0
+
+    def look(self) -> None:
+        now_s = self._clock.s()
+        if self._held is None and not self.since_s and self._for_s and now_s >= self._at_s:
+            self._held = sqlite3.connect(self._path, isolation_level=None)
+            self._held.execute("BEGIN EXCLUSIVE")
+            self.since_s = now_s
+        if self._held is not None and now_s > self.since_s + self._for_s:
+            self._held.close()
+            self._held = None
+
+
+def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
+    """Run one case in a child of this process."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if not child:
+        try:
+            folder = begun.parent / f"case {os.getpid()}" / "data"
+            folder.parent.mkdir()
+            shutil.copytree(begun, folder)
+            shutil.copy(begun.parent / "begun.json", folder.parent)
+            told = follow(case, folder)
+            noted = folder.parent / "refused.log"
+            only_noted = not case.get("count") and noted.exists()
+            told["noted"] = noted.read_text().splitlines() if only_noted else []
+            told["folder"] = str(folder)
+            shutil.rmtree(folder.parent)
+        except BaseException:  # noqa: BLE001 - whatever ends a recorder is the answer
+            told = {"fault": traceback.format_exc()}
+        with os.fdopen(writing, "w") as answer:
+            json.dump(told, answer)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as answer:
+        content = answer.read()
+    _, status = os.waitpid(child, 0)
+    return json.loads(content) if content else {"fault": f"the process ended with status {status}"}
+
+
+def main() -> None:
+    """Make a test that has begun, then follow each case."""
+    begun = Path(sys.argv[1]) / "begun" / "data"
+    begun.parent.mkdir(parents=True)
+    begin(begun)
+    logging.getLogger().addHandler(logging.NullHandler())  # no log on standard error
+    for line in sys.stdin:
+        case = json.loads(line)
+        print(json.dumps({**case, **in_a_fork(case, begun)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
