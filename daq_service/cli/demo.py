@@ -15,7 +15,7 @@ import click
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.catalogue import check_owner
-from daq_service.cli.run import STOPPED, child_plans
+from daq_service.cli.run import STOPPED, child_plans, tell_of_a_full_disk
 from daq_service.cli.summary import print_summary, summarise_run
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
@@ -68,6 +68,7 @@ def _run_on(
     log_to(folder / "logs" / "supervisor.log")
     say = _Say(settings, as_json=as_json)
     say.line(f"data: {folder}")
+    tell_of_a_full_disk(folder, settings, say.line)
     for note in running.notes:
         say.line(note)
     invitation = _Invitation(say.line)

@@ -7,7 +7,7 @@ import logging
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,7 @@ from daq_service.processes.data_folder import (
     settings_of_folder,
     sweep,
 )
+from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 from daq_service.settings.tree import Settings
 
@@ -85,6 +86,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
 
     log_to(folder / "logs" / "supervisor.log")
     click.echo(f"data: {folder}")
+    tell_of_a_full_disk(folder, settings, click.echo)
     with stop_on_signals() as stop:
         supervisor = Supervisor(
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
@@ -93,6 +95,12 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         )
         code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
+
+
+def tell_of_a_full_disk(folder: Path, settings: Settings, say: Callable[[str], None]) -> None:
+    """Say at once what the recorder waits for, before it can store any alarm."""
+    if told := refusal(disk_space(folder, settings.storage), settings.storage):
+        say(f"WAITING: {told}")
 
 
 def child_plans(

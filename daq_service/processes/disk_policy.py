@@ -71,6 +71,16 @@ def disk_space(
     return DiskSpace(free_bytes=free, total_bytes=total, level=level)
 
 
+def refusal(space: DiskSpace, settings: StorageSettings) -> str:
+    """Say why nothing is stored now; empty: there is room."""
+    if space.level != "stop":
+        return ""
+    return (
+        f"{space.told}, and below {settings.stop_free_fraction:.0%} (storage.stop_free_fraction) nothing "
+        "more is stored: free some, the test goes on by itself"
+    )
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outlook:
     """What is free, and how long that lasts.
@@ -158,12 +168,7 @@ class DiskWatch:
     @property
     def refusal(self) -> str:
         """Why nothing is stored now; empty: there is room."""
-        if self.space.level != "stop":
-            return ""
-        return (
-            f"{self.space.told}, and below {self._settings.stop_free_fraction:.0%} nothing more is stored: "
-            "free some, the test goes on by itself"
-        )
+        return refusal(self.space, self._settings)
 
     def give_back(self) -> None:
         """Free the reserve: what waits in memory fits there."""

@@ -1,8 +1,12 @@
 """Levels of a volume that fills and is freed, the reserve, and how long the rest lasts."""
 
+from types import SimpleNamespace
+
 import pytest
 from support.filled_folder import FilledFolder
 
+from daq_service.cli.run import tell_of_a_full_disk
+from daq_service.processes import disk_policy
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch, disk_space, outlook
 from daq_service.settings.tree import Settings, StorageSettings
 
@@ -103,3 +107,14 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
         assert outlook(tmp_path, settings, filled.catalogue, tight).full_at_h == filled.due[15].due_h
     finally:
         filled.close()
+
+
+def test_a_full_volume_is_told_before_anything_waits_for_it(tmp_path, monkeypatch):
+    """No alarm can be stored there: `run` and `demo` say it at once."""
+    said = []
+    for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
+        volume = SimpleNamespace(total=100 * GB, free=free * GB)
+        monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
+        tell_of_a_full_disk(tmp_path, Settings(), said.append)
+        assert [line.partition(", and")[0] for line in said] == expected
+    assert said[0].endswith("free some, the test goes on by itself")
