@@ -8,6 +8,7 @@ import pytest
 from support.browser_pages import PHONE, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served, served_app
+from support.waiting import until
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
@@ -249,6 +250,10 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     page.get_by_role("button", name="Hold now").click()
     expect(page.locator("#hold")).to_have_text(SENT)
     answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
+    expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
+    refreshes = page.evaluate("window.solimonDashboard.refreshes")
+    filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
+    until(lambda: page.evaluate("window.solimonDashboard.refreshes") > refreshes, "another reading")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     expect(page.locator("#hold")).to_have_text("Hold")
     page.get_by_role("button", name="Hold", exact=True).click()

@@ -171,6 +171,7 @@ def test_demo_prints_one_object_with_everything_promised(two_hours: tuple[Path, 
 
 
 @posix_only
+@pytest.mark.slow
 def test_a_recorder_that_is_killed_is_restarted_and_changes_no_number(
     two_hours: tuple[Path, dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -24,6 +24,10 @@ const FIT_REFRESH_MS = 1000;
 const RETRY_MS = 1000;
 const SUPPLY_MS = 5000;
 const WAITING_MS = 300;
+const NOTICE_MS = 60_000;
+const FAILED = "The last reading failed";
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let noticeTimer;
 
 /** Columns a chart needs, by method. @type {Record<string, string[]>} */
 const FIELDS = {
@@ -185,7 +189,7 @@ function schedule() {
     try {
       await refresh();
     } catch (error) {
-      notice(`The last reading failed: ${/** @type {Error} */ (error).message}`, "alarm");
+      notice(`${FAILED}: ${/** @type {Error} */ (error).message}`, "alarm");
       everythingLater();
     }
     refreshing = false;
@@ -219,7 +223,8 @@ async function refresh() {
   else setTimeout(() => dirty.fits.size && readFits().then(drawAll, () => undefined), FIT_REFRESH_MS);
   state.ready = true;
   state.refreshes += 1;
-  if (byId("notice").dataset.tone === "alarm") notice("");
+  // What an order was refused for stays: new values are no answer to it.
+  if (byId("notice").textContent?.startsWith(FAILED)) notice("");
   drawAll();
 }
 
@@ -317,6 +322,8 @@ function showConnection() {
 /** @param {string} text @param {string} [tone] */
 function notice(text, tone = "") {
   const element = byId("notice");
+  clearTimeout(noticeTimer);
+  if (tone) noticeTimer = setTimeout(() => notice(""), NOTICE_MS);
   element.hidden = text === "";
   element.dataset.tone = tone;
   setText(element, text);
