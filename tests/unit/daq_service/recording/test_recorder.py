@@ -263,7 +263,10 @@ def test_below_five_percent_nothing_is_stored_until_space_is_freed(line, whole):
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
     assert [row.payload["level"] for row in told(line, "disk_space")] == ["stop", "ample"]
-    assert any("below 5% (storage.stop_free_fraction) nothing more is stored" in doing for doing in line.heartbeat.told)
+    assert any(
+        "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
+        for doing in line.heartbeat.told
+    )
 
 
 def test_real_time_goes_on_below_five_percent_and_no_shot_is_acknowledged_meanwhile(line, whole):
