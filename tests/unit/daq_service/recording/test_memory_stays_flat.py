@@ -7,9 +7,9 @@ from collections import deque
 from support.memory_archive import MemoryArchive
 from support.memory_line import Line, healthy, memory_settings
 
-BEGIN, FIRST, LAST = 10, 50, 150
+BEGIN, FIRST, LAST = 10, 40, 100
 MOST_BYTES = 30_000
-"""300 B a set, one row kept of each. Some 20 kB come and go: SQLite's list of cursors is cleared every 200,
+"""500 B a set, one row kept of each, or 40 B a shot, its id kept. Some 20 kB come and go: SQLite's list of cursors is cleared every 200,
 checksums of the last 64 records are remembered."""
 
 
@@ -24,7 +24,7 @@ class ForgetfulArchive(MemoryArchive):
 
 def test_sets_that_are_stored_leave_nothing_behind_in_memory(tmp_path):
     settings = memory_settings(
-        schedule={"phases": [{"until_h": (LAST + 1) / 2, "interval_h": 0.5}], "shots_per_set": 1},
+        schedule={"phases": [{"until_h": (LAST + 1) / 2, "interval_h": 0.5}], "shots_per_set": 4},
         baseline={"minimum_valid_shots": 1},
     )
     line, traced = Line(tmp_path, settings), {}
