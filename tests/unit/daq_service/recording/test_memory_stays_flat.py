@@ -9,8 +9,8 @@ from support.memory_line import Line, healthy, memory_settings
 
 BEGIN, FIRST, LAST = 10, 40, 100
 MOST_BYTES = 30_000
-"""500 B a set, one row kept of each, or 40 B a shot, its id kept. Some 20 kB come and go: SQLite's list of cursors is cleared every 200,
-checksums of the last 64 records are remembered."""
+"""500 B a set, one row kept of each, or 40 B a shot, its id kept. Some 20 kB come and go: SQLite's list of
+cursors is cleared every 200, checksums of the last 64 records are remembered."""
 
 
 class ForgetfulArchive(MemoryArchive):
