@@ -27,7 +27,7 @@ from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_another
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, values
 from daq_service.catalogue.writer import ANSWERS
-from daq_service.errors import StorageUnavailableError
+from daq_service.errors import StorageError
 from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
 
 log = logging.getLogger(__name__)
@@ -197,7 +197,7 @@ class HistoryFollower:
         self._next_s = self._mono_s() + FOLLOW_EVERY_S
         try:
             self._append()
-        except (OSError, StorageUnavailableError) as error:
+        except (OSError, StorageError) as error:
             # What it holds is unsure now: it is looked at again.
             self._known = None
             if str(error) != self._refusal:

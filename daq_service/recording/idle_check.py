@@ -12,13 +12,15 @@ from types import MappingProxyType
 from daq_service.archive import SetNotFoundError
 from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_indices
 from daq_service.archive.verification import damage_of
-from daq_service.recording.backlog import PASSING
+from daq_service.errors import StorageError
 from daq_service.recording.compaction import Compaction
 
 log = logging.getLogger(__name__)
 
 EVERY_S = 10.0
 """A set of the paper's test takes some tenths of a second: a few per cent of one core."""
+_TROUBLE = (StorageError, OSError)
+"""Whatever the disk or the catalogue says: the test goes on."""
 QUIET_S = 10.0
 """Before a set is due the computer is left alone for so long."""
 
@@ -67,7 +69,7 @@ class IdleCheck:
         """
         try:
             lost = self._lost()
-        except PASSING as error:
+        except _TROUBLE as error:
             log.warning("cannot look which sets are gone: %s", error)
             return
         files = referenced_sets(path.name for path in (self._folder / SETS_FOLDER).glob("*.h5"))
@@ -96,9 +98,12 @@ class IdleCheck:
             if self._to_come:
                 file = self._to_come[0]
                 (set_index,) = set_indices([Path(file).name])
-                future_or_none = self._compaction.beside(
-                    damage_of, self._folder / file, self._sha256_of(set_index)
-                )
+                try:
+                    sha256 = self._sha256_of(set_index)
+                except _TROUBLE as error:
+                    log.warning("%s is checked later: %s", file, error)
+                    return
+                future_or_none = self._compaction.beside(damage_of, self._folder / file, sha256)
                 if future_or_none is not None:
                     self._running = file, future_or_none
                     del self._to_come[0]

@@ -11,6 +11,7 @@ from support.memory_line import Line, memory_settings
 from support.small_experiment import AtOnce
 
 from daq_service.archive import FolderArchive
+from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import EVERY_S, QUIET_S, IdleCheck
@@ -43,9 +44,14 @@ class Idle:
     def __init__(self, folder, worker=None):
         self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
         self.compaction = Compaction(folder, FolderArchive(folder), start=lambda: self.worker)
+        self.trouble = None
         self.check = IdleCheck(
-            folder, self.compaction, lambda: self.lost, lambda index: None, mono_s=lambda: self.now_s
+            folder, self.compaction, lambda: self.lost, self.sha256_of, mono_s=lambda: self.now_s
         )
+
+    def sha256_of(self, set_index):
+        if self.trouble is not None:
+            raise self.trouble
 
     def steps(self, count, free_s=LONG_S):
         """So many files, each at its time, and what is wrong then."""
@@ -75,6 +81,19 @@ def test_nothing_is_read_before_a_set_is_due_or_while_one_wants_its_file(tmp_pat
     monkeypatch.undo()
     idle.steps(1)
     assert len(idle.worker.files) == 1
+
+
+@pytest.mark.parametrize("trouble", [CatalogueBusyError("locked"), CatalogueDamagedError("page 3")])
+def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_test(
+    tmp_path, stored, trouble
+):
+    idle = Idle(tmp_path)
+    idle.trouble = trouble
+    assert idle.steps(3) == {}
+    assert idle.worker.files == []
+    idle.trouble = None
+    idle.steps(3)
+    assert [f"sets/{name}" for name in idle.worker.files] == stored
 
 
 def test_damage_is_known_until_it_is_mended(tmp_path, stored):
