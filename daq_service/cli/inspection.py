@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import AlarmRow, values
 from daq_service.cli.forecast import record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.corrosion_drive.kept import described, look_at_drive
-from daq_service.processes.data_folder import data_folder, settings_and_folder
+from daq_service.processes.data_folder import data_folder, settings_of_folder
 from daq_service.processes.disk_policy import disk_usage, outlook
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_sets import lost_sets
@@ -89,7 +89,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
 
 def print_status(*, config: Path | None, data_dir: Path | None, as_json: bool) -> None:
     """Carry out ``status``."""
-    settings, folder = settings_and_folder(config, data_dir)
+    settings, folder = settings_of_folder(config, data_dir)
     facts = describe_status(folder, settings)
     if as_json:
         click.echo(json.dumps(facts))

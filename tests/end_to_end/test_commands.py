@@ -421,6 +421,7 @@ def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], 
     assert facts["counts"]["sets"] == 4
     assert facts["recorder"].startswith("finished"), "its last heartbeat is young, but it has ended"
     assert facts["positions"]["B"]["last_set"]["set_index"] == 3
+    assert facts["disk"]["needed_bytes"] == 0, "by the schedule of this test"
     empty = solimon_here("status", "--data-dir", str(tmp_path), env=QUICK)
     assert empty.returncode == 0
     assert "no data yet" in empty.stdout
