@@ -1,5 +1,6 @@
 """Puts `tests/` on the import path, so that tests of every kind share `support`; guards and orders them."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -29,6 +30,12 @@ def pytest_configure(config: pytest.Config) -> None:
     mark_descendants()
     config.pluginmanager.register(LeakGuard(), "leak-guard")
     config.pluginmanager.register(HangGuard(), "hang-guard")
+
+
+def pytest_collection_finish() -> None:
+    # Thousands of tests that never change would be searched for garbage again and again.
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # `scipy.special`, a third of a recorder's start, is imported when a limit is asked for
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, fdtrc, fdtri
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError
 from analysis.statistics.rules import NOMINAL_RATE
@@ -66,13 +66,13 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
     _check(n, p)
     if not 0.0 < rate < 1.0:
         raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
-    return float(_predictive_scale(n, p) * fdtri(p, n - p, 1.0 - rate))
+    return float(_predictive_scale(n, p) * scipy.special.fdtri(p, n - p, 1.0 - rate))
 
 
 def false_alarm_rate(limit: float, n: int, p: int) -> float:
     """Chance that a new healthy normal set exceeds any fixed ``limit``, averaged over baselines of n sets."""
     _check(n, p)
-    return float(fdtrc(p, n - p, max(limit, 0.0) / _predictive_scale(n, p)))
+    return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / _predictive_scale(n, p)))
 
 
 def paper_limit(baseline_distances_squared: ArrayLike) -> float:
@@ -110,7 +110,7 @@ def phase_one_limit(n: int, p: int, rate: float = 0.05) -> float:
         )
     if not 0.0 < rate < 1.0:
         raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
-    return float((n - 1) ** 2 / n * betaincinv(p / 2, (n - p - 1) / 2, 1.0 - rate / n))
+    return float((n - 1) ** 2 / n * scipy.special.betaincinv(p / 2, (n - p - 1) / 2, 1.0 - rate / n))
 
 
 def limits(baseline_distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE) -> tuple[Limit, Limit]:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.fft import fft, ifft
 from numpy.typing import NDArray
-from scipy.fft import fft, ifft, next_fast_len
 
+from analysis.waves.fft_length import fast_length
 from analysis.waves.pulses import parabola_peak
 from analysis.waves.record_reduction import MAD_TO_SD, FloatArray
+
+FACTORS = (2, 3, 5, 7, 11)
+"""Lengths of complex transforms are products of these."""
 
 
 def analytic(values: FloatArray) -> NDArray[np.complex128]:
     """Analytic signal: negative frequencies removed, positive doubled; its modulus is the envelope."""
-    n = next_fast_len(values.size)
+    n = fast_length(values.size, FACTORS)
     return np.asarray(ifft(_one_sided(fft(values, n))))[: values.size]
 
 
@@ -30,7 +34,7 @@ def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
     """Correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
-    n = next_fast_len(values.size + template.size)
+    n = fast_length(values.size + template.size, FACTORS)
     product = fft(values, n) * np.conj(fft(template, n))
     return np.asarray(ifft(_one_sided(product)))[: values.size]
 

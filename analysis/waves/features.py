@@ -27,9 +27,9 @@ from typing import Literal
 
 import numpy as np
 from numpy.fft import irfft, rfft
-from scipy.fft import next_fast_len
 
 from analysis.errors import InvalidInputError, RecordError
+from analysis.waves.fft_length import fast_length
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
@@ -321,7 +321,7 @@ def _autocorrelation(
         return math.nan, math.nan
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
     smooth = np.correlate(gate, mean_weights(width), "full")
-    n_fft = next_fast_len(smooth.size + high + 2, real=True)
+    n_fft = fast_length(smooth.size + high + 2)
     spectrum = rfft(smooth, n_fft)
     correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
     peak = low + int(correlation[low : high + 1].argmax())

@@ -13,9 +13,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len
 
 from analysis.errors import InvalidInputError, RecordError
+from analysis.waves.fft_length import fast_length
 
 FloatArray = NDArray[np.float64]
 
@@ -195,7 +195,7 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArra
             f"the matched filter's kernel is {width_blocks} samples wide, it needs at least 4: "
             "record at a higher rate or correct isw_fwhm_s"
         )
-    n_fft = next_fast_len(blocks_v.size + math.ceil(width_blocks / 2), real=True)
+    n_fft = fast_length(blocks_v.size + math.ceil(width_blocks / 2))
     spectrum, noise_gain = _kernel_spectrum(width_blocks, n_fft)
     filtered = irfft(rfft(blocks_v, n_fft) * spectrum, n_fft)[: blocks_v.size]
     return np.asarray(filtered, dtype=np.float64), noise_gain

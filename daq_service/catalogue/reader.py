@@ -17,6 +17,7 @@ from sqlalchemy import (
     ScalarSelect,
     Select,
     Table,
+    bindparam,
     case,
     func,
     insert,
@@ -383,25 +384,34 @@ class Catalogue:
         return self._command_engine
 
 
-def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
-    """Count due times (`CountsRow`) by reading their rows: of some sets, or (None) of all."""
+def _counted_due_times(*of: ColumnElement[bool]) -> Select[int, int, int]:
     lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
     due_times = select(
         func.sum(sets.c.n_taken).label("taken"),
         func.sum(lacking).label("lacking"),
         func.sum(missed).label("missed"),
-    ).group_by(sets.c.set_index)
-    if indices is not None:
-        due_times = due_times.where(sets.c.set_index.in_(sorted(indices)))
-    found = due_times.subquery()
+    )
+    found = due_times.where(*of).group_by(sets.c.set_index).subquery()
     has_data = found.c.taken > 0
-    counted = select(
+    return select(
         func.count().filter(has_data).label("sets"),
         func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
         func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
     ).select_from(found)
-    return dict(connection.execute(counted).mappings().one())
+
+
+_OF_ALL_SETS = _counted_due_times()
+_OF_SOME_SETS = _counted_due_times(sets.c.set_index.in_(bindparam("indices", expanding=True)))
+
+
+def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
+    """Count due times (`CountsRow`) by reading their rows: of some sets, or (None) of all."""
+    if indices is None:
+        found = connection.execute(_OF_ALL_SETS)
+    else:
+        found = connection.execute(_OF_SOME_SETS, {"indices": sorted(indices)})
+    return dict(found.mappings().one())
 
 
 def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:

@@ -154,7 +154,7 @@ class RecorderCatalogue(Catalogue):
         """
         indices = {row.set_index for row in commit.sets}
         with self._writing("storing a set") as connection:
-            before = due_time_counts(connection, indices)
+            before = due_time_counts(connection, indices) if indices else {}
             _insert(connection, commit.sets)
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
@@ -164,7 +164,8 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.environment)
             alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
             event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids)))
-            _count(connection, commit, before, due_time_counts(connection, indices))
+            after = due_time_counts(connection, indices) if indices else {}
+            _count(connection, commit, before, after)
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(

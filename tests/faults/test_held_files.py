@@ -127,8 +127,8 @@ def n_sets(data: Path) -> int:
     [
         ("journal", errno.ENOSPC, "No space left on device"),
         pytest.param("journal", errno.EIO, "Input/output error", marks=pytest.mark.slow),
-        ("sets", errno.ENOSPC, "No space left on device"),
-        ("catalogue.sqlite", errno.ENOSPC, "database or disk is full"),
+        pytest.param("sets", errno.ENOSPC, "No space left on device", marks=pytest.mark.slow),
+        pytest.param("catalogue.sqlite", errno.ENOSPC, "database or disk is full", marks=pytest.mark.slow),
         pytest.param("catalogue.sqlite", errno.EIO, "disk I/O error", marks=pytest.mark.slow),
     ],
 )
