@@ -35,7 +35,7 @@ def compact_set(folder: Path, set_index: int) -> tuple[SetReference, str]:
     OSError
         The disk refuses.
     """
-    journaled = read_journal(folder).get(set_index)
+    journaled = read_journal(folder, of_set=set_index).get(set_index)
     if journaled is None:
         raise SetNotFoundError(f"the journal of {folder} has no set {set_index}")
     if (reference := journaled.reference) is None:

@@ -16,6 +16,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5a
 
 from daq_service.archive.errors import (
     ArchiveError,
@@ -25,7 +26,7 @@ from daq_service.archive.errors import (
 )
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
-from daq_service.archive.nexus import opened_image
+from daq_service.archive.nexus import opened_image, read_field
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
@@ -183,12 +184,12 @@ def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
 
 def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
     return SetRecord(
-        set_index=int(entry["set_index"][()]),
-        due_utc_ns=int(entry["due_utc_ns"][()]),
-        due_h=float(entry["due_h"][()]),
-        started_utc_ns=int(entry["started_utc_ns"][()]),
-        ended_utc_ns=int(entry["ended_utc_ns"][()]),
-        rig_kind=_text(entry["instrument/name"][()]),
+        set_index=int(read_field(entry.id, "set_index")),
+        due_utc_ns=int(read_field(entry.id, "due_utc_ns")),
+        due_h=float(read_field(entry.id, "due_h")),
+        started_utc_ns=int(read_field(entry.id, "started_utc_ns")),
+        ended_utc_ns=int(read_field(entry.id, "ended_utc_ns")),
+        rig_kind=_text(read_field(entry.id, "instrument/name")[()]),
         positions=_read_positions(entry),
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
@@ -254,15 +255,15 @@ class _Group:
     def __init__(self, entry: h5py.Group, name: str) -> None:
         self.data = entry[name]
         self.signal = self.data[_text(self.data.attrs["signal"])]
-        self.sequences: list[int] = self.data["shot_id"][()].tolist()
-        detector = entry["instrument"][name]
-        self.sample_rate_hz = float(detector["sample_rate"][()])
-        self.pretrigger_samples = int(detector["pretrigger_samples"][()])
+        self.sequences: list[int] = read_field(self.data.id, "shot_id").tolist()
+        detector = entry["instrument"][name].id
+        self.sample_rate_hz = float(read_field(detector, "sample_rate"))
+        self.pretrigger_samples = int(read_field(detector, "pretrigger_samples"))
         self.calibration = Calibration(
-            coefficients_v=detector["calibration_coefficients"][()],
-            resolution_bits=int(detector["resolution_bits"][()]),
-            range_v=float(detector["input_range"][()]),
-            date=_text(detector["calibration_date"][()]),
+            coefficients_v=read_field(detector, "calibration_coefficients"),
+            resolution_bits=int(read_field(detector, "resolution_bits")),
+            range_v=float(read_field(detector, "input_range")),
+            date=_text(read_field(detector, "calibration_date")[()]),
         )
 
     def waveform(self, row: int, crc32: int) -> Waveform | str:
@@ -292,7 +293,7 @@ class _Group:
 def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
     """Every readable record in order, and the damaged ones."""
     table = _read_table(entry)
-    set_index = int(entry["set_index"][()])
+    set_index = int(read_field(entry.id, "set_index"))
     truths = _read_facts(entry, "truth")
     settings = _read_facts(entry, "settings")
     row_of = {sequence: row for row, sequence in enumerate(table["shot_id"])}
@@ -328,7 +329,7 @@ def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list
 
 
 def _columns(table: h5py.Group, *names: str) -> _Columns:
-    columns = {name: table[name][()].tolist() for name in names}
+    columns = {name: read_field(table.id, name).tolist() for name in names}
     return {
         name: [_text(value) if isinstance(value, bytes) else value for value in values]
         for name, values in columns.items()
@@ -380,13 +381,14 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
         if not group_name.endswith(f"_{kind}"):
             continue
         group = entry[group_name]
-        sequences = group["shot_id"][()].tolist()
+        sequences = read_field(group.id, "shot_id").tolist()
         for name in group:
             if name == "shot_id":
                 continue
-            field = group[name]
-            known = field.attrs.get("known", np.ones(len(sequences)))
-            for sequence, value, is_known in zip(sequences, field[()].tolist(), known, strict=True):
+            partly = h5a.exists(group.id, b"known", obj_name=name.encode())
+            known = group[name].attrs["known"] if partly else np.ones(len(sequences))
+            values = read_field(group.id, name).tolist()
+            for sequence, value, is_known in zip(sequences, values, known, strict=True):
                 if is_known:
                     told = _text(value) if isinstance(value, bytes) else value
                     facts.setdefault(sequence, {})[name] = told
@@ -397,7 +399,7 @@ def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
     if "missed" not in entry:
         return []
     columns = _columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
-    set_index = int(entry["set_index"][()])
+    set_index = int(read_field(entry.id, "set_index"))
     return [
         MissedRecord(key=_key(columns, row, set_index), cause=cause, reason=columns["reason"][row])
         for row, cause in enumerate(columns["cause"])
@@ -407,7 +409,8 @@ def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
 def _read_environment(entry: h5py.Group) -> dict[str, float | str | None]:
     if "environment" not in entry:
         return {}
-    values = {name: field[()] for name, field in entry["environment"].items()}
+    group = entry["environment"]
+    values = {name: read_field(group.id, name)[()] for name in group}
     return {
         name: _text(value) if isinstance(value, bytes) else float(value) for name, value in values.items()
     }

@@ -25,14 +25,14 @@ HOURS = 24
 """Past baseline and first alarm, so that limits are drawn; long enough to be held on a busy machine."""
 QUICK = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
-    "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5",
+    "SOLIMON_SCHEDULE__SHOTS_PER_SET": "3",
     "SOLIMON_BASELINE__HOURS": "16",  # 32 sets, of which 12 are enough: those held are missed
     "SOLIMON_BASELINE__MINIMUM_SETS": "12",
-    "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
-    "SOLIMON_ALARMS__HOLE_SHOTS": "4",
+    "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "2",
+    "SOLIMON_ALARMS__HOLE_SHOTS": "2",
     "SOLIMON_ALARMS__THICKNESS_LOSS_FRACTION": "0.01",  # A is so thin at hour 9
 }
-"""A coarse mesh, half of the strikes, an early baseline and alarm: the page draws the same."""
+"""A coarse mesh, a third of the strikes, an early baseline and alarm: the page draws the same."""
 
 
 class Demo:

@@ -170,8 +170,8 @@ def segment_path(folder: Path, number: int) -> Path:
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
 
-def read_journal(folder: Path) -> dict[int, JournaledSet]:
-    """Read every segment; set index to what there is of it, in the order of the sets.
+def read_journal(folder: Path, *, of_set: int | None = None) -> dict[int, JournaledSet]:
+    """Read every segment; set index to what there is of it (of one set alone), in the order of the sets.
 
     A segment that goes while it is read has left its sets in files of their own.
 
@@ -182,7 +182,7 @@ def read_journal(folder: Path) -> dict[int, JournaledSet]:
     """
     found: dict[int, JournaledSet] = {}
     for number, content in contents(folder):
-        for frame in frames(content):
+        for frame in frames(content, of_set=of_set):
             found.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
     return dict(sorted(found.items()))
 

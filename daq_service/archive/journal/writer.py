@@ -96,7 +96,7 @@ class Journal:
             It stays as it is.
         """
         quarantine = self._folder / QUARANTINE_FOLDER
-        item = read_journal(self._folder)[set_index]
+        item = read_journal(self._folder, of_set=set_index)[set_index]
         for number in item.segments:
             content = read_shared(segment_path(self._folder, number)).rstrip(b"\0")
             copy = quarantine / f"{name}.{number:06d}.journal"

@@ -431,7 +431,7 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
     assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
 
 
-@pytest.mark.parametrize("commit", ["9c4a9b9", "c3c2e28"])
+@pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])
 def test_a_folder_of_an_earlier_version_is_looked_at_and_copied_as_it_is(tmp_path, commit):
     folder = tmp_path / "data"
     with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
