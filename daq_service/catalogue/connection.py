@@ -75,7 +75,7 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: patiently(connect, is_refusal=_is_held),
+        creator=lambda: patiently(connect, is_refusal=lambda e: _is_held(e) and path.parent.is_dir()),
         poolclass=QueuePool,
         max_overflow=-1,
         json_serializer=json_text,

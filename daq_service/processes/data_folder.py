@@ -32,7 +32,7 @@ from daq_service.errors import (
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import HINT_SUFFIX, patiently, remove_quietly, write_durably
+from daq_service.shared_file import HINT_SUFFIX, PATIENCE_S, patiently, remove_quietly, write_durably
 
 log = logging.getLogger(__name__)
 
@@ -190,13 +190,22 @@ def _refuse_foreign_files(folder: Path) -> None:
         )
 
 
-def own_data_folder(folder: Path) -> AbstractContextManager[None]:
-    """Hold the recorder's lock; `BusyError` if another one does."""
-    return hold_lock(folder, LOCK_FILE, f"process {os.getpid()}", who="recorder")
+def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[None]:
+    """Hold the recorder's lock; `BusyError` if another one does, also after ``patience_s``."""
+    text = f"process {os.getpid()}"
+    return hold_lock(folder, LOCK_FILE, text, who="recorder", patience_s=patience_s)
 
 
 @contextmanager
-def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None = None) -> Iterator[None]:
+def hold_lock(
+    folder: Path,
+    name: str,
+    text: str,
+    *,
+    who: str,
+    mode: int | None = None,
+    patience_s: float = PATIENCE_S,
+) -> Iterator[None]:
     """Hold a lock of the folder, with a text for whoever reads it meanwhile.
 
     Parameters
@@ -207,6 +216,9 @@ def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None 
         What kind of process holds it.
     mode
         Rights of the file; None: those of the user's other files.
+    patience_s
+        How long a lock that is held is tried again: whoever asks whether somebody records holds it for an
+        instant (`is_owned`).
 
     Raises
     ------
@@ -227,10 +239,10 @@ def hold_lock(folder: Path, name: str, text: str, *, who: str, mode: int | None 
             ) from error
         file.seek(0)
         try:
-            # Whoever asks whether somebody records holds it for an instant (`is_owned`).
             patiently(
                 lambda: try_lock(file),
                 is_refusal=lambda error: isinstance(error, BlockingIOError | PermissionError),
+                patience_s=patience_s,
             )
         except OSError as error:
             owner, _, _ = lock_text(folder, name).partition("\n")

@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 
 WAIT_S = 120.0
 """Deadline of what takes seconds at most: reached on a machine that hangs, not on one that is busy."""
-POLL_S = 0.005
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.001, 0.05
+"""Pauses double: what is asked for may cost as much as what is waited for."""
 
 T = TypeVar("T")
 
@@ -36,11 +37,12 @@ def happened(wait: Callable[[float], bool], what: str) -> None:
 def until(found: Callable[[], T | None], what: str) -> T:
     """Ask again and again until something other than None, False or empty is found."""
     deadline_s = time.monotonic() + WAIT_S
-    pause = threading.Event()
+    pause, pause_s = threading.Event(), FIRST_PAUSE_S
     while not (answer := found()):
         if time.monotonic() > deadline_s:
             raise MachineTooSlowError(what)
-        pause.wait(POLL_S)
+        pause.wait(pause_s)
+        pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
     return answer
 
 

@@ -26,6 +26,8 @@ from daq_service.shared_file import patiently
 
 SLOW_WRITE_S = 1.0
 """A small file that takes longer to become durable means a disk that will hold sets up."""
+LOOK_S = 0.5
+"""How long the lock of a recorder is tried: a person who is refused wrongly asks again."""
 COMFORTABLE = 2.0
 """Free space over planned data: less is worth a word."""
 
@@ -44,7 +46,7 @@ def held_folder(folder: Path) -> Iterator[str]:
         owner = ""
         if (folder / "recorder.lock").is_file():
             try:
-                stack.enter_context(own_data_folder(folder))
+                stack.enter_context(own_data_folder(folder, patience_s=LOOK_S))
             except BusyError as error:
                 owner = str(error)
             except OSError as error:

@@ -118,7 +118,8 @@ def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) 
 
 def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
     with own_data_folder(tmp_path):
-        with pytest.raises(BusyError, match="another recorder owns") as refusal, own_data_folder(tmp_path):
+        second = own_data_folder(tmp_path, patience_s=0.0)
+        with pytest.raises(BusyError, match="another recorder owns") as refusal, second:
             pytest.fail("two owners")
         assert "process" in str(refusal.value)
         assert refusal.value.exit_code == 5

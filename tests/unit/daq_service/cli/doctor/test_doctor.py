@@ -266,7 +266,7 @@ def test_a_full_volume_is_told_though_the_test_would_fit(
 def started(folder: Path) -> str:
     """A recorder that takes its folder and leaves; what it says where it may not."""
     try:
-        with own_data_folder(folder):
+        with own_data_folder(folder, patience_s=0.0):
             return ""
     except BusyError as error:
         return str(error)
@@ -317,7 +317,7 @@ def test_a_lock_that_cannot_be_opened_counts_as_a_recorder_s(
     prepare_data_folder(tmp_path)
     (tmp_path / "recorder.lock").touch()
 
-    def forbidden(folder: Path) -> None:
+    def forbidden(folder: Path, **patience: float) -> None:
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("daq_service.cli.doctor.storage.own_data_folder", forbidden)
