@@ -505,6 +505,7 @@ def test_the_command_refuses_what_cannot_be(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM")
 def test_a_signal_ends_everything_and_leaves_a_report(tmp_path: Path):
     out = tmp_path / "out"

@@ -133,11 +133,12 @@ class LeakGuard:
         self._allowed: set[str] = set()
         self._since: dict[str, str] = {}
         self._holders: set[str] = set()
+        self._clean: set[str] | None = None
 
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
         if not self._holders:
-            self._allowed = self._looker.things()
+            self._allowed = self._looker.things() if self._clean is None else self._clean
         return (yield)
 
     @pytest.hookimpl(wrapper=True)
@@ -157,9 +158,13 @@ class LeakGuard:
     @pytest.hookimpl(wrapper=True, tryfirst=True)
     def pytest_runtest_teardown(self, item: pytest.Item) -> Iterator[None]:
         yield
+        self._clean = None
         if item.get_closest_marker("hardware"):
             return  # a vendor's driver keeps what it has opened until its process ends
-        left = self._looker.things() - self._allowed
+        now = self._looker.things()
+        left = now - self._allowed
+        if not (left or self._holders):
+            self._clean = now  # nothing happens until the next test
         if self._holders:
             for thing in left:
                 self._since.setdefault(thing, item.nodeid)

@@ -66,6 +66,7 @@ def test_compliance_converges_to_the_exact_one_with_order_two(radius_m):
     np.testing.assert_allclose(np.log2(np.array(errors[:-1]) / errors[1:]), 2.0, atol=0.2)
 
 
+@pytest.mark.slow
 def test_a_node_never_converges():
     """Each halving adds ``ln 2 / (2 pi kappa G h)``, for ever."""
     values = [

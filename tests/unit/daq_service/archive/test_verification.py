@@ -18,7 +18,7 @@ from daq_service.archive.journal.reader import read_journal, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file, check_journal
 
-QUICK = [range(30)]
+QUICK = [range(15)]
 SLOW = [pytest.param(range(start, start + 100), marks=pytest.mark.slow) for start in range(30, 1030, 100)]
 
 

@@ -11,6 +11,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from daq_service.acquisition.schedule import plan
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
+from daq_service.clock import parse_utc
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from hardware_drivers.errors import ConnectionLostError
@@ -71,8 +72,7 @@ def recorded(line, count):
 
 
 def due_of(line, index):
-    with line.catalogue(writer=True) as catalogue:
-        return plan(line.settings.schedule.phases, line.epoch_ns(catalogue))[index]
+    return plan(line.settings.schedule.phases, parse_utc(line.settings.clock.epoch))[index]
 
 
 def judge(ledger, line, record, file):

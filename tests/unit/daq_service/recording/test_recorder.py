@@ -111,10 +111,10 @@ class FullDisk(MemoryArchive):
         return super().store_set(record)
 
 
-@pytest.fixture
-def whole(tmp_path):
-    one = Line(tmp_path / "whole")
-    one.folder.mkdir()
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A test that nothing disturbed; only read."""
+    one = Line(tmp_path_factory.mktemp("whole"))
     one.run()
     return one
 
