@@ -489,7 +489,8 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     settings = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 3.0})
     assert run(settings, tmp_path)
     paced = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 4.0}, clock={"pace_h_per_s": 1e-4})
-    recorder = threading.Thread(target=run, args=(paced, tmp_path))
+    # It lingers, since "finish now" may end the test before "stop" is given.
+    recorder = threading.Thread(target=run, args=(paced, tmp_path), kwargs={"linger": True})
     recorder.start()
     until(lambda: _starts(tmp_path) == 2, "the second start")
     orders = {

@@ -46,8 +46,9 @@ def test_a_range_has_its_ends_its_count_and_even_steps(first: float, last: float
     assert len(values) == count
     assert (values[0], values[-1]) == (first, last)
     # Two values of 15 digits each, half of 1e-14 of the larger end at the most, and rounding:
-    # next to zero each value and the step are whole numbers of 5e-324, up to half of it off.
-    rounding = 1.1e-14 * max(abs(first), abs(last)) + 2 * 5e-324
+    # next to zero each value and the step are whole numbers of 5e-324, up to half of it off; the last step
+    # makes up for all before it.
+    rounding = 1.1e-14 * max(abs(first), abs(last)) + (2 + count / 2) * 5e-324
     assert np.allclose(np.diff(values), (last - first) / (count - 1), rtol=0.0, atol=rounding)
 
 
