@@ -593,9 +593,17 @@ def test_a_hung_call_ends_at_its_deadline(doubles, remote):
 
 
 @on_a_server
-def test_a_coil_whose_stop_hangs_is_switched_off_by_the_next_call(doubles, remote):
-    with open_daqmx(replace(remote, pulse_s=0.5, call_timeout_s=0.1)) as rig:
+def test_a_coil_whose_stop_hangs_is_switched_off_by_the_next_call(doubles, remote, monkeypatch):
+    from hardware_drivers.daqmx.remote import Deadlines
+
+    usual = Deadlines.deadline_s
+
+    def short_for_what_hangs(self, method, request):
+        return 0.1 if method.endswith(("/StopTask", "/TaskControl")) else usual(self, method, request)
+
+    with open_daqmx(replace(remote, pulse_s=0.5)) as rig:
         rig.digitizer.arm(key(1))
+        monkeypatch.setattr(Deadlines, "deadline_s", short_for_what_hangs)
         doubles.control.inject("DAQmxWaitUntilTaskDone", "error", code=-50405)
         for function in ("StopTask", "TaskControl"):
             doubles.control.inject(f"DAQmx{function}", "hang")
@@ -606,6 +614,7 @@ def test_a_coil_whose_stop_hangs_is_switched_off_by_the_next_call(doubles, remot
         # Two deadlines of 0.1 s have passed; the pulse itself would have lasted 0.5 s.
         assert 0.2 <= pulse_s < 0.5
         doubles.control.release_hangs()
+        monkeypatch.undo()
     doubles.control.clear_record()
 
 
