@@ -11,11 +11,10 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
@@ -27,28 +26,24 @@ from daq_service.acquisition.taken_set import (
     features_of_a_rehearsal,
 )
 from daq_service.alarms.clock_trouble import doubt_condition
-from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.history import HistoryFollower
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
-from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
-from daq_service.recording.backlog import PASSING, Backlog, Trouble
-from daq_service.recording.compaction import Compaction
+from daq_service.recording.backlog import PASSING
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
-from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
+from daq_service.recording.safekeeping import Helpers, Safekeeping
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
@@ -58,10 +53,6 @@ from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
 
-WAIT_FOR_FILES_S = 60.0
-"""A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
-MOST_UNDER_WAY = 40
-"""Whole sets whose files are being made: two segments of the journal."""
 LINGER_S = 0.1
 """How often a recorder that is done looks for orders."""
 
@@ -69,12 +60,11 @@ SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
 one comes at once, since nobody knows how long the boards have been warm."""
 
-DISK_SPACE = "disk_space"
-"""Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
 OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 Teller = Callable[..., None]
 FeaturesOf = Callable[[Shot], ShotFeatures]
+NO_HELPERS = Helpers()
 
 
 class Recorder:
@@ -94,14 +84,10 @@ class Recorder:
         tell: Teller,
         features_of: FeaturesOf = features_of,
         left_alone: threading.Event | None = None,
-        compaction: Compaction | None = None,
-        idle_check: IdleCheck | None = None,
-        acknowledged: Callable[[int], None] = lambda shot_id: None,
+        helpers: Helpers = NO_HELPERS,
         mono_s: Callable[[], float] = time.monotonic,
         listen_every_s: float = LISTEN_EVERY_S,
         remote_drive: RemoteDrive | None = None,
-        history: HistoryFollower | None = None,
-        disk: DiskWatch | None = None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
@@ -120,22 +106,7 @@ class Recorder:
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         self._provenance = provenance(settings, rig, experiment=catalogue.experiment_row())
-        self._compaction = compaction
-        self._idle_check = idle_check
-        self._told_damaged: dict[str, str] = {}
         self._free_until_ns: float = -math.inf
-        self._acknowledged = acknowledged
-        self._history = history
-        self._told_ids: set[int] = set()
-        self._cost = Cost()
-        self._mono_s = mono_s
-        self._disk = disk
-        self._backlog = Backlog(
-            limit_bytes=settings.storage.memory_mb * 10**6,
-            on_change=self._tell_trouble,
-            refusal=self._refusal,
-            mono_s=mono_s,
-        )
         done = catalogue.committed_sets()
         self._open = dict(archive.open_sets())
         self._orphans = {
@@ -145,16 +116,27 @@ class Recorder:
         }
         for opened in self._open.values():
             refuse_foreign_open_set(opened, self._plan, archive.name)
+        self._cost = Cost()
+        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive)
+        self._kept = Safekeeping(
+            archive,
+            catalogue,
+            self._ledger,
+            helpers,
+            limit_bytes=settings.storage.memory_mb * 10**6,
+            stop=stop,
+            moment=self._moment,
+            on_trouble=lambda: heartbeat.beat(self._doing_now()),
+            mono_s=mono_s,
+        )
         for index in done & self._open.keys():
             if not self._open.pop(index).records:
                 archive.settle(index)
-            elif compaction is not None:
-                compaction.put(index)  # a frame of it is damaged: that is told, and the others stay
+            else:
+                self._kept.file(index)  # a frame of it is damaged: that is told, and the others stay
         sequences = [item.sequence for opened in self._open.values() for item in opened.records]
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
-        self._told_trouble = self._told_compaction = ""
-        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive)
         drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
@@ -178,8 +160,8 @@ class Recorder:
             "before": not_running_because,
             "versions": self._provenance["versions"],
         }
-        self._backlog.put(self._orders.begin)
-        self._say("recorder_started", started)
+        self._kept.do(self._orders.begin)
+        self._kept.say("recorder_started", started)
         self._set_damaged_aside()
         absences = self._wait_for_a_set_clock(not_running_because)
         for number, due in enumerate(self._plan):
@@ -188,22 +170,22 @@ class Recorder:
             if not (self._adopt(due) or self._miss(due, absences)):
                 self._take_when_due(due)
             if not self._stop.is_set() and not self._may_run_ahead:
-                self._wait_for_the_disk()
-                self._wait_for_the_worker()
+                self._kept.wait_for_the_disk(self._idle)
+                self._kept.wait_for_the_worker(self._idle)
             if self._stop.is_set():
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
-        self._wait_for_the_disk()
-        self._wait_for_the_files()
+        self._kept.wait_for_the_disk(self._idle)
+        self._kept.wait_for_the_files(self._idle)
         finished = not self._stop.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if self._left_alone.is_set() else self._ledger.drive
         supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if self._left_alone.is_set() else "recorder_stopped"
-        self._say("schedule_done" if finished else stopped, farewell)
+        self._kept.say("schedule_done" if finished else stopped, farewell)
         if finished:
-            self._wait_for_the_disk()
+            self._kept.wait_for_the_disk(self._idle)
         return finished
 
     def linger(self) -> None:
@@ -219,8 +201,7 @@ class Recorder:
             self._orders.close("the recorder has ended")
         except (StorageError, OSError) as error:
             log.warning("open orders are not answered; the next recorder does it: %s", error)
-        if self._history is not None:
-            self._history.follow(now=True)
+        self._kept.leave()
 
     # One set -----------------------------------------------------------------------------------
 
@@ -234,8 +215,8 @@ class Recorder:
         if self._orders.held:
             self._gap(due, self._orders.held)
             return
-        if self._backlog.trouble is not None and not self._backlog.has_room:
-            self._gap(due, f"the memory for what waits is full: {self._backlog.trouble.message}")
+        if self._kept.trouble is not None and not self._kept.has_room:
+            self._gap(due, f"the memory for what waits is full: {self._kept.trouble.message}")
             return
         self._begin(f"taking set {due.set_index}")
         taken = self._begun(due)
@@ -246,7 +227,9 @@ class Recorder:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
             causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
-            self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken))
+            self._kept.post(
+                partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken)
+            )
             self._archive.settle(due.set_index)
         # else: the set is still due after a restart
         if taken.trouble is not None and not self._may_pass(taken.trouble):
@@ -282,7 +265,7 @@ class Recorder:
         taken.restore(opened)
         taken.features.update({shot.sequence: self._features_of(shot) for shot in taken.shots})
         taken.ended_ns = opened.last_utc_ns
-        self._told_ids.update(item.sequence for item in opened.records)
+        self._kept.were_acknowledged(item.sequence for item in opened.records)
         log.warning("set %d goes on: %d records of it are there", opened.set_index, len(opened.records))
         return taken
 
@@ -297,29 +280,7 @@ class Recorder:
         cut = self._stop.is_set() and not self._orders.held and taken.trouble is None
         if not (cut and self._archive.keeps_open_sets) or taken.is_complete(planned):
             return False
-        return self._acknowledge()
-
-    def _acknowledge(self) -> bool:
-        """Make durable what was taken, and tell its ids; a disk that refuses is told of, and asked again."""
-        if self._refusal():
-            return False
-        try:
-            self._sync()
-        except PASSING as error:
-            log.warning("not acknowledged yet: %s", error)
-            if self._backlog.trouble is None:  # nobody should wait for the end of the set to hear it
-                self._backlog.put(self._sync)
-            return False
-        return True
-
-    def _sync(self) -> None:
-        self._tell_ids(self._archive.sync())
-
-    def _tell_ids(self, shot_ids: Iterable[int]) -> None:
-        for shot_id in shot_ids:
-            if shot_id not in self._told_ids:
-                self._told_ids.add(shot_id)
-                self._acknowledged(shot_id)
+        return self._kept.acknowledge()
 
     def _take(self, due: DueSet, taken: TakenSet) -> None:
         """Strike and read; whatever happens, what came before it is kept."""
@@ -363,7 +324,7 @@ class Recorder:
             return
         self._archive.append(measurement, measurement.stamp.utc_ns)
         if self._settings.clock.kind == "wall":  # simulated time has no crash between two shots
-            self._acknowledge()
+            self._kept.acknowledge()
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
                 taken.features[measurement.sequence] = self._features_of(measurement)
@@ -392,9 +353,7 @@ class Recorder:
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
 
         def judged() -> Transaction:
-            stored = self._archive.store_set(record)
-            self._tell_ids(stored.crc32)
-            self._told_ids.difference_update(stored.crc32)
+            stored = self._kept.store(record)
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
@@ -402,26 +361,7 @@ class Recorder:
             return self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
-        self._post(judged, n_bytes=n_bytes, stored=due.set_index)
-
-    def _post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
-        """Commit what is built, in order; what is built once is committed until it is stored.
-
-        Parameters
-        ----------
-        stored
-            Index of a set with records, which gets its file afterwards.
-        """
-        built: list[Transaction] = []
-
-        def job() -> None:
-            if not built:
-                built.append(build())
-            self._ledger.commit(built[0])
-            if stored is not None and self._compaction is not None and self._archive.keeps_open_sets:
-                self._compaction.put(stored)
-
-        self._backlog.put(job, n_bytes=n_bytes)
+        self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
@@ -442,7 +382,7 @@ class Recorder:
             log.warning("self-calibration before set %d failed: %s", due.set_index, error)
             told = {"failed": str(error)}
         self._calibrated_ns = now_ns
-        self._say("self_calibrated", dict(told))
+        self._kept.say("self_calibrated", dict(told))
 
     def _position_records(self, taken: TakenSet, cut_short_because: str) -> list[PositionRecord]:
         return [
@@ -486,7 +426,7 @@ class Recorder:
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._archive.digest(file)
         judged = partial(self._ledger.judged, due, record, file, features, sha256=sha256)
-        self._post(judged, stored=due.set_index)
+        self._kept.post(judged, stored=due.set_index)
         self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.
@@ -504,24 +444,7 @@ class Recorder:
                 self._archive.set_aside(file)
                 del self._orphans[set_index]
                 self._damaged[set_index] = f"its file was damaged and is set aside ({error})"
-        if self._idle_check is not None:
-            alarm = self._ledger.alarms.get((None, "data_damaged"))
-            stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
-            self._idle_check.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
-        self._tell_damage(at_the_start=True)
-
-    def _tell_damage(self, *, at_the_start: bool = False) -> None:
-        """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
-        damaged = {} if self._idle_check is None else self._idle_check.damaged
-        if damaged == self._told_damaged and not at_the_start:
-            return
-        new = {file: told for file, told in damaged.items() if file not in self._told_damaged}
-        self._told_damaged = dict(damaged)
-        for file, told in new.items():
-            log.error("%s: %s", file, told)
-            self._say("data_damaged", {"file": file, "told": told})
-        condition = damage_condition(self._archive.quarantined(), damaged)
-        self._backlog.put(partial(self._ledger.tell, condition, self._moment()))
+        self._kept.begin_check()
 
     def _miss(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
         """Close a set whose time is over, since the next one is due.
@@ -549,7 +472,7 @@ class Recorder:
         self._archive.settle(due.set_index)
         causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
         utc_ns = self._rig.clock.utc_ns()
-        self._post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
+        self._kept.post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
 
     # A clock that cannot be believed, or is set ---------------------------------------------------
 
@@ -573,99 +496,29 @@ class Recorder:
             return []
         if believed is not None:
             log.warning("%s", believed.message)
-            self._say(CLOCK_BELIEVED, asdict(believed))
+            self._kept.say(CLOCK_BELIEVED, asdict(believed))
         self._tell_of_the_clock("")
         now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
         return [(now_ns - (clock.mono_ns() - began_ns), not_running_because), (now_ns, waited)]
 
     def _tell_of_the_clock(self, doubt: str) -> None:
-        self._backlog.put(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))
+        self._kept.do(partial(self._ledger.tell, doubt_condition(doubt), self._moment()))
 
     def _tell_clock_steps(self) -> None:
         if isinstance(self._rig.clock, WallClock):
             for step in self._rig.clock.steps():
                 log.warning("%s", step.message)
-                self._say(CLOCK_STEP, asdict(step))
+                self._kept.say(CLOCK_STEP, asdict(step))
 
-    # A disk that takes nothing ------------------------------------------------------------------
+    # Operator and supervisor ---------------------------------------------------------------------
 
     @property
     def _may_run_ahead(self) -> bool:
         """Strike on while sets wait in memory: only real time goes on without us."""
         return self._settings.clock.kind == "wall"
 
-    def _wait_for_the_disk(self) -> None:
-        while self._backlog.trouble is not None and self._idle():
-            self._stop.wait(LINGER_S)
-        if self._backlog.trouble is not None and self._disk is not None:
-            self._disk.give_back()
-            self._backlog.work(at_once=True)
-        if self._backlog.trouble is not None:
-            log.error(
-                "%d jobs are lost that no disk took: %s", len(self._backlog), self._backlog.trouble.message
-            )
-
-    def _wait_for_the_worker(self) -> None:
-        """Let no simulated time outrun the files: journal and memory would grow with the test."""
-        while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and self._idle():
-            self._stop.wait(LINGER_S / 10.0)
-
-    def _wait_for_the_files(self) -> None:
-        """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
-        if self._compaction is None or self._stop.is_set():
-            return
-        until_s = self._mono_s() + WAIT_FOR_FILES_S
-        while self._idle() and self._compaction.waits and self._mono_s() < until_s:
-            self._compaction.try_again()
-            self._stop.wait(LINGER_S)
-
-    def _refusal(self) -> str:
-        """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
-        return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
-
-    def _look_at_the_disk(self) -> None:
-        """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
-        space = None if self._disk is None else self._disk.look()
-        if space is None:
-            return
-        log.warning("%s: level %s", space.told, space.level)
-        self._say(DISK_SPACE, asdict(space))
-        condition = space_condition(
-            space.told, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
-        )
-        with suppress(*PASSING):  # the event follows when the disk takes it
-            self._ledger.tell(condition, self._moment())
-
-    def _tell_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
-        if trouble is not None:
-            self._told_trouble = trouble.message
-        condition = storage_condition(self._told_trouble, present=trouble is not None)
-        try:
-            if trouble is None:  # on record even if the catalogue itself was what took nothing
-                self._ledger.tell(storage_condition(self._told_trouble, present=True), self._moment())
-            self._ledger.tell(condition, self._moment())
-        except PASSING as error:
-            log.warning("the alarm is not stored: %s", error)
-        self._heartbeat.beat(self._doing_now())
-
-    def _tell_compaction(self, trouble: str) -> None:
-        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
-        if bool(trouble) == bool(self._told_compaction) or self._backlog.trouble is not None:
-            return
-        message = trouble or self._told_compaction
-        self._told_compaction = trouble
-        condition = storage_condition(message, present=bool(trouble), waits_in="journal")
-        with suppress(*PASSING):  # it is in the log; the disk's own trouble follows with the next set
-            self._ledger.tell(condition, self._moment())
-
     def _doing_now(self) -> str:
-        trouble = self._backlog.trouble
-        if trouble is None:
-            return self._doing
-        return f"{self._doing}; {len(self._backlog)} jobs wait in memory for the disk: {trouble.message}"
-
-    # Operator and supervisor ---------------------------------------------------------------------
+        return "; ".join(filter(None, (self._doing, self._kept.waiting)))
 
     def _begin(self, doing: str) -> None:
         """Say at once what is begun: should it never end, the supervisor tells what hung."""
@@ -673,16 +526,8 @@ class Recorder:
         self._heartbeat.beat(self._doing_now())
 
     def _idle(self) -> bool:
-        """Between sets there is time to store what waits."""
-        self._backlog.work()
-        if self._compaction is not None:
-            self._compaction.work()
-            self._tell_compaction(self._compaction.trouble)
-        if self._history is not None:
-            self._history.follow()
-        if self._idle_check is not None and self._backlog.trouble is None:
-            self._idle_check.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
-            self._tell_damage()
+        """Between sets there is time for what works beside the line."""
+        self._kept.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
         return self._look_around()
 
     def _idle_in_a_set(self) -> bool:
@@ -692,10 +537,10 @@ class Recorder:
     def _look_around(self) -> bool:
         """Beat and listen, while waiting and between shots: nothing else advances the heartbeat."""
         self._tell_clock_steps()
-        self._look_at_the_disk()
+        self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
-        if self._backlog.trouble is None:
-            self._backlog.put(self._orders.listen)
+        if self._kept.trouble is None:
+            self._kept.do(self._orders.listen)
         else:
             with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
                 self._orders.listen()
@@ -708,11 +553,3 @@ class Recorder:
 
     def _hour(self) -> float:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
-
-    def _say(self, kind: str, payload: Mapping[str, Any]) -> None:
-        utc_ns = self._rig.clock.utc_ns()
-
-        def job() -> None:
-            self._catalogue.add_event(utc_ns=utc_ns, topic="service", kind=kind, payload=payload)
-
-        self._backlog.put(job)

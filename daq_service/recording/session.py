@@ -35,6 +35,7 @@ from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
+from daq_service.recording.safekeeping import Helpers
 from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
@@ -168,13 +169,15 @@ def record(
             stop=stop,
             tell=tell,
             left_alone=left_alone,
-            compaction=compaction,
-            idle_check=idle_check,
-            acknowledged=acknowledged,
+            helpers=Helpers(
+                compaction=compaction,
+                idle_check=idle_check,
+                history=history,
+                disk=disk,
+                acknowledged=acknowledged,
+            ),
             listen_every_s=listen_every_s,
             remote_drive=remote_drive,
-            history=history,
-            disk=disk,
         )
         stack.callback(recorder.leave)
         finished = recorder.run(not_running_because=cause)

@@ -37,6 +37,7 @@ from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.safekeeping import Helpers
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
@@ -238,12 +239,11 @@ class Line:
                 tell=lambda event, **values: None,
                 left_alone=left_alone,
                 mono_s=mono_s,
-                acknowledged=acknowledged,
-                idle_check=idle_check,
+                helpers=Helpers(
+                    compaction=compaction, idle_check=idle_check, disk=disk, acknowledged=acknowledged
+                ),
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
-                disk=disk,
-                compaction=compaction,
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:

@@ -228,7 +228,7 @@ class SlowWorker:
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
-    monkeypatch.setattr("daq_service.recording.recorder.MOST_UNDER_WAY", 2)
+    monkeypatch.setattr("daq_service.recording.safekeeping.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
     assert line.run(archive=MemoryArchive(line.shelf, journal=True), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
