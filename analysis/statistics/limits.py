@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # `scipy.special`, a third of a recorder's start, is imported when a limit is asked for
+import scipy  # `scipy.special`, slow to import, comes when a limit is asked for
 from numpy.typing import ArrayLike
 
 from analysis.errors import InvalidInputError, NotEnoughSetsError

@@ -7,7 +7,7 @@ from functools import cache
 def fast_length(n: int, factors: tuple[int, ...] = (2, 3, 5)) -> int:
     """Smallest length of at least ``n`` >= 1 that is a product of ``factors``.
 
-    As `scipy.fft.next_fast_len`, whose import would take a third of a recorder's start.
+    As `scipy.fft.next_fast_len`, whose import a recorder's start need not wait for.
     """
     while not _is_product(n, factors):
         n += 1

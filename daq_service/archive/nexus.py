@@ -117,7 +117,7 @@ def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, 
 
 
 def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
-    """Read a whole dataset; strings as bytes. h5py's high level takes three times as long for a small one."""
+    """Read a whole dataset; strings as bytes. h5py's high level takes far longer for a small one."""
     dataset = h5d.open(parent, name.encode())
     array = np.empty(dataset.shape, dtype=dataset.dtype)
     dataset.read(h5s.ALL, h5s.ALL, array)

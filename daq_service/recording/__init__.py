@@ -1,1 +1,1 @@
-"""The line in reading order: session, recorder, ledger; and what it shows while it runs."""
+"""The line in reading order: session, recorder, safekeeping, ledger; and what it shows while it runs."""

@@ -192,7 +192,7 @@ def _body_crc32(facts: bytes, counts_crc32: int) -> int:
 def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
     """Every frame of a segment, or those of a set; bytes between them that are none are passed over."""
     whole, place = memoryview(content), 0
-    # Of one byte: four take ten times as long through the zeros that a segment ends with.
+    # One byte is found far sooner than four behind the zeros that a segment ends with.
     while (place := content.find(MAGIC[:1], place)) >= 0 and place + HEADER.size <= len(content):
         magic, version, kind, width, n_facts, n_counts, set_index, sequence, utc_ns, mono_ns, body, crc32 = (
             HEADER.unpack_from(whole, place)

@@ -5,6 +5,7 @@ import math
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, is_dataclass, replace
+from functools import partial
 
 import numpy as np
 import orjson
@@ -36,6 +37,7 @@ from daq_service.catalogue.sealed import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import patiently
 
 HASH = "ab" * 32
 NAN = float("nan")
@@ -239,7 +241,9 @@ def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
         open_catalogue(tmp_path, writer=writer)
 
 
-def test_a_missing_folder_is_a_clear_error(tmp_path):
+def test_a_missing_folder_is_a_clear_error_at_once(tmp_path, monkeypatch):
+    at_once = partial(patiently, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
+    monkeypatch.setattr("daq_service.catalogue.connection.patiently", at_once)
     with pytest.raises(CatalogueWriteError, match="give this user the right to write"):
         open_catalogue(tmp_path / "absent", writer=True)
 
