@@ -43,7 +43,7 @@ from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
-from daq_service.recording.safekeeping import Helpers, Safekeeping
+from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
@@ -52,9 +52,6 @@ from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
-
-LINGER_S = 0.1
-"""How often a recorder that is done looks for orders."""
 
 SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
@@ -86,6 +83,7 @@ class Recorder:
         left_alone: threading.Event | None = None,
         helpers: Helpers = NO_HELPERS,
         mono_s: Callable[[], float] = time.monotonic,
+        look_every_s: float = LOOK_EVERY_S,
         listen_every_s: float = LISTEN_EVERY_S,
         remote_drive: RemoteDrive | None = None,
     ) -> None:
@@ -95,6 +93,7 @@ class Recorder:
         self._epoch_ns = epoch_ns
         self._heartbeat = heartbeat
         self._stop = stop
+        self._look_every_s = look_every_s
         self._tell = tell
         self._left_alone = left_alone or threading.Event()
         self._doing = "starting"
@@ -127,6 +126,7 @@ class Recorder:
             stop=stop,
             moment=self._moment,
             on_trouble=lambda: heartbeat.beat(self._doing_now()),
+            look_every_s=look_every_s,
             mono_s=mono_s,
         )
         for index in done & self._open.keys():
@@ -193,7 +193,7 @@ class Recorder:
         self._doing = "waiting for orders; every set is taken"
         self._free_until_ns = math.inf
         while self._idle():
-            self._stop.wait(LINGER_S)
+            self._stop.wait(self._look_every_s)
 
     def leave(self) -> None:
         """Tell whoever gave an order that was not begun: nobody will carry it out."""

@@ -30,7 +30,7 @@ WAIT_FOR_FILES_S = 60.0
 MOST_UNDER_WAY = 40
 """Whole sets whose files are being made: two segments of the journal."""
 LOOK_EVERY_S = 0.1
-"""How often a recorder that can do nothing else looks whether the disk takes what waits."""
+"""How often a recorder that can do nothing else looks for orders, and whether the disk takes what waits."""
 
 DISK_SPACE = "disk_space"
 """Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
@@ -75,6 +75,8 @@ class Safekeeping:
         Now, for alarms and events.
     on_trouble
         Called when the disk begins or ceases to refuse.
+    look_every_s
+        Pause between two looks while everything else waits.
     """
 
     def __init__(
@@ -88,13 +90,14 @@ class Safekeeping:
         stop: threading.Event,
         moment: Callable[[], Moment],
         on_trouble: Callable[[], None],
+        look_every_s: float = LOOK_EVERY_S,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._archive, self._catalogue, self._ledger = archive, catalogue, ledger
         self._compaction, self._idle_check = helpers.compaction, helpers.idle_check
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
         self._stop, self._moment, self._mono_s = stop, moment, mono_s
-        self._on_trouble = on_trouble
+        self._on_trouble, self._look_every_s = on_trouble, look_every_s
         self._told_ids: set[int] = set()
         self._told_damaged: dict[str, str] = {}
         self._told_trouble = self._told_compaction = ""
@@ -222,7 +225,7 @@ class Safekeeping:
     def wait_for_the_disk(self, idle: Idle) -> None:
         """Let nothing go on before everything is stored, but a stop."""
         while self.trouble is not None and idle():
-            self._stop.wait(LOOK_EVERY_S)
+            self._stop.wait(self._look_every_s)
         if self.trouble is not None and self._disk is not None:
             self._disk.give_back()
             self._backlog.work(at_once=True)
@@ -232,7 +235,7 @@ class Safekeeping:
     def wait_for_the_worker(self, idle: Idle) -> None:
         """Let no simulated time outrun the files: journal and memory would grow with the test."""
         while self._compaction is not None and self._compaction.n_under_way > MOST_UNDER_WAY and idle():
-            self._stop.wait(LOOK_EVERY_S / 10.0)
+            self._stop.wait(self._look_every_s / 10.0)
 
     def wait_for_the_files(self, idle: Idle) -> None:
         """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
@@ -241,7 +244,7 @@ class Safekeeping:
         until_s = self._mono_s() + WAIT_FOR_FILES_S
         while idle() and self._compaction.waits and self._mono_s() < until_s:
             self._compaction.try_again()
-            self._stop.wait(LOOK_EVERY_S)
+            self._stop.wait(self._look_every_s)
 
     def leave(self) -> None:
         """Let the history know the end."""

@@ -206,6 +206,7 @@ def test_a_killed_web_service_comes_back_at_its_address_and_costs_no_set(watched
     until(lambda: sets_done(watched.folder) > before, "another set")
 
 
+@pytest.mark.slow
 def test_a_second_recorder_on_the_same_folder_is_refused(watched: Demo) -> None:
     config = str(watched.folder / CONFIGURATION_FILE)
     second = solimon_here("record", config, "--data-dir", str(watched.folder), env=QUICK)

@@ -125,7 +125,7 @@ def n_sets(data: Path) -> int:
 @pytest.mark.parametrize(
     ("part", "number", "words"),
     [
-        ("journal", errno.ENOSPC, "No space left on device"),
+        pytest.param("journal", errno.ENOSPC, "No space left on device", marks=pytest.mark.slow),
         pytest.param("journal", errno.EIO, "Input/output error", marks=pytest.mark.slow),
         pytest.param("sets", errno.ENOSPC, "No space left on device", marks=pytest.mark.slow),
         pytest.param("catalogue.sqlite", errno.ENOSPC, "database or disk is full", marks=pytest.mark.slow),

@@ -182,6 +182,7 @@ class Line:
     instruments: list[ScriptedInstruments] = field(default_factory=list)
     heartbeat: QuietHeartbeat | Heartbeat = field(default_factory=QuietHeartbeat)
     listen_every_s: float = LISTEN_EVERY_S
+    look_every_s: float = 0.001
     given: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     runs: bool = False
 
@@ -244,6 +245,7 @@ class Line:
                 ),
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,
+                look_every_s=self.look_every_s,
             )
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:
