@@ -60,7 +60,7 @@ def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None
     return found
 
 
-@pytest.mark.parametrize("number", [50, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [30, pytest.param(1000, marks=pytest.mark.slow)])
 def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
     life: Line, tmp_path: Path, number: int
 ) -> None:
