@@ -2,11 +2,12 @@
 
     python benchmarks/demo_speed.py [--hours H] [--rounds R] [--cold] [--json]
 
-The whole test is 350 h, 425 sets; a shorter one shows the same cost a set. Three runs alternate, so that a
+The whole test is 350 h, 425 sets; a shorter one shows the same cost a set. Four runs alternate, so that a
 busy machine disturbs them alike; each is a process of its own in a new folder:
 
 - the command ``solimon demo --exit --no-web``, from its start to its end;
 - the recorder alone;
+- the recorder alone without the journal (`storage.journal = false`);
 - the recorder alone on the obvious line: one thread, each record computed when it is read, chunks
   compressed by HDF5. Every shot and every row is the same.
 
@@ -28,7 +29,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -49,7 +50,8 @@ from simulator.instruments import build_bench
 from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer
 
-COMMAND, RECORDER, OBVIOUS = "command", "recorder", "obvious line"
+COMMAND, RECORDER, NO_JOURNAL, OBVIOUS = "command", "recorder", "no journal", "obvious line"
+ONE_PROCESS = (RECORDER, NO_JOURNAL, OBVIOUS)
 CACHES = {"NUMBA_CACHE_DIR": "machine-code", "XDG_CACHE_HOME": "reductions", "LOCALAPPDATA": "reductions"}
 """Where machine code and reduced plates are kept (`numerics.array_cache`), and a folder for a cold start."""
 
@@ -97,14 +99,18 @@ def compression_by_hdf5() -> Iterator[None]:
         nexus.write_chunks = ours
 
 
-def run_recorder(hours: float, *, obvious: bool) -> dict[str, Any]:
+def run_recorder(hours: float, kind: str) -> dict[str, Any]:
     """Record in this process; wall and processor time with the cost by stage."""
     settings = load_settings(None)
-    settings = settings.model_copy(update={"schedule": settings.schedule.model_copy(update={"end_h": hours})})
+    changed = {
+        "schedule": settings.schedule.model_copy(update={"end_h": hours}),
+        "storage": settings.storage.model_copy(update={"journal": kind != NO_JOURNAL}),
+    }
+    settings = settings.model_copy(update=changed)
     with tempfile.TemporaryDirectory() as folder:
         prepare_data_folder(Path(folder))
         wall, processor = time.perf_counter(), sum(os.times()[:4])
-        rig = one_thread_rig if obvious else open_rig
+        rig = one_thread_rig if kind == OBVIOUS else open_rig
         finished = record(settings, Path(folder), rig, stop=threading.Event(), tell=lambda *_, **__: None)
         wall_s, processor_s = time.perf_counter() - wall, sum(os.times()[:4]) - processor
         assert finished
@@ -149,12 +155,12 @@ def run_command(hours: float, *, cold: bool) -> dict[str, Any]:
 
 
 def measure(hours: float, rounds: int, *, cold: bool) -> dict[str, dict[str, float]]:
-    """Alternate the three runs; the mean of each number over the rounds."""
-    runs: dict[str, list[dict[str, Any]]] = {COMMAND: [], RECORDER: [], OBVIOUS: []}
+    """Alternate the four runs; the mean of each number over the rounds."""
+    runs: dict[str, list[dict[str, Any]]] = {kind: [] for kind in (COMMAND, *ONE_PROCESS)}
     for _ in range(rounds):
         runs[COMMAND].append(run_command(hours, cold=cold))
-        runs[RECORDER].append(run_in_a_process(RECORDER, hours))
-        runs[OBVIOUS].append(run_in_a_process(OBVIOUS, hours))
+        for kind in ONE_PROCESS:
+            runs[kind].append(run_in_a_process(kind, hours))
     return {
         kind: {name: mean(run[name] for run in several) for name in several[0]}
         for kind, several in runs.items()
@@ -174,7 +180,11 @@ def show(found: dict[str, dict[str, float]]) -> None:
             f"{kind}: {1e3 * run['wall_s'] / run['sets']:.1f} ms a set, of it fsync of file and folder "
             f"{1e3 * fsync_s / run['sets']:.2f} ms ({fsync_s / run['wall_s']:.1%})"
         )
-    ours, obvious = found[RECORDER], found[OBVIOUS]
+    ours, bare, obvious = found[RECORDER], found[NO_JOURNAL], found[OBVIOUS]
+    print(
+        f"with over without the journal: wall {ours['wall_s'] / bare['wall_s']:.3f}, processor "
+        f"{ours['processor_s'] / bare['processor_s']:.3f}"
+    )
     print(
         f"obvious line over recorder: wall {obvious['wall_s'] / ours['wall_s']:.2f}, processor "
         f"{obvious['processor_s'] / ours['processor_s']:.2f}, bytes stored "
@@ -188,13 +198,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--cold", action="store_true", help="empty caches for the command")
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--one", choices=(RECORDER, OBVIOUS), help=argparse.SUPPRESS)
+    parser.add_argument("--one", choices=ONE_PROCESS, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
-    if options.one == RECORDER:
-        print(json.dumps(run_recorder(options.hours, obvious=False)))
-    elif options.one == OBVIOUS:
-        with compression_by_hdf5():
-            print(json.dumps(run_recorder(options.hours, obvious=True)))
+    if options.one:
+        with compression_by_hdf5() if options.one == OBVIOUS else nullcontext():
+            print(json.dumps(run_recorder(options.hours, options.one)))
     else:
         found = measure(options.hours, options.rounds, cold=options.cold)
         if options.json:

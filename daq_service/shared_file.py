@@ -55,15 +55,21 @@ def patiently(
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
 
 
-def read_shared(path: Path) -> bytes:
-    """Read a file that another process may be replacing.
+def read_shared(path: Path, first: int = 0, last: int | None = None) -> bytes:
+    """Read a file that another process may be replacing, or the bytes of it from `first` up to `last`.
 
     Raises
     ------
     OSError
         It cannot be read, also after a while.
     """
-    return patiently(path.read_bytes)
+
+    def read() -> bytes:
+        with path.open("rb") as file:
+            file.seek(first)
+            return file.read(-1 if last is None else last - first)
+
+    return patiently(read)
 
 
 def read_hint(path: Path) -> bytes | None:

@@ -72,7 +72,7 @@ class Digitizer(Protocol):
     """Samples one transducer's sensor around a trigger."""
 
     def arm(self, key: ShotKey) -> None:
-        """Start waiting for the trigger; the pre-trigger buffer is filling on return.
+        """Start waiting for the trigger; the pre-trigger buffer fills in time for the wave.
 
         Raises
         ------

@@ -7,7 +7,7 @@ between shots, so any shot can be computed at any time, ahead or again, with the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -29,11 +29,16 @@ from simulator.experiment.faults import (
     interference_of_shot,
 )
 from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import ThinningParameters, TwinParameters
 from simulator.shot.model import Impact, ShotForce, ShotModel
 from simulator.shot.pulse_summary import summarise
+
+Stray = Callable[[float, float, int], FloatArray]
+"""Voltage that no strike made: of the first sample's time from the striker's contact in s, the rate, the
+number of samples."""
 
 
 class SolitaryWaveModel(Protocol):
@@ -98,6 +103,8 @@ class Specimen:
         By position: thinning of every position above.
     spots
         By position: the far wall as each ultrasonic probe sees it, None where it stays smooth.
+    stray
+        Added at the digitizer's input, which the trigger sees too.
     """
 
     twin: TwinParameters
@@ -108,6 +115,7 @@ class Specimen:
     room: Temperature
     adc_calibration: Calibration
     echo_calibration: Calibration
+    stray: Stray | None = None
 
     def hour_h(self, elapsed_ns: int) -> float:
         """Hour whose depth and temperature hold now (`TwinParameters.update_interval_s`)."""
@@ -214,6 +222,7 @@ class Specimen:
             noise=self.twin.noise,
             random=generator(seed, Purpose.NOISE, key=key),
             interference=interference,
+            stray=self.stray,
         )
         if record is None:
             return None

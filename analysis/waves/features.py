@@ -46,6 +46,12 @@ Quality = Literal["good", "suspect", "bad"]
 EXTRACTOR_VERSION = "1.1"
 """Changes whenever any feature of any record would."""
 
+JUMP_S, FRONT_S = 2e-6, 20e-6
+JUMP_PART = 0.7
+"""Of the record's highest: a spike is that itself, less what noise adds elsewhere."""
+STIRRED_SNR = 6.0
+"""Height near the trigger over the noise's rms; the highest of 200 samples of noise alone stays below 5."""
+
 FEATURE_NAMES = (
     "tof_pp_s",
     "tof_ac_s",
@@ -214,8 +220,10 @@ def extract_from_volts(
     found |= _flags(record, pulses, settings)
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
+    # What something else started looks like a wave at times: nothing is measured of it.
+    measured = {} if "false_trigger" in found else _measured(record, pulses, settings)
     return ShotFeatures(
-        **_measured(record, pulses, settings),
+        **measured,
         noise_rms_v=record.noise_rms_v,
         flags=flags,
         valid=valid,
@@ -224,10 +232,13 @@ def extract_from_volts(
 
 
 def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> set[str]:
+    spiked, stirred = _at_trigger(record)
+    if spiked:
+        return {"false_trigger"}
     if pulses.inverted:
         return {"inverted"}
     if pulses.isw is None:
-        return {"missed"}
+        return {"false_trigger" if stirred else "missed"}
     found = set()
     if pulses.psw is None:
         found.add("no_psw")
@@ -240,6 +251,27 @@ def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) 
     if _baseline_drifts(record, pulses.isw, settings):
         found.add("baseline")
     return found
+
+
+def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
+    """Whether the record jumps at its trigger as no wave does, and whether it moves there at all.
+
+    A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
+    a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
+    record is much higher; a crest of noise that started the record before the wave is small beside it.
+    """
+    rate_hz = record.block_samples / record.step_s
+    trigger = round(0.5 * (record.block_samples - 1) - record.first_s * rate_hz)
+    jump, front = max(1, round(JUMP_S * rate_hz)), max(2, round(FRONT_S * rate_hz))
+    before = record.samples_v[max(0, trigger - 2 * jump) : max(0, trigger - jump)] - record.offset_v
+    after = record.samples_v[trigger : trigger + front] - record.offset_v
+    if before.size == 0 or after.size == 0:
+        return False, False
+    height = max(float(np.abs(after).max()), float(np.abs(before).max()))
+    risen = float(np.abs(after[: jump + 1] - before.mean()).max())
+    stirred = height > STIRRED_SNR * record.noise_rms_v
+    highest = max(height, float(np.abs(record.blocks_v).max()))
+    return stirred and risen >= JUMP_PART * highest, stirred
 
 
 def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:

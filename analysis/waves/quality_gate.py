@@ -13,9 +13,22 @@ from typing import Final, Literal, get_args
 
 from analysis.errors import InvalidInputError
 
-FLAGS = ("missed", "double", "clipped", "inverted", "no_psw", "psw_merged", "baseline", "noisy")
-"""What may be wrong with a shot."""
-INVALIDATING_FLAGS = frozenset({"missed", "double", "clipped", "inverted", "no_psw"})
+FLAGS = (
+    "missed",
+    "false_trigger",
+    "double",
+    "clipped",
+    "inverted",
+    "no_psw",
+    "psw_merged",
+    "baseline",
+    "noisy",
+)
+"""What may be wrong with a shot.
+
+``missed``: no record, or nothing in it; ``false_trigger``: something else than the wave started the record.
+"""
+INVALIDATING_FLAGS = frozenset({"missed", "false_trigger", "double", "clipped", "inverted", "no_psw"})
 """A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
 
 The other three leave the vector usable: a merged PSW is what a badly corroded wall sends back, and
@@ -40,7 +53,8 @@ class RestrikeRule:
     Attributes
     ----------
     flags
-        Of `FLAGS`; a strike that left no record counts as ``missed``.
+        Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` stands for
+        ``false_trigger`` too: neither gave a wave.
     restrikes_per_set
         For each transducer.
     """
@@ -69,7 +83,8 @@ class RestrikeRule:
         restrikes_so_far
             Repetitions already made for this transducer in this set.
         """
-        poor = not set(self.flags).isdisjoint(shot_flags)
+        found = {"missed" if flag == "false_trigger" else flag for flag in shot_flags}
+        poor = not found.isdisjoint(self.flags)
         return poor and attempt == 0 and restrikes_so_far < self.restrikes_per_set
 
 

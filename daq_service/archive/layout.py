@@ -13,12 +13,15 @@
       missed                  NXcollection: what was tried and left no record (absent: nothing)
       positions               NXcollection: what was planned, and why it fell short
       environment             NXcollection: supply and climate around the set (absent: none)
+      features                NXdata: features and flags of each shot (these three: absent, or a copy)
+      set_features            NXcollection: features of each transducer's set
+      thickness               NXcollection: pulse-echo results
       preview                 NXdata: mean, min, max in volts of each transducer
       provenance              NXnote: JSON
 
 Records of a position that differ in rate, length, type or calibration go to groups of their own
-(``B_waveforms_2``): a set is never refused for it. Features are not in the file of this version:
-they are computed after it is durable, and the catalogue has them.
+(``B_waveforms_2``): a set is never refused for it. Results are the catalogue's when the file was made;
+without a journal it is made before they are computed.
 """
 
 from __future__ import annotations
@@ -27,9 +30,11 @@ import json
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
+from h5py.h5d import DatasetID
 from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
@@ -48,8 +53,10 @@ from daq_service.clock import format_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
-FORMAT_VERSION = "1.2"
+FORMAT_VERSION = "1.3"
 """Raised in its first number when an older reader would misunderstand the file."""
+RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
+"""Tables of a set's results, each with the column that tells its rows apart."""
 CLIPPED = 1
 """Bit of ``shots/flags``."""
 _PREVIEW_POINTS = 500
@@ -108,13 +115,14 @@ def build_image(record: SetRecord) -> bytes:
         _add_missed(entry, record)
         _add_positions(entry, record)
         _add_environment(entry, record)
+        _add_results(entry, record)
         _add_preview(entry, groups)
         _add_provenance(entry, record)
         return image_of(file)
 
 
 def _version(record: SetRecord) -> str:
-    return str(record.provenance.get("solimon_version", ""))
+    return str(record.provenance.get("versions", {}).get("solimon", ""))
 
 
 def _grouped(records: Sequence[Record]) -> list[_RecordGroup]:
@@ -160,7 +168,7 @@ def _add_facts(entry: GroupID, record: SetRecord) -> None:
     add_field(entry, "set_index", np.int64(record.set_index))
     add_field(entry, "due_h", np.float64(record.due_h), units="h")
     if record.trouble:
-        add_field(entry, "trouble", record.trouble, long_name="instrument error that ended the set early")
+        add_field(entry, "trouble", record.trouble, description="instrument error that ended the set early")
     for name in ("due_utc_ns", "started_utc_ns", "ended_utc_ns"):
         add_field(entry, name, np.int64(getattr(record, name)), units="ns", start=_EPOCH)
 
@@ -179,12 +187,14 @@ def _add_detectors(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGr
         add_field(detector, "pretrigger_samples", np.int64(waveform.pretrigger_samples))
         add_field(detector, "input_range", np.float64(calibration.range_v), units="V")
         add_field(detector, "resolution_bits", np.int64(calibration.resolution_bits))
+        power = add_field(detector, "power", np.arange(calibration.coefficients_v.size), is_axis=True)
         add_field(
             detector,
             "calibration_coefficients",
             calibration.coefficients_v,
+            axes=[power],
             units="V",
-            long_name="volts = sum of coefficient[k] * counts**k",
+            description="volts = sum of coefficient * counts**power",
         )
         add_field(detector, "calibration_date", calibration.date)
         add_field(detector, "scaling_factor", np.float64(scale), units="V")
@@ -198,7 +208,7 @@ def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
 
 
 def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
-    time_axes: dict[tuple[float, int, int], GroupID] = {}
+    time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
         signal = "record" if group.is_echo else "waveform"
@@ -209,29 +219,35 @@ def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGrou
             {"signal": signal, "axes": ["shot_time", "time"], "position": group.position},
         )
         scale, offset = _nexus_scale(group.waveform)
+        time = _add_time_axis(data, group, time_axes)
+        shot_time = add_field(
+            data,
+            "shot_time",
+            np.array([(shot.stamp.utc_ns - record.due_utc_ns) / NS_PER_S for shot in group.records]),
+            is_axis=True,
+            units="s",
+            start=start,
+        )
         counts = group.counts
         add_field(
             data,
             signal,
             counts,
             chunk=(1, counts.shape[1]) if counts.shape[1] else None,
+            axes=[shot_time, time],
             units="counts",
-            long_name="ADC counts",
-            scaled_units="V",
-            scale_factor=scale,
-            add_offset=float(group.waveform.calibration.coefficients_v[0]),
         )
+        # The scale stands in NeXus' fields alone: of a netCDF reader that applies `scale_factor` the volts
+        # would keep the unit of the counts.
         add_field(data, f"{signal}_scaling_factor", np.float64(scale), units="V")
-        add_field(data, f"{signal}_offset", np.float64(offset))
-        _add_time_axis(data, group, time_axes)
-        shot_time_s = [(shot.stamp.utc_ns - record.due_utc_ns) / NS_PER_S for shot in group.records]
-        add_field(data, "shot_time", np.array(shot_time_s), units="s", start=start, long_name="time of shot")
-        add_field(data, "shot_id", _int64(shot.sequence for shot in group.records))
+        add_field(data, f"{signal}_offset", np.float64(offset), units="counts")
+        add_field(data, "shot_id", _int64(shot.sequence for shot in group.records), axes=[shot_time])
         echoes = [echo for echo in group.records if isinstance(echo, PulseEchoRecord)]
         if echoes:
-            add_field(data, "gain", np.array([echo.gain_db for echo in echoes]), units="dB")
-            add_field(data, "offset", np.array([echo.offset_v for echo in echoes]), units="V")
-            add_field(data, "averages", _int64(echo.averages for echo in echoes))
+            add_setting = partial(add_field, data, axes=[shot_time])
+            add_setting("gain", np.array([echo.gain_db for echo in echoes]), units="dB")
+            add_setting("offset", np.array([echo.offset_v for echo in echoes]), units="V")
+            add_setting("averages", _int64(echo.averages for echo in echoes))
 
 
 def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
@@ -239,22 +255,26 @@ def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
 
 
 def _add_time_axis(
-    data: GroupID, group: _RecordGroup, time_axes: dict[tuple[float, int, int], GroupID]
-) -> None:
+    data: GroupID,
+    group: _RecordGroup,
+    time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]],
+) -> DatasetID:
     """Add the time axis; groups sampled alike share one by a hard link."""
-    known = time_axes.get(group.sampling)
-    if known is not None:
+    if group.sampling in time_axes:
+        known, axis = time_axes[group.sampling]
         add_hard_link(data, "time", known, "time")
-        return
-    time_axes[group.sampling] = data
-    add_field(
+        return axis
+    axis = add_field(
         data,
         "time",
         group.waveform.time_s(),
+        is_axis=True,
         units="s",
-        long_name="time from trigger",
+        description="time from trigger",
         target=f"/entry/{group.name}/time",
     )
+    time_axes[group.sampling] = data, axis
+    return axis
 
 
 def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
@@ -268,15 +288,15 @@ def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["trut
         group = add_group(
             entry, f"{position.position}_{kind}", "NXcollection", {"position": position.position}
         )
-        add_field(group, "shot_id", _int64(shot.sequence for shot in records))
+        axis = add_field(group, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
         for name in names:
             known = [name in fact for fact in facts]
             is_text = any(isinstance(fact.get(name), str) for fact in facts)
             if is_text:
-                field = add_field(group, name, [str(fact.get(name, "")) for fact in facts])
+                field = add_field(group, name, [str(fact.get(name, "")) for fact in facts], axes=[axis])
             else:
                 values = np.array([fact.get(name, np.nan) for fact in facts], dtype=np.float64)
-                field = add_field(group, name, values, units=unit_of(name))
+                field = add_field(group, name, values, axes=[axis], units=unit_of(name))
             if not all(known):
                 set_attributes(field, {"known": np.array(known, dtype=np.uint8)})
 
@@ -285,11 +305,13 @@ def _add_missed(entry: GroupID, record: SetRecord) -> None:
     if not record.missed:
         return
     table = add_group(entry, "missed", "NXcollection")
-    add_field(table, "position", [item.key.position for item in record.missed])
+    axis = add_field(table, "row", np.arange(len(record.missed)), is_axis=True)
+    add_column = partial(add_field, table, axes=[axis])
+    add_column("position", [item.key.position for item in record.missed])
     for name in ("shot_index", "attempt"):
-        add_field(table, name, _int64(getattr(item.key, name) for item in record.missed))
-    add_field(table, "reason", [item.reason for item in record.missed])
-    add_field(table, "cause", [item.cause for item in record.missed])
+        add_column(name, _int64(getattr(item.key, name) for item in record.missed))
+    add_column("reason", [item.reason for item in record.missed])
+    add_column("cause", [item.cause for item in record.missed])
 
 
 def _add_environment(entry: GroupID, record: SetRecord) -> None:
@@ -307,37 +329,34 @@ def _add_environment(entry: GroupID, record: SetRecord) -> None:
 def _add_shots(entry: GroupID, record: SetRecord) -> None:
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
-    add_field(table, "shot_id", _int64(shot.sequence for shot in records))
-    add_field(table, "position", [shot.key.position for shot in records])
+    axis = add_field(table, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
+    add_column = partial(add_field, table, axes=[axis])
+    add_column("position", [shot.key.position for shot in records])
     for name in ("shot_index", "attempt"):
-        add_field(table, name, _int64(getattr(shot.key, name) for shot in records))
-    add_field(table, "utc_ns", _int64(shot.stamp.utc_ns for shot in records), units="ns", start=_EPOCH)
-    add_field(
-        table,
+        add_column(name, _int64(getattr(shot.key, name) for shot in records))
+    add_column("utc_ns", _int64(shot.stamp.utc_ns for shot in records), units="ns", start=_EPOCH)
+    add_column(
         "mono_ns",
         _int64(shot.stamp.mono_ns for shot in records),
         units="ns",
-        long_name="monotonic clock; comparable within one boot_id",
+        description="monotonic clock; comparable within one boot_id",
     )
-    add_field(table, "boot_id", [shot.stamp.boot_id for shot in records])
-    add_field(
-        table,
+    add_column("boot_id", [shot.stamp.boot_id for shot in records])
+    add_column(
         "crc32",
         np.array([waveform_crc32(shot.waveform) for shot in records], dtype=np.uint32),
-        long_name="CRC-32 (zlib) of the counts, little-endian",
+        description="CRC-32 (zlib) of the counts, little-endian",
     )
-    add_field(
-        table,
+    add_column(
         "flags",
         np.array([CLIPPED if shot.waveform.clipped else 0 for shot in records], dtype=np.uint8),
         flag_masks=np.uint8(CLIPPED),
         flag_meanings="clipped",
     )
-    add_field(
-        table,
+    add_column(
         "outcome",
         [record.outcomes.get(shot.sequence, "accepted") for shot in records],
-        long_name="accepted, or superseded by a repetition of the same shot",
+        description="accepted, or superseded by a repetition of the same shot",
     )
 
 
@@ -345,11 +364,30 @@ def _add_positions(entry: GroupID, record: SetRecord) -> None:
     positions = record.positions
     taken = [shot.key.position for shot in record.records]
     table = add_group(entry, "positions", "NXcollection")
-    add_field(table, "name", [row.position for row in positions])
+    axis = add_field(table, "name", [row.position for row in positions], is_axis=True)
+    add_column = partial(add_field, table, axes=[axis])
     for name in ("method", "label", "serial_number", "cause"):
-        add_field(table, name, [getattr(row, name) for row in positions])
-    add_field(table, "n_planned", _int64(row.n_planned for row in positions))
-    add_field(table, "n_taken", _int64(taken.count(row.position) for row in positions))
+        add_column(name, [getattr(row, name) for row in positions])
+    add_column("n_planned", _int64(row.n_planned for row in positions))
+    add_column("n_taken", _int64(taken.count(row.position) for row in positions))
+
+
+def _add_results(entry: GroupID, record: SetRecord) -> None:
+    for table, axis_name in RESULTS.items():
+        columns = {name: list(values) for name, values in record.results.get(table, {}).items()}
+        if not columns:
+            continue
+        shown = {"signal": "tof_pp_s", "axes": [axis_name]} if table == "features" else {}
+        group = add_group(entry, table, "NXdata" if shown else "NXcollection", shown)
+        axis = add_field(group, axis_name, _column(columns.pop(axis_name)), is_axis=True)
+        for name, values in sorted(columns.items()):
+            field = add_field(group, name, _column(values), axes=[axis])
+            if not isinstance(values[0], str):
+                set_attributes(field, {"units": unit_of(name)})
+
+
+def _column(values: list[float | str]) -> Any:
+    return values if isinstance(values[0], str) else np.array(values)
 
 
 def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
@@ -374,10 +412,12 @@ def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
             **({"auxiliary_signals": curves[1:]} if curves[1:] else {}),
         },
     )
+    # Without `long_name`: viewers then put name and unit beside a curve, each in its own way.
+    time_s = first.waveform.time_s()[starts]
+    time = add_field(preview, "time", time_s, is_axis=True, units="s", description="time from trigger")
     for name, group in zip(names, shown, strict=True):
         for kind, values in _envelope(group, starts).items():
-            add_field(preview, f"{name}_{kind}", values, units="V", long_name=f"{group.position} {kind} (V)")
-    add_field(preview, "time", first.waveform.time_s()[starts], units="s", long_name="time from trigger (s)")
+            add_field(preview, f"{name}_{kind}", values, axes=[time], units="V")
 
 
 def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArray[np.float32]]:
@@ -405,4 +445,4 @@ def _add_provenance(entry: GroupID, record: SetRecord) -> None:
     add_field(note, "type", "application/json")
     add_field(note, "description", "configuration, host and versions that made this set")
     add_field(note, "date", format_utc(record.ended_utc_ns))
-    add_field(note, "data", [text], chunk=(1,))
+    add_field(note, "data", [text], chunk=(1,), is_axis=True)

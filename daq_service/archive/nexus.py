@@ -4,8 +4,12 @@ All data are under a checksum: large arrays are chunked with Fletcher32, each ch
 `daq_service.archive.chunk` and handed over as bytes; small ones and attributes
 lie in object headers, which HDF5 guards by a checksum of its own since version 1.8 (format
 specification, version 2 object headers). Only the index of the chunks is not: a waveform that it
-leads to wrongly betrays itself by its CRC-32. Strings have a fixed length, because variable ones
-would lie in a heap that nothing guards.
+leads to wrongly betrays itself by its CRC-32. Strings of datasets have a fixed length, because variable
+ones lie in a heap that nothing guards. Those of attributes are variable all the same, since readers hand
+over no others as text: they are names and units, which follow from the rest of the file and are compared
+with it by `daq_service.archive.verification`.
+
+A dataset's axes are dimension scales, so that netCDF readers know dimensions by name.
 
 Types and property lists never change and cost as much as writing a number, so they are made once.
 """
@@ -18,8 +22,9 @@ from contextlib import contextmanager
 from functools import cache, lru_cache
 from typing import Any
 
+import h5py
 import numpy as np
-from h5py import h5a, h5d, h5f, h5g, h5p, h5s, h5t
+from h5py import h5a, h5d, h5ds, h5f, h5g, h5p, h5s, h5t
 from numpy.typing import NDArray
 
 from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
@@ -27,6 +32,7 @@ from daq_service.archive.chunk import GZIP_LEVEL, filtered_chunk
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays lie in their object header: faster than a chunk, and shorter than its index."""
 _BLOCK_BYTES = 1 << 20
+_TEXT = h5py.string_dtype()
 _AS_STORED = ("<", "|")
 """First characters of the types whose numbers lie in memory as they lie in the file."""
 
@@ -84,6 +90,8 @@ def add_field(
     values: Any,
     *,
     chunk: tuple[int, ...] | None = None,
+    axes: Sequence[h5d.DatasetID] = (),
+    is_axis: bool = False,
     **attributes: Attribute,
 ) -> h5d.DatasetID:
     """Dataset of numbers or strings; ``chunk`` None leaves the choice to the size.
@@ -94,6 +102,10 @@ def add_field(
         Array or scalar of a NumPy type, a string, or a list of strings.
     chunk
         Its first length divides that of the values, the others are equal to theirs.
+    axes
+        One for each dimension, or none.
+    is_axis
+        It may be an axis of others.
     """
     array, data_type, space = _stored_form(values)
     if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim:
@@ -104,8 +116,14 @@ def add_field(
     else:
         dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_chunked_properties(chunk))
         write_chunks(dataset, array, chunk)
-    if attributes:
-        set_attributes(dataset, attributes)
+    if array.dtype.kind == "S":
+        # Else xarray hands over bytes (netCDF's convention for text of fixed length).
+        attributes = {"_Encoding": "utf-8", **attributes}
+    set_attributes(dataset, attributes)
+    if is_axis:
+        h5ds.set_scale(dataset, name.encode())
+    for dimension, axis in enumerate(axes):
+        h5ds.attach_scale(dataset, axis, dimension)
     return dataset
 
 
@@ -127,13 +145,23 @@ def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
 def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str, Attribute]) -> None:
     """Set attributes of a group, a dataset or a file."""
     for name, value in attributes.items():
-        array, data_type, space = _stored_form(value)
-        h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
+        if isinstance(value, str) or (isinstance(value, Sequence) and all(isinstance(v, str) for v in value)):
+            text = np.array(value, dtype=_TEXT)
+            attribute = h5a.create(target, name.encode(), _variable_text(), _space(text.shape))
+            attribute.write(text, mtype=_number_type(_TEXT))
+        else:
+            array, data_type, space = _stored_form(value)
+            h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
 
 
 def add_hard_link(parent: h5g.GroupID, name: str, source_parent: h5g.GroupID, source_name: str) -> None:
     """Let a second name lead to a dataset; it is stored once."""
     parent.links.create_hard(name.encode(), source_parent, source_name.encode())
+
+
+@cache
+def _variable_text() -> h5t.TypeID:
+    return h5t.py_create(_TEXT, logical=True)
 
 
 def _stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
@@ -142,6 +170,8 @@ def _stored_form(values: Any) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
         return _stored_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
         array = np.array([text.encode() for text in values], dtype=np.bytes_)
+        if array.itemsize < 2:
+            array = array.astype("S2")  # netCDF readers take S1 for letters of one text
         return array, _text_type(array.itemsize), _space(array.shape)
     array = np.asarray(values)
     if not (array.dtype.str.startswith(_AS_STORED) and array.flags.c_contiguous):

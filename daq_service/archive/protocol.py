@@ -12,6 +12,7 @@ from daq_service.archive.records import (
     Damage,
     MissedRecord,
     OpenSet,
+    Places,
     SetRecord,
     SetReference,
     StoredSet,
@@ -130,6 +131,10 @@ class Archive(SetReader, Protocol):
 
     def close(self) -> None:
         """Let go of what is held open; nothing is lost."""
+        ...
+
+    def places(self, set_index: int) -> Places:
+        """Where the journal has the durable frames of a set."""
         ...
 
     def settle(self, set_index: int) -> None:

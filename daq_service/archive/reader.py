@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 from h5py import h5a
+from numpy.typing import NDArray
 
 from daq_service.archive.errors import (
     ArchiveError,
@@ -26,6 +27,7 @@ from daq_service.archive.errors import (
 )
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
+from daq_service.archive.layout import RESULTS
 from daq_service.archive.nexus import opened_image, read_field
 from daq_service.archive.records import (
     SETS_FOLDER,
@@ -140,11 +142,26 @@ class FolderSetReader:
 
 def read_file(path: Path, *, skip_damaged: bool = False) -> SetRecord:
     """Read the file of a set."""
-    with _opened(path) as entry:
+    with opened_set(path) as entry:
         records, damages = _read_records(entry)
         if damages and not (skip_damaged and records):
             raise _damaged(path, damages)
         return _record_of(entry, records)
+
+
+def read_records(path: Path, content: bytes) -> list[Shot | PulseEchoRecord]:
+    """Read the records of a set's file in memory, but neither truth nor settings.
+
+    Raises
+    ------
+    CorruptArchiveError
+        A record is damaged, or the set as a whole.
+    """
+    with opened_set(path, content) as entry:
+        records, damages = _read_records(entry, facts=False)
+        if damages:
+            raise _damaged(path, damages)
+        return records
 
 
 def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]:
@@ -160,7 +177,7 @@ def examine(path: Path, content: bytes) -> tuple[SetRecord | None, list[Damage]]
     CorruptArchiveError
         It cannot be read as a whole.
     """
-    with _opened(path, content) as entry:
+    with opened_set(path, content) as entry:
         records, damages = _read_records(entry)
         try:
             return (_record_of(entry, records) if records else None), damages
@@ -178,7 +195,7 @@ def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
     CorruptArchiveError
         It cannot be read as a whole.
     """
-    with _opened(path, content) as entry:
+    with opened_set(path, content) as entry:
         return _unreadable(entry)
 
 
@@ -198,6 +215,7 @@ def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> 
         trouble=_text(entry["trouble"][()]) if "trouble" in entry else "",
         environment=_read_environment(entry),
         provenance=json.loads(_text(entry["provenance/data"][0])),
+        results={name: _columns(entry[name], *entry[name]) for name in RESULTS if name in entry},
     )
 
 
@@ -209,7 +227,7 @@ def _damaged(path: Path, damages: Sequence[Damage]) -> CorruptArchiveError:
 
 
 def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
-    with _opened(path) as entry:
+    with opened_set(path) as entry:
         table = _read_table(entry)
         rows = [
             row
@@ -219,10 +237,10 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
         if not rows:
             raise SetNotFoundError(f"{path} has no shot {shot_index} of position {position!r}")
         row = max(rows, key=lambda row: (table["outcome"][row] == "accepted", table["attempt"][row]))
-        for name in _group_names(entry):
+        for name in group_names(entry):
             if _text(entry[name].attrs["position"]) != position:
                 continue
-            group = _Group(entry, name)
+            group = RecordGroup(entry, name)
             if table["shot_id"][row] in group.sequences:
                 found = group.waveform(group.sequences.index(table["shot_id"][row]), table["crc32"][row])
                 if isinstance(found, Waveform):
@@ -232,14 +250,14 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
 
 
 def _verify_file(path: Path) -> list[Damage]:
-    with _opened(path) as entry:
+    with opened_set(path) as entry:
         return _read_records(entry)[1] + _unreadable(entry)
 
 
 def _unreadable(entry: h5py.Group) -> list[Damage]:
     """List what cannot be read beside the records."""
     unreadable: list[Damage] = []
-    arrays = {f"{name}/{signal}" for name in _group_names(entry) for signal in ("waveform", "record")}
+    arrays = {f"{name}/{signal}" for name in group_names(entry) for signal in ("waveform", "record")}
     _read_everything(entry, "", arrays, unreadable)
     try:
         # Looks into the free-space lists of the groups' names too, which no reading touches.
@@ -249,11 +267,12 @@ def _unreadable(entry: h5py.Group) -> list[Damage]:
     return unreadable
 
 
-class _Group:
+class RecordGroup:
     """One NXdata of records and its detector."""
 
     def __init__(self, entry: h5py.Group, name: str) -> None:
         self.data = entry[name]
+        self.position = _text(self.data.attrs["position"])
         self.signal = self.data[_text(self.data.attrs["signal"])]
         self.sequences: list[int] = read_field(self.data.id, "shot_id").tolist()
         detector = entry["instrument"][name].id
@@ -266,10 +285,18 @@ class _Group:
             date=_text(read_field(detector, "calibration_date")[()]),
         )
 
-    def waveform(self, row: int, crc32: int) -> Waveform | str:
-        """Record of a row, or what is wrong with it."""
+    def all_counts(self) -> NDArray[Any] | None:
+        """Every record at once, which is faster than one after the other; None: some are unreadable."""
         try:
-            counts = self.signal[row]
+            counts: NDArray[Any] = self.signal[()]
+        except HDF5_ERRORS:
+            return None  # `waveform` tells which
+        return counts
+
+    def waveform(self, row: int, crc32: int, together: NDArray[Any] | None = None) -> Waveform | str:
+        """Record of a row, or what is wrong with it; ``together`` are the counts of all rows."""
+        try:
+            counts = self.signal[row] if together is None else together[row]
         except HDF5_ERRORS as error:
             return f"unreadable ({error})"
         waveform = Waveform(
@@ -290,24 +317,26 @@ class _Group:
         }
 
 
-def _read_records(entry: h5py.Group) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
+def _read_records(
+    entry: h5py.Group, *, facts: bool = True
+) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
     """Every readable record in order, and the damaged ones."""
     table = _read_table(entry)
     set_index = int(read_field(entry.id, "set_index"))
-    truths = _read_facts(entry, "truth")
-    settings = _read_facts(entry, "settings")
+    truths = _read_facts(entry, "truth") if facts else {}
+    settings = _read_facts(entry, "settings") if facts else {}
     row_of = {sequence: row for row, sequence in enumerate(table["shot_id"])}
     trouble = dict.fromkeys(row_of, "no readable array holds it")
     found: dict[int, Shot | PulseEchoRecord] = {}
-    for name in _group_names(entry):
+    for name in group_names(entry):
         try:
-            group = _Group(entry, name)
+            group = RecordGroup(entry, name)
         except HDF5_ERRORS as error:
             trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}
             continue
-        is_echo = "gain" in group.data
+        is_echo, together = "gain" in group.data, group.all_counts()
         for row, sequence in enumerate(group.sequences):
-            waveform = group.waveform(row, table["crc32"][row_of[sequence]])
+            waveform = group.waveform(row, table["crc32"][row_of[sequence]], together)
             if isinstance(waveform, str):
                 trouble[sequence] = waveform
                 continue
@@ -424,7 +453,7 @@ def _read_positions(entry: h5py.Group) -> list[PositionRecord]:
     ]
 
 
-def _group_names(entry: h5py.Group) -> list[str]:
+def group_names(entry: h5py.Group) -> list[str]:
     """NXdata groups that hold records: those that have a detector."""
     return [name for name in entry["instrument"] if name != "name"]
 
@@ -446,7 +475,7 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
 
 
 @contextmanager
-def _opened(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
+def opened_set(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
     """Entry of a set's file, or of its content in memory; errors below are translated."""
     try:
         # No lock: a complete file never changes.

@@ -18,8 +18,12 @@ SETS_FOLDER = "sets"
 QUARANTINE_FOLDER = "quarantine"
 JOURNAL_FOLDER = "journal"
 TEMPORARY_SUFFIX = ".tmp"
+Results = Mapping[str, Mapping[str, Sequence[float | str]]]
+"""What was computed of a set: name of a table, name of a column, its values."""
 SetReference = NewType("SetReference", str)
 """What the catalogue's ``sets.file`` says: ``sets/`` and the set's name, in every archive."""
+Places = Mapping[int, tuple[int, int | None]]
+"""First and last byte (None: the end) of what a set has in a segment of the journal, by its number."""
 _NAME = re.compile(r"set_(\d{6,})_\d{8}T\d{6}Z\.h5")
 
 
@@ -79,6 +83,9 @@ class SetRecord:
         JSON-ready: what supply and climate probe said around the set; empty where there are none.
     provenance
         JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
+    results
+        A copy of what the catalogue says of the set (`layout.RESULTS`), NaN where it has no value; empty: it
+        was not computed yet when the set was stored.
 
     Raises
     ------
@@ -101,6 +108,7 @@ class SetRecord:
     trouble: str = ""
     environment: Mapping[str, float | str | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    results: Results = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("positions", "shots", "echoes", "missed"):
@@ -200,7 +208,7 @@ def waveform_crc32(waveform: Waveform) -> int:
     A waveform never changes; file, acknowledgement and catalogue ask for the same one.
     """
     counts = waveform.counts
-    return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), copy=False).tobytes())
+    return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
 
 
 def set_reference(set_index: int, due_utc_ns: int) -> SetReference:

@@ -43,12 +43,15 @@ class CheckedFile:
         What cannot, or contradicts itself.
     touched
         Its SHA-256 is not the one that is known of it.
+    sha256
+        What it is; empty where the file cannot be read.
     """
 
     n_bytes: int
     record: SetRecord | None
     damages: list[Damage]
     touched: bool = False
+    sha256: str = ""
 
 
 def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
@@ -73,7 +76,8 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
         return CheckedFile(
             n_bytes=0, record=None, damages=[Damage(reason=f"it cannot be read ({error.strerror})")]
         )
-    touched = sha256 is not None and hashlib.sha256(content).hexdigest() != sha256
+    found = hashlib.sha256(content).hexdigest()
+    touched = sha256 is not None and found != sha256
     try:
         record, damages = examine(path, content)
         made = None if record is None or damages or sha256 is not None else _made(record)
@@ -84,7 +88,7 @@ def check_file(path: Path, *, sha256: str | None = None) -> CheckedFile:
                 damages = [Damage(reason=told) for told in _contradictions(content, made)]
     except CorruptArchiveError as error:
         record, damages = None, [Damage(reason=str(error.__cause__ or error))]
-    return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched)
+    return CheckedFile(n_bytes=len(content), record=record, damages=damages, touched=touched, sha256=found)
 
 
 def _made(record: SetRecord) -> bytes | None:
@@ -96,13 +100,12 @@ def _made(record: SetRecord) -> bytes | None:
         return None
 
 
-def damage_of(path: Path, sha256: str | None = None) -> str:
-    """Say what is damaged in a set's file, empty: nothing; see `check_file`."""
+def damage_of(path: Path, sha256: str | None = None) -> tuple[str, str]:
+    """Say what is damaged in a set's file, empty: nothing, and its SHA-256; see `check_file`."""
     found = check_file(path, sha256=sha256)
     told = [str(damage) for damage in found.damages]
-    return "; ".join(
-        ["its SHA-256 is not that of the file that was written", *told] if found.touched else told
-    )
+    touched = ["its SHA-256 is not that of the file that was written"] if found.touched else []
+    return "; ".join([*touched, *told]), found.sha256
 
 
 def _contradictions(content: bytes, made: bytes | None) -> list[str]:
@@ -122,7 +125,7 @@ def _contradictions(content: bytes, made: bytes | None) -> list[str]:
     return [
         f"{name} is not what the rest of the file says"
         for name in sorted({*values, *wanted} if same_format else values)
-        if not _alike(name, values, wanted)
+        if not _alike(name, values, wanted, same_format=same_format)
     ]
 
 
@@ -131,8 +134,10 @@ def _values(file: h5py.File) -> dict[str, Any]:
     found: dict[str, Any] = {}
 
     def add(name: str, item: Any) -> None:
-        found.update({f"{name}@{key}": np.asarray(value) for key, value in item.attrs.items()})
-        found[name] = np.asarray(item[()]) if isinstance(item, h5py.Dataset) else None
+        # An axis tells in REFERENCE_LIST which arrays it belongs to: what their DIMENSION_LIST says already.
+        attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
+        found.update({f"{name}@{key}": _plain(file, value) for key, value in attributes.items()})
+        found[name] = _plain(file, item[()]) if isinstance(item, h5py.Dataset) else None
 
     add("", file)
     file.visititems(add)
@@ -140,12 +145,25 @@ def _values(file: h5py.File) -> dict[str, Any]:
     return found
 
 
-def _alike(name: str, found: Mapping[str, Any], expected: Mapping[str, Any]) -> bool:
+def _plain(file: h5py.File, value: Any) -> Any:
+    """Text however it is stored, a reference as the name of what it leads to, numbers as an array."""
+    if isinstance(value, h5py.Reference):
+        return file[value].name
+    if isinstance(value, bytes):
+        return value.decode(errors="replace")
+    if isinstance(value, np.ndarray) and value.dtype.kind in "SO":
+        return [_plain(file, part) for part in value.flat]
+    return value if isinstance(value, str) else np.asarray(value)
+
+
+def _alike(name: str, found: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
+    if not same_format and "@" in name and (name not in expected or str(found.get(name)) == ""):
+        return True  # a label that is not written any more, or was left empty
     if name not in found or name not in expected:
         return False
     left, right = found[name], expected[name]
-    if left is None or right is None:
-        return left is right
+    if not (isinstance(left, np.ndarray) and isinstance(right, np.ndarray)):
+        return type(left) is type(right) and bool(left == right)
     if "/preview/" in name and "@" not in name and left.shape == right.shape and left.dtype == right.dtype:
         scale = float(np.max(np.abs(right), initial=0.0))
         return bool(np.all(np.abs(left - right) <= _PREVIEW_TOLERANCE * scale))

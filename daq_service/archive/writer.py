@@ -11,6 +11,7 @@ import hashlib
 import os
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
@@ -25,6 +26,7 @@ from daq_service.archive.records import (
     TEMPORARY_SUFFIX,
     MissedRecord,
     OpenSet,
+    Places,
     SetRecord,
     SetReference,
     StoredSet,
@@ -166,7 +168,8 @@ class FolderArchive(FolderSetReader):
         stored = self._stored.get(record.set_index)
         if stored is not None:
             # The same set once more, after an error that came when all was done.
-            if stored != reference or build_image(self.read_set(stored)) != build_image(record):
+            kept = replace(self.read_set(stored), results=record.results)
+            if stored != reference or build_image(kept) != build_image(record):
                 raise self._conflict(record.set_index, stored)
         else:
             self._end(record)
@@ -191,6 +194,10 @@ class FolderArchive(FolderSetReader):
                 known.add(item.sequence)
         self._kept.end(record.set_index, ended)
         self._ending = {record.set_index: ended}
+
+    def places(self, set_index: int) -> Places:
+        """Where the journal has the durable frames of a set."""
+        return self._kept.places(set_index)
 
     def settle(self, set_index: int) -> None:
         """Let the journal forget a set: it has its own file, or rows without a record."""

@@ -36,6 +36,8 @@ FOLLOW_EVERY_S = 1.0
 """How far the history may be behind: whoever loses the catalogue within a second has lost the disk."""
 TAIL_BYTES = 4_000_000
 """What a start reads of a long one."""
+EVENTS_AT_ONCE = 5_000
+"""A folder older than its history may have a million."""
 _HEAD = b'{"crc32":"'
 _BODY = len(_HEAD) + 10
 
@@ -154,8 +156,13 @@ class HistoryFollower:
         self._mono_s = mono_s
         self._next_s = 0.0
         self._known: History | None = None
-        self._open: dict[type[CommandRow] | type[SetRow], int] = {}
+        self._answered = 0
+        self._filed: dict[str, str] = {}
         self._refusal = ""
+
+    def filed(self, file: str, sha256: str) -> None:
+        """Take in that the catalogue knows the SHA-256 of a set's file now."""
+        self._filed[file] = sha256
 
     def begin(self) -> None:
         """Compare the history with the catalogue, and bring it up to date.
@@ -209,40 +216,57 @@ class HistoryFollower:
     def _append(self) -> None:
         if self._known is None:
             self._known = read_history(self._folder, tail_bytes=TAIL_BYTES)
-            self._open = {CommandRow: 0, SetRow: 0}
-        known, lines = self._known, list[bytes]()
-        for table, row in self._news(known):
-            number = known.last_number + 1
-            lines.append(line_of(number, table, row))
-            known.take(number, table, row)
-        if lines:
+            self._answered = 0
+            # A crash may have come between a digest and its line, of one of the sets that the end tells of.
+            told = _sets_of(self._known.events.values())
+            self._filed |= self._digests(min(told), None) if told else {}
+        while lines := self._lines(self._known):
             _append_durably(self._folder / HISTORY_FILE, lines)
+            self._filed.clear()
 
-    def _news(self, known: History) -> list[tuple[str, Mapping[str, Any]]]:
+    def _lines(self, known: History) -> list[bytes]:
+        """Lines that the history lacks, of a long test some."""
+        last_id = max(known.events, default=0)
+        events = self._catalogue.rows(EventRow, after_id=last_id, limit=EVENTS_AT_ONCE)
+        orders = self._orders()
+        # Where sets have no journal, their rows come with the digest.
+        told = _sets_of(events)
+        files = self._filed | (self._digests(min(told), max(told)) if told else {})
         news: list[tuple[str, Mapping[str, Any]]] = []
         if not known.last_number:
             news.append(("experiment", values(self._catalogue.experiment_row())))
-        last_id = max(known.events, default=0)
-        known.events = {key: row for key, row in known.events.items() if key == last_id}
-        news += [("events", values(row)) for row in self._catalogue.rows(EventRow, after_id=last_id)]
-        for order in self._from(CommandRow, final=lambda order: order.state in ANSWERS):
-            if known.commands.get(order.id) != order:
-                news.append(("commands", values(order)))
-        its_sets = self._from(SetRow, final=lambda row: row.file is None or bool(row.file_sha256))
-        digests = {row.file: row.file_sha256 for row in its_sets if row.file_sha256}
-        for file, sha256 in digests.items():
-            if known.digests.get(file) != sha256:
-                news.append(("files", {"file": file, "file_sha256": sha256}))
-        return news
+        news += [("events", values(row)) for row in events]
+        news += [("commands", values(row)) for row in orders if known.commands.get(row.id) != row]
+        news += [
+            ("files", {"file": file, "file_sha256": sha256})
+            for file, sha256 in files.items()
+            if known.digests.get(file) != sha256
+        ]
+        lines = [line_of(known.last_number + n, *row) for n, row in enumerate(news, start=1)]
+        # Nothing is remembered but what is asked for again, however long the test.
+        known.last_number += len(lines)
+        known.events = {row.id: row for row in [*known.events.values(), *events][-1:] if row.id}
+        known.commands = {row.id: row for row in orders}
+        known.digests = files if files else known.digests
+        return lines
 
-    def _from(self, kind: Any, final: Callable[[Any], bool]) -> Iterable[Any]:
-        """Rows that may have changed: those behind the first ones that never will again."""
-        rows = self._catalogue.rows(kind, after_id=self._open[kind])
-        for row in rows:
-            if not final(row):
+    def _digests(self, first: int, last: int | None) -> dict[str, str]:
+        rows = self._catalogue.rows(SetRow, first_set=first, last_set=last)
+        return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
+
+    def _orders(self) -> list[CommandRow]:
+        """Orders that may have changed: those behind the first ones that never will again."""
+        orders = self._catalogue.rows(CommandRow, after_id=self._answered)
+        for order in orders:
+            if order.state not in ANSWERS:
                 break
-            self._open[kind] = row.id
-        return rows
+            self._answered = order.id
+        return orders
+
+
+def _sets_of(events: Iterable[EventRow]) -> list[int]:
+    """Return the indices of the sets that were stored."""
+    return [row.set_index for row in events if row.topic == "sets" and row.set_index is not None]
 
 
 def _append_durably(path: Path, lines: Iterable[bytes]) -> None:

@@ -46,6 +46,7 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.sealed import checked_rows, storable
 from daq_service.catalogue.tables import alarms, commands, counts, events, sets, table_of
 from daq_service.clock import boot_name, elapsed_ns
+from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
 R = TypeVar("R", bound=Row)
@@ -125,7 +126,7 @@ class LastWord:
     """Newest rows of a position; ``last_feature`` is of a set."""
 
     position: str
-    method: str
+    method: Method
     last_set: SetRow | None = None
     last_feature: FeatureRow | None = None
     last_verdict: VerdictRow | None = None
@@ -276,9 +277,13 @@ class Catalogue:
             left = sorted(set(range(last + 1)) - set(indices))
             for start in range(0, len(left), _ASKED_AT_ONCE):
                 some = left[start : start + _ASKED_AT_ONCE]
-                statement = select(sets.c.set_index, sets.c.file).where(
-                    sets.c.position.in_(positions), sets.c.set_index.in_(some), sets.c.file.is_not(None)
-                )
+                statement = (
+                    select(sets.c.set_index, sets.c.file)
+                    .where(
+                        sets.c.position.in_(positions), sets.c.set_index.in_(some), sets.c.file.is_not(None)
+                    )
+                    .distinct()
+                )  # a row a position
                 found |= {row.set_index: row.file for row in connection.execute(statement)}
         return found
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -13,16 +12,15 @@ from typing import Any
 
 import click
 
-from daq_service.acquisition.schedule import due_hours
 from daq_service.catalogue import check_owner
 from daq_service.cli.run import STOPPED, child_plans, tell_of_a_full_disk
-from daq_service.cli.summary import print_summary, summarise_run
+from daq_service.cli.summary import summarise_run, told_summary
+from daq_service.cli.terminal import Telling, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
 from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
-from daq_service.settings.tree import Settings
 
 WATCHABLE_PACE_H_PER_S = 5.0
 """The 350 h pass in 70 s."""
@@ -39,6 +37,7 @@ def run_demo(
     port: int,
     exit_when_done: bool,
     no_web: bool,
+    no_browser: bool,
     data_dir: Path | None,
     rig: str,
     as_json: bool,
@@ -53,60 +52,68 @@ def run_demo(
             port=port,
             web=not no_web,
             stay=not exit_when_done and not no_web,
+            browser=not (no_browser or exit_when_done),
             as_json=as_json,
             started_s=started_s,
         )
 
 
 def _run_on(
-    running: DemoRig, folder: Path, *, port: int, web: bool, stay: bool, as_json: bool, started_s: float
+    running: DemoRig,
+    folder: Path,
+    *,
+    port: int,
+    web: bool,
+    stay: bool,
+    browser: bool,
+    as_json: bool,
+    started_s: float,
 ) -> int:
     settings = running.settings
     prepare_data_folder(folder)
     check_owner(settings, folder)
     config = write_configuration(settings, folder)
     log_to(folder / "logs" / "supervisor.log")
-    say = _Say(settings, as_json=as_json)
-    say.line(f"data: {folder}")
-    tell_of_a_full_disk(folder, settings, say.line)
-    for note in running.notes:
-        say.line(note)
-    invitation = _Invitation(say.line)
-
-    def on_message(child: str, message: Message) -> None:
-        del child
-        if message["event"] == "listening":
-            invitation.listening(message["url"])
-        elif message["event"] == "progress":
-            invitation.recording()
-            say.progress(message)
-        elif message["event"] == "stopped":
-            say.line(STOPPED)
-        elif message["event"] == "finished" and stay:
-            print_summary(summarise_run(settings, folder), folder)
-            say.line("The test is done; the dashboard stays until Ctrl-C.")
-
     with stop_on_signals() as stop:
-        supervisor = Supervisor(
-            child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
-            folder,
-            on_message=on_message,
-            give_up=True,
-        )
-        code = supervisor.run(stop, stay=stay)
+        with Telling(news_to_stderr=as_json) as telling:
+            telling.line(f"data: {folder}")
+            tell_of_a_full_disk(folder, settings, telling.line)
+            for note in running.notes:
+                telling.line(note)
+            invitation = _Invitation(telling.line, open_page if browser else lambda url: False)
+
+            def on_message(child: str, message: Message) -> None:
+                telling.hear(child, message)
+                if message["event"] == "listening":
+                    invitation.listening(message["url"])
+                elif message["event"] == "progress":
+                    invitation.recording()
+                elif message["event"] == "stopped":
+                    telling.line(STOPPED)
+                elif message["event"] == "finished" and stay:
+                    for line in told_summary(summarise_run(settings, folder), folder):
+                        telling.line(line)
+                    telling.line("The test is done; the dashboard stays until Ctrl-C.")
+
+            supervisor = Supervisor(
+                child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
+                folder,
+                on_message=on_message,
+                give_up=True,
+            )
+            code = supervisor.run(stop, stay=stay)
         interrupted = stop.is_set()
     if code != EXIT_OK:
         return code
     if interrupted:
-        say.line(f"interrupted; what was taken is in {folder}")
+        click.echo(f"interrupted; what was taken is in {folder}", err=as_json)
         return EXIT_INTERRUPTED
     summary = summarise_run(settings, folder)
     elapsed_s = time.time() - started_s
     if as_json:
         click.echo(json.dumps({**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}))
     else:
-        print_summary(summary, folder)
-        click.echo(f"done in {elapsed_s:.1f} s")
+        click.echo("\n".join([*told_summary(summary, folder), f"done in {elapsed_s:.1f} s"]))
     return EXIT_OK
 
 
@@ -127,14 +134,14 @@ def _process_start_s() -> float:
 
 
 class _Invitation:
-    """Print the dashboard's address once there is something to see.
+    """Print the dashboard's address, and open it on a screen, once there is something to see.
 
     On a fresh machine the recorder compiles its kernels first; should that take long, the address is
     printed all the same.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
-        self._say = say
+    def __init__(self, say: Callable[[str], None], open_page: Callable[[str], bool]) -> None:
+        self._say, self._open_page = say, open_page
         self._lock = threading.Lock()
         self._url: str | None = None
         self._recording = False
@@ -157,28 +164,6 @@ class _Invitation:
 
     def _invite(self) -> None:
         if self._url is not None and self._recording:
-            self._say(f"dashboard: {self._url}  (Ctrl-C ends)")
+            opened = ", opened in your browser" if self._open_page(self._url) else ""
+            self._say(f"dashboard: {self._url}  (Ctrl-C ends{opened})")
             self._url = None
-
-
-class _Say:
-    """Lines and progress: on standard error when standard output belongs to ``--json``."""
-
-    def __init__(self, settings: Settings, *, as_json: bool) -> None:
-        self._as_json = as_json
-        self._planned = sum(1 for _ in due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
-        self._shown_tenth = -1
-
-    def line(self, text: str) -> None:
-        click.echo(text, err=self._as_json)
-
-    def progress(self, message: Message) -> None:
-        done, due_h = int(message["done"]), float(message["due_h"])
-        tenth = 10 * done // max(self._planned, 1)
-        if sys.stderr.isatty():
-            click.echo(
-                f"\rhour {due_h:6.1f}  set {done} of {self._planned} ", nl=done == self._planned, err=True
-            )
-        elif tenth > self._shown_tenth:
-            self._shown_tenth = tenth
-            click.echo(f"hour {due_h:.1f}, set {done} of {self._planned}", err=True)

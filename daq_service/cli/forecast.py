@@ -6,11 +6,16 @@ also where other instruments will strike. Nobody knows theirs before they have.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+
+if TYPE_CHECKING:
+    from daq_service.archive import Results
+    from hardware_drivers.measurement import PulseEchoRecord, Shot
 
 CATALOGUE_BYTES_A_RECORD = 470
 """Rows and events in the catalogue over records: `benchmarks/year_of_20_positions.py` prints both."""
@@ -140,4 +145,26 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         provenance={"configuration": settings.model_dump(mode="json")},
+        results=_results(settings, records) if settings.storage.journal else {},
     )
+
+
+def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> Results:
+    """Make results of records: their bytes do not depend on what they say."""
+    from daq_service.catalogue.rows import FeatureRow, ThicknessRow
+    from daq_service.judgement.results import results_of
+    from daq_service.judgement.transaction import shot_row
+
+    common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
+    features = [
+        FeatureRow(position=name, shot_index=None, sequence=None, n_valid=1, **common)
+        for name in settings.names_of(SOLITARY_WAVE)
+    ]
+    thickness = []
+    for record in records:
+        of_record = {**common, "position": record.key.position, "sequence": record.sequence}
+        if record.key.position in settings.names_of(PULSE_ECHO):
+            thickness.append(ThicknessRow(**of_record))
+        else:
+            features.append(FeatureRow(shot_index=record.key.shot_index, n_valid=1, **of_record))
+    return results_of(features, thickness, [shot_row(record, valid=True, flags=()) for record in records])

@@ -38,7 +38,17 @@ def order_options(command: Callable[..., None]) -> Callable[..., None]:
     return click.option("--note", default="", help="Why.")(command)
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+class _Words(click.Group):
+    """Tells each of its words by a whole sentence, on as many lines as that takes."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the section of the commands; click itself would cut them to a line."""
+        shown = [(name, command) for name, command in sorted(self.commands.items()) if not command.hidden]
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, command.get_short_help_str(sys.maxsize)) for name, command in shown])
+
+
+@click.group(cls=_Words, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(package_name="solimon")
 def cli() -> None:
     """Acquire and monitor with highly nonlinear solitary waves.
@@ -62,6 +72,7 @@ def cli() -> None:
 )
 @click.option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done.")
 @click.option("--no-web", is_flag=True, help="Without dashboard.")
+@click.option("--no-browser", is_flag=True, help="Do not open the dashboard in a browser.")
 @click.option(
     "--rig",
     type=click.Choice(["simulated", "daqmx-library", "daqmx-grpc"]),
@@ -73,6 +84,8 @@ def cli() -> None:
 @JSON
 def demo(**options: Any) -> None:
     """Run the paper's experiment on the twin and show it live."""
+    # Before anything heavy is imported: on a cold machine that takes seconds.
+    click.echo("solimon demo: the paper's corrosion test on the physics twin; starting", err=True)
     from daq_service.cli.demo import run_demo
 
     sys.exit(run_demo(**options))
@@ -143,9 +156,84 @@ def check_config(**options: Any) -> None:
 
 
 @cli.command()
+@click.argument("kind", type=click.Choice(["twin", "playback", "rig"]))
+@click.argument("file", type=FILE)
+@click.option("--source", type=click.Path(path_type=Path), help="playback: folder or file of the recording.")
+@click.option(
+    "--set",
+    "assignments",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="A key's value, for example rig.daqmx.*.board_serial=01A2B3C4; may be given several times.",
+)
+@click.option("--with", "switch_on", metavar="TABLE", multiple=True, help="Switch a table on: rig.climate.")
+@click.option("--without", "switch_off", metavar="TABLE", multiple=True, help="Switch one off: rig.supply.")
+@JSON
+def init(**options: Any) -> None:
+    """Write a commented configuration to FILE, with its schema beside it; nothing is written over."""
+    from daq_service.cli.set_up.init import write_configuration
+
+    write_configuration(**options)
+
+
+@cli.command()
+@click.argument("file", type=FILE)
+@click.option(
+    "--transducer",
+    "transducers",
+    metavar="B=BOARD/INPUT/COUNTER",
+    multiple=True,
+    help="A transducer's wiring, for example B=01E16086/ai0/ctr0; with it nothing is asked.",
+)
+@click.option(
+    "--probe", "probes", metavar="A=RESOURCE", multiple=True, help="An ultrasonic probe's NI-SCOPE board."
+)
+@click.option("--supply", default="", metavar="PORT", help="Serial port of the supply.")
+@click.option("--climate", default="", metavar="PORT", help="Serial port of a climate probe.")
+@click.option("--strike", is_flag=True, help="With --transducer: strike each once. Nobody's hands inside!")
+@click.option("--drop-height-m", type=POSITIVE, help="Height the strikers fall from in m; default 0.005.")
+@click.option("--pulse-s", type=click.FloatRange(1e-3, 0.5), help="Time a coil is on in s; default 0.1.")
+@click.option(
+    "--transport",
+    type=click.Choice(["library", "grpc"]),
+    default="library",
+    show_default=True,
+    help="Boards of this computer, or of one that runs NI's gRPC device server.",
+)
+@click.option("--grpc-address", default="", metavar="HOST:PORT", help="That server's address.")
+@click.option("--data-dir", type=FOLDER, help="Folder whose recorder must not run; default: the file's own.")
+@click.option(
+    "--port", type=PORT_NUMBER, default=0, show_default=True, help="Port of the page; 0: a free one."
+)
+@click.option("--no-web", is_flag=True, help="Without the page.")
+@click.option("--no-browser", is_flag=True, help="Do not open the page.")
+@JSON
+def setup(**options: Any) -> None:
+    """Lead from boards to a configuration by your own waves. Strikes on your word only."""
+    from daq_service.cli.set_up.setup import run_setup
+
+    run_setup(**options)
+
+
+@cli.command()
+@click.argument("manager", type=click.Choice(["systemd", "windows"]))
+@click.argument("config", type=FILE)
+@DATA_DIR
+@click.option("--user", help="Who runs them; default: you.")
+@click.option("--name", default="solimon", show_default=True, help="Their names begin so.")
+@click.option("--out", type=FOLDER, default=".", help="Folder of the files; default: this one.")
+@JSON
+def service(**options: Any) -> None:
+    """Write services of this computer that run a test from its start on, and say how to install them."""
+    from daq_service.cli.set_up.service import write_services
+
+    write_services(**options)
+
+
+@cli.command()
 @CONFIG
 @DATA_DIR
-@click.option("--strike", metavar="POSITION", help="Also strike this transducer, once.")
+@click.option("--strike", metavar="POSITION", help="Also strike this transducer; on boards twice.")
 @JSON
 def doctor(**options: Any) -> None:
     """Look at software, rig, data folder and clocks; says what to do. Strikes nothing unless told to."""
@@ -157,12 +245,29 @@ def doctor(**options: Any) -> None:
 @cli.command()
 @CONFIG
 @DATA_DIR
+@click.option("--watch", is_flag=True, help="Show it anew every second, until Ctrl-C; needs a terminal.")
 @JSON
 def status(**options: Any) -> None:
     """Say how a test stands: recorder, last sets, features, alarms."""
-    from daq_service.cli.inspection import print_status
+    from daq_service.cli.status.command import run_status
 
-    print_status(**options)
+    sys.exit(run_status(**options))
+
+
+@cli.command(
+    help="Print what makes a shell complete words and options of solimon.\n\n\b\n"
+    'bash: eval "$(solimon completion bash)"   as a line of ~/.bashrc\n'
+    'zsh:  eval "$(solimon completion zsh)"    as a line of ~/.zshrc\n'
+    "fish: solimon completion fish | source    as a line of ~/.config/fish/config.fish"
+)
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print it for one of click's shells."""
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None, "click knows each of these shells"
+    click.echo(kind(cli, {}, "solimon", "_SOLIMON_COMPLETE").source())
 
 
 @cli.command()
@@ -311,6 +416,18 @@ def backup(**options: Any) -> None:
     from daq_service.cli.keeping.command import run_backup
 
     sys.exit(run_backup(**options))
+
+
+@cli.command()
+@FOLDER_ALONE
+@click.option("--hdf5", type=FILE, required=True, help="The file to write.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@JSON
+def export(**options: Any) -> None:
+    """Write one HDF5 file of a whole test, also of one that runs; its records stay in the sets' files."""
+    from daq_service.cli.keeping.command import run_export
+
+    sys.exit(run_export(**options))
 
 
 def main() -> None:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from daq_service.catalogue import check_owner
+from daq_service.cli.terminal import Telling
 from daq_service.errors import (
     EXIT_INTERRUPTED,
     EXIT_OK,
@@ -35,19 +37,24 @@ from daq_service.processes.child import (
 from daq_service.processes.data_folder import (
     own_data_folder,
     prepare_data_folder,
+    refuse_other_folders,
     settings_and_folder,
     settings_of_folder,
     sweep,
 )
 from daq_service.processes.disk_policy import disk_space, refusal
-from daq_service.processes.supervisor import ChildPlan, Supervisor
+from daq_service.processes.service_manager import notify, telling_service_manager
+from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
 
 if TYPE_CHECKING:
-    from hardware_drivers.instruments import Clock, Rig
+    from hardware_drivers.instruments import Clock, PowerSupply, Rig
+    from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
+SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
+"""What a recorder that is killed leaves of its worker's locks: Python sweeps it, and need not say so."""
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
@@ -74,20 +81,25 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     prepare_data_folder(folder)
     check_owner(settings, folder)
 
-    def on_message(child: str, message: Any) -> None:
-        if message["event"] == "listening":
-            click.echo(f"dashboard: {message['url']}")
-        elif message["event"] == "stopped":
-            click.echo(STOPPED)
-        elif message["event"] == "failed":
-            click.echo(f"{child}: ended with exit code {message['code']} (see logs); the dashboard stays")
-        elif message["event"] == "finished":
-            click.echo(f"{child}: the schedule is done; Ctrl-C stops the dashboard")
-
     log_to(folder / "logs" / "supervisor.log")
-    click.echo(f"data: {folder}")
-    tell_of_a_full_disk(folder, settings, click.echo)
-    with stop_on_signals() as stop:
+    with stop_on_signals() as stop, Telling() as telling:
+
+        def on_message(child: str, message: Message) -> None:
+            telling.hear(child, message)
+            if message["event"] == "listening":
+                telling.line(f"dashboard: {message['url']}")
+            elif message["event"] == "stopped":
+                telling.line(STOPPED)
+            elif message["event"] == "failed":
+                telling.line(
+                    f"{child}: ended with exit code {message['code']} (see logs); the dashboard stays"
+                )
+            elif message["event"] == "finished":
+                stays = "Ctrl-C stops the dashboard" if not no_web else "all ends here"
+                telling.line(f"{child}: the schedule is done; {stays}")
+
+        telling.line(f"data: {folder}")
+        tell_of_a_full_disk(folder, settings, telling.line)
         supervisor = Supervisor(
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
@@ -122,7 +134,10 @@ def child_plans(
     common = [*([] if config is None else [str(config)]), "--data-dir", str(folder), "--supervised"]
     common += ["--restarted-because", "{cause}"]
     recorder = ["record", *common, *(["--linger"] if linger else [])]
-    plans = [ChildPlan(name="recorder", arguments=recorder, watched=True, environment=environment)]
+    quiet = {"PYTHONWARNINGS": ",".join(filter(None, (os.environ.get("PYTHONWARNINGS"), SWEPT_BY_PYTHON)))}
+    plans = [
+        ChildPlan(name="recorder", arguments=recorder, watched=True, environment={**quiet, **environment})
+    ]
     if web:
         at = [] if port is None else ["--port", str(port)]
         plans.append(ChildPlan(name="web", arguments=["serve", *common, *at]))
@@ -147,6 +162,9 @@ def record_alone(
     with stop_on_signals() as stop, own_data_folder(folder), ExitStack() as left:
         log_to(folder / "logs" / "recorder.log")
         sweep(folder)
+        tell = tell_supervisor
+        if not supervised:
+            tell = left.enter_context(telling_service_manager(left.enter_context(Telling())))
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
@@ -157,10 +175,10 @@ def record_alone(
             finished = record(
                 settings,
                 folder,
-                _open_rig_to_stay,
+                partial(_open_rig_to_stay, tell),
                 stop=stop,
                 restarted_because=restarted_because,
-                tell=tell_supervisor if supervised else _tell_person,
+                tell=tell,
                 linger=linger,
                 left_alone=left_alone,
                 acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
@@ -176,15 +194,20 @@ def record_alone(
 
 
 @contextmanager
-def _open_rig_to_stay(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+def _open_rig_to_stay(
+    tell: Callable[..., None], settings: Settings, clock: Clock, epoch_utc_ns: int
+) -> Iterator[Rig]:
     """Open the rig but for the supply, whose port belongs to the process of the drive.
 
     The garbage collector need not look again at what stays until the process ends.
     """
     from daq_service.rig.open_rig import open_rig
 
-    without_supply = settings.rig.model_copy(update={"supply": None})
-    with open_rig(settings.model_copy(update={"rig": without_supply}), clock, epoch_utc_ns) as rig:
+    def preparing(what: str, begins: bool) -> None:
+        tell("preparing" if begins else "prepared", what=what)
+
+    without_supply = settings.model_copy(update={"rig": settings.rig.model_copy(update={"supply": None})})
+    with open_rig(without_supply, clock, epoch_utc_ns, preparing=preparing) as rig:
         gc.freeze()
         yield rig
 
@@ -205,6 +228,11 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     from daq_service.corrosion_drive.own_process import own_supply
     from daq_service.rig.open_rig import open_supply
 
+    def open_owned(parameters: SupplyParameters) -> AbstractContextManager[PowerSupply]:
+        if not for_recorder:
+            notify("READY=1")  # the lock is held: no recorder starts another process
+        return open_supply(parameters, clock=WallClock())
+
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"
         settings, folder = Settings.model_validate_json(sys.stdin.buffer.read()), data_dir
@@ -220,7 +248,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
             left = own_supply(
                 parameters,
                 folder,
-                partial(open_supply, clock=WallClock()),
+                open_owned,
                 stop,
                 stays=not for_recorder,
             )
@@ -228,13 +256,6 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
             log.error("%s", error)
             raise
         return EXIT_OK if left else EXIT_INTERRUPTED
-
-
-def _tell_person(event: str, **values: object) -> None:
-    if event == "progress" and sys.stderr.isatty():
-        click.echo(
-            f"\rhour {values['due_h']:.1f}, set {values['done']} of {values['planned']} ", nl=False, err=True
-        )
 
 
 def serve_alone(
@@ -245,6 +266,8 @@ def serve_alone(
     from daq_service.web.server import serve
 
     settings, folder = settings_of_folder(config, data_dir)
+    if not restarted_because:
+        refuse_other_folders(folder)
     prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")
     if restarted_because:

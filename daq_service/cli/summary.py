@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
-
-import click
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import (
@@ -124,18 +122,18 @@ def _fraction(outliers: Iterable[bool | None]) -> float | None:
     return sum(judged) / len(judged) if judged else None
 
 
-def print_summary(summary: dict[str, Any], folder: Path) -> None:
-    """Print the summary as a table for people."""
-    click.echo(
+def told_summary(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+    """Tell the summary to people: the lines of a table."""
+    yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
         f"pulse-echo records, {summary['missed_sets']} sets missed (seed {summary['seed']})"
     )
-    click.echo(
+    yield (
         "position  first alarm  outliers to/after 100 h   last ToF    AR     thickness  limit (baseline sets)"
     )
     for name, row in summary["positions"].items():
         before, after = row["outlier_fraction_before_100_h"], row["outlier_fraction_after_100_h"]
-        click.echo(
+        yield (
             f"{name:<8}  {_cell(row['first_alarm_h'], '9.1f', ' h'):>11}  "
             f"{_percent(before):>9} /{_percent(after):>8}      "
             f"{_cell(row['tof_us'], '.1f', ' us'):>9}  {_cell(row['amplitude_ratio'], '.3f', ''):>6}  "
@@ -147,8 +145,8 @@ def print_summary(summary: dict[str, Any], folder: Path) -> None:
             for name, value in summary["cost"].items()
             if name != "sets"
         )
-        click.echo(f"seconds of the recorder's last run: {', '.join(stages)}")
-    click.echo(f"files: {folder / 'sets'}")
+        yield f"seconds of the recorder's last run: {', '.join(stages)}"
+    yield f"files: {folder / 'sets'}"
 
 
 def _limit(row: dict[str, Any]) -> str:

@@ -60,6 +60,11 @@ class TellsProtections(Protocol):
         """Protections found tripped when the output was last found off."""
         ...
 
+    @property
+    def protection_unknown(self) -> str:
+        """Why a protection could trip without being told; empty where the supply tells."""
+        ...
+
 
 class SupplyDrive(Protocol):
     """The drive as a recorder sees it: here, or in a process of its own (`remote`)."""
@@ -342,7 +347,12 @@ class ElectrochemicalDrive:
         limited = (
             reading is not None and reading.output_on and reading.current_a >= self._limit_a - tolerance_a
         )
-        causes = self._supply.tripped_protections if isinstance(self._supply, TellsProtections) else ()
+        causes, unknown = "", ""
+        if isinstance(self._supply, TellsProtections):
+            if tripped := self._supply.tripped_protections:
+                causes = f" (tripped: {', '.join(tripped)})"
+            if untold := self._supply.protection_unknown:
+                unknown = f" (a protection may have tripped: {untold})"
         owed = "; the output could not be switched off yet" if self._must_switch_off else ""
         silent_s = self._supply_log.silent_s(now_ns)
         return (
@@ -358,7 +368,7 @@ class ElectrochemicalDrive:
                 name="supply_off_unexpectedly",
                 active=off,
                 message="the output is off and nobody ordered that"
-                + (f" (tripped: {', '.join(causes)})" if causes else "")
+                + (causes or unknown)
                 + "; find the cause, then order it on"
                 if off
                 else "the output is as ordered",

@@ -12,6 +12,7 @@ from analysis.ultrasound.thickness import (
     EXTRACTOR_VERSION,
     EchoReference,
     ThicknessInterval,
+    TravelTime,
     reference_echo,
     thickness,
     thickness_interval,
@@ -85,9 +86,7 @@ class PulseEchoAssessor:
                 settings.initial_thickness_m,
                 settings.element_separation_m,
             )
-            interval = thickness_interval(
-                found, self._reference, settings.initial_thickness_m, settings.element_separation_m
-            )
+            interval = self._interval(found, self._reference)
         except AnalysisError as error:
             reason = str(error)
         else:
@@ -114,6 +113,25 @@ class PulseEchoAssessor:
             shot_flags={echo.sequence: flags},
             invalid=frozenset(() if usable else (echo.sequence,)),
             note=reason,
+        )
+
+    def interval_m(self, waveform: Waveform) -> tuple[float, float] | None:
+        """Return the ends of the 95 % interval of the thickness that a record shows; None where it has none.
+
+        Raises
+        ------
+        AnalysisError
+            The record has no back wall.
+        """
+        if self._reference is None:
+            return None
+        low_m, high_m = _ends(self._interval(travel_time(waveform, self._reference), self._reference))
+        return (low_m, high_m) if math.isfinite(low_m + high_m) else None
+
+    def _interval(self, found: TravelTime, reference: EchoReference) -> ThicknessInterval:
+        settings = self._settings.ultrasound
+        return thickness_interval(
+            found, reference, settings.initial_thickness_m, settings.element_separation_m
         )
 
     def _take_reference(self, waveform: Waveform) -> EchoReference:
@@ -158,7 +176,7 @@ class PulseEchoAssessor:
                 "thickness_m": remaining,
                 "interval_m": None if remaining is None or interval is None else _ends(interval),
                 "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
-                "limit_m": (1.0 - fraction) * initial_m,
+                "limit_m": self._settings.thinnest_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,

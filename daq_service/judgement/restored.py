@@ -13,7 +13,7 @@ from analysis.statistics.rules import AlarmRule, decides
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
-from daq_service.archive import SetReader, SetReference
+from daq_service.archive import SetNotFoundError, SetReader, SetReference
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
     EventRow,
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from daq_service.judgement.pulse_echo import PulseEchoAssessor
     from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
     from daq_service.judgement.solitary_wave_step import SetOfShots
+    from hardware_drivers.measurement import Waveform
 
 
 def restored_solitary_wave(
@@ -145,9 +146,7 @@ def restored_pulse_echo(
     first = catalogue.first_reading(position)
     if first is None:
         return assessor
-    (its_set,) = catalogue.rows(SetRow, position=position, set_index=first.set_index)
-    assert its_set.file is not None, "it was read"
-    assessor.refer_to(archive.read_waveform(SetReference(its_set.file), position, 0))
+    assessor.refer_to(_echo_of(first, catalogue, archive))
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(ThicknessRow, position, count)
@@ -156,3 +155,35 @@ def restored_pulse_echo(
     for row in rows:
         assessor.feed(row)
     return assessor
+
+
+def thickness_interval_m(
+    last: ThicknessRow, settings: Settings, catalogue: Catalogue, archive: SetReader
+) -> tuple[float, float] | None:
+    """Compute the 95 % interval of a reading anew, from its record and the reference; None: it has none.
+
+    Raises
+    ------
+    ArchiveError
+        One of the two records cannot be read.
+    """
+    from analysis.errors import AnalysisError
+    from daq_service.judgement.pulse_echo import PulseEchoAssessor
+
+    first = catalogue.first_reading(last.position)
+    if first is None or last.thickness_m is None:
+        return None
+    assessor = PulseEchoAssessor(last.position, settings)
+    try:
+        assessor.refer_to(_echo_of(first, catalogue, archive))
+        return assessor.interval_m(_echo_of(last, catalogue, archive))
+    except AnalysisError:  # judged by other settings than these: then it had one, and has none here
+        return None
+
+
+def _echo_of(reading: ThicknessRow, catalogue: Catalogue, archive: SetReader) -> Waveform:
+    """Read the record that gave a reading."""
+    (its_set,) = catalogue.rows(SetRow, position=reading.position, set_index=reading.set_index)
+    if its_set.file is None:
+        raise SetNotFoundError(f"set {reading.set_index} has a reading of {reading.position!r} and no file")
+    return archive.read_waveform(SetReference(its_set.file), reading.position, 0)

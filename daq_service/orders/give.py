@@ -19,7 +19,7 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.orders.deadline import look_at_order
 from daq_service.orders.kinds import read_order
-from daq_service.processes.data_folder import settings_and_folder
+from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 
 BEGUN_WITHIN_S = 30.0
@@ -63,7 +63,8 @@ def give_order(
     BusyError
         No recorder runs there (nothing is written), the order expired, or what became of it is not known.
     UsageError
-        The arguments are none of this kind, or the recorder refused, with its reason.
+        The arguments are none of this kind, the folder is none of ours, or the recorder refused, with its
+        reason.
     StorageError
         No data there yet, or the catalogue cannot be written.
     """
@@ -71,6 +72,7 @@ def give_order(
     given = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
     read_order(kind, author, given)  # refused here, no recorder need look at it
     _, folder = settings_and_folder(config, data_dir)
+    refuse_other_folders(folder)
     with open_catalogue(folder) as catalogue:
         _check_somebody_listens(folder, catalogue)
         order_id = catalogue.add_command(author, kind, given, within_s=within_s)

@@ -14,6 +14,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from queue import SimpleQueue
 from types import FrameType
 
 log = logging.getLogger(__name__)
@@ -26,11 +27,20 @@ LOG_BYTES, LOG_FILES = 5_000_000, 5
 def stop_on_signals() -> Iterator[threading.Event]:
     """Give an event that Ctrl-C, SIGTERM and a closed terminal (SIGHUP; Ctrl-Break on Windows) set."""
     stop = threading.Event()
+    # A signal may come while this very thread holds the event's lock, which it would wait for then; this
+    # queue alone may be put into from within a handler.
+    heard: SimpleQueue[int | None] = SimpleQueue()
+
+    def set_when_heard() -> None:
+        while heard.get() is not None:
+            stop.set()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        stop.set()
+        del frame
+        heard.put(number)
 
+    setter = threading.Thread(target=set_when_heard, name="signals", daemon=True)
+    setter.start()
     names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
     before = {number: signal.signal(number, on_signal) for number in numbers}
@@ -39,6 +49,8 @@ def stop_on_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        heard.put(None)
+        setter.join()
 
 
 class LogFile(logging.handlers.RotatingFileHandler):

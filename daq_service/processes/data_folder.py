@@ -182,12 +182,39 @@ def sweep(folder: Path) -> None:
 
 def _refuse_foreign_files(folder: Path) -> None:
     """Refuse a folder that is somebody's documents: only an empty one, or one of ours, is used."""
-    names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
-    if names and not names & OWN_NAMES:
+    if foreign := _foreign_file(folder):
         raise StorageError(
-            f"{folder} is not empty and is no data folder of solimon (it holds {min(names)!r}); "
+            f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
             "choose a new or empty one with --data-dir"
         )
+
+
+def _foreign_file(folder: Path) -> str:
+    """Name a file of a folder that is not ours; empty where it is ours, or nobody's yet."""
+    names = {path.name for path in folder.iterdir() if not path.name.startswith(WRITE_TEST)}
+    return min(names) if names and not names & OWN_NAMES else ""
+
+
+def refuse_other_folders(folder: Path) -> None:
+    """For whoever only looks, or gives an order: a mistyped folder is neither made nor written into.
+
+    Raises
+    ------
+    UsageError
+        It is not there, is no folder, or holds something else; an empty one is taken for one of ours.
+    """
+    remedy = (
+        "name the folder of the test with --data-dir, or its configuration; only `solimon run`, `record` "
+        "and `demo` make one"
+    )
+    try:
+        foreign = _foreign_file(folder)
+    except FileNotFoundError as error:
+        raise UsageError(f"there is no data folder {folder}; {remedy}") from error
+    except OSError as error:
+        raise UsageError(f"the data folder {folder} cannot be read: {error.strerror}; {remedy}") from error
+    if foreign:
+        raise UsageError(f"{folder} is no data folder of solimon (it holds {foreign!r}); {remedy}")
 
 
 def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[None]:

@@ -100,7 +100,8 @@ class Supervisor:
     Parameters
     ----------
     on_message
-        Called with each JSON line a child prints but its beats: ``(child name, message)``. It may wait for a
+        Called with ``(child name, message)`` for each JSON line a child prints, of its beats only for those
+        that tell of something else, and for ``restarts`` of it (``cause``, ``in_s``). It may wait for a
         person (a console in which text is selected): children are not kept waiting by that.
     give_up
         True: end when a child has used up all restart delays, instead of trying for ever.
@@ -213,6 +214,7 @@ class Supervisor:
         child.start_at_ns = now_ns + round(delay_s * NS_PER_S)
         child.cause = child.cause or _how_it_ended(code)
         log.warning("%s %s; started again in %g s", child.plan.name, child.cause, delay_s)
+        self._unheard.put((child.plan.name, {"event": "restarts", "cause": child.cause, "in_s": delay_s}))
         return None
 
     def _start(self, child: _Child) -> None:
@@ -238,8 +240,9 @@ class Supervisor:
                     message = json.loads(line)
                     event = message["event"]
                     if event == "beat":
-                        child.told = beat_of(message)
-                        continue
+                        before, child.told = child.told, beat_of(message)
+                        if before is not None and before.doing == child.told.doing:
+                            continue
                 except (ValueError, TypeError, LookupError, OverflowError):
                     log.warning("%s printed a line that is no message: %r", child.plan.name, line[:200])
                     continue

@@ -10,8 +10,9 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
 from typing import Any, TypeVar
 
-from daq_service.archive import Archive, CorruptArchiveError, SetNotFoundError, SetReference
+from daq_service.archive import Archive, CorruptArchiveError, Results, SetNotFoundError, SetReference
 from daq_service.archive.compaction import compact_set
+from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
 
 log = logging.getLogger(__name__)
@@ -27,6 +28,8 @@ class Compaction:
 
     Parameters
     ----------
+    results
+        Tells what was computed of a set, for its file.
     filed
         Told a set, its file and the SHA-256 of that before the journal forgets the set.
     """
@@ -38,10 +41,11 @@ class Compaction:
         *,
         start: Callable[[], Executor] = one_worker,
         mono_s: Callable[[], float] = time.monotonic,
+        results: Callable[[int], Results] = lambda set_index: {},
         filed: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
     ) -> None:
         self._folder, self._archive = folder, archive
-        self._start, self._mono_s, self._filed = start, mono_s, filed
+        self._start, self._mono_s, self._results, self._filed = start, mono_s, results, filed
         self._executor: Executor | None = None
         self._running: dict[int, Future[tuple[SetReference, str]]] = {}
         self._again_s: dict[int, float] = {}
@@ -52,10 +56,18 @@ class Compaction:
         if self._executor is None:
             self._executor = self._start()
         try:
-            self._running[set_index] = self._executor.submit(compact_set, self._folder, set_index)
+            self._running[set_index] = self._executor.submit(
+                compact_set,
+                self._folder,
+                set_index,
+                self._archive.places(set_index),
+                self._results(set_index),
+            )
         except BrokenExecutor:
             self._executor = None
             self._again_s[set_index] = self._mono_s()
+        except StorageError as error:
+            self._put_off(set_index, error)
 
     def beside(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
         """Let the worker do something else; None: it has sets to make files of, or has just died."""
@@ -91,12 +103,15 @@ class Compaction:
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             if isinstance(error, BrokenExecutor):
                 self._executor = None
-            log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
-            self._refusal = f"{error}"
-            self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
+            self._put_off(set_index, error)
             return
         self._archive.settle(set_index)
         self._refusal = self._refusal if self._again_s else ""
+
+    def _put_off(self, set_index: int, error: Exception) -> None:
+        log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
+        self._refusal = f"{error}"
+        self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
 
     @property
     def trouble(self) -> str:

@@ -36,6 +36,8 @@ class IdleCheck:
         Names the files that are gone, and how (`lost_sets`).
     sha256_of
         Tells the SHA-256 of a set's file as it was written; None: nobody noted it.
+    note
+        Told set index, file and SHA-256 of a sound file of which nobody noted it.
 
     Attributes
     ----------
@@ -49,13 +51,14 @@ class IdleCheck:
         compaction: Compaction,
         lost: Callable[[], Mapping[str, str]],
         sha256_of: Callable[[int], str | None],
+        note: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
         *,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._compaction, self._mono_s = folder, compaction, mono_s
-        self._lost, self._sha256_of = lost, sha256_of
+        self._lost, self._sha256_of, self._note = lost, sha256_of, note
         self._to_come: list[str] = []
-        self._running: tuple[str, Future[str]] | None = None
+        self._running: tuple[str, bool, Future[tuple[str, str]]] | None = None
         self._next_s = mono_s()
         self.damaged: dict[str, str] = {}
 
@@ -87,32 +90,36 @@ class IdleCheck:
             Time until the next set is due.
         """
         if self._running is not None:
-            file, future = self._running
+            file, is_noted, future = self._running
             if future.done():
                 self._running = None
-                self._take_back(file, future)
+                self._take_back(file, is_noted, future)
         elif free_s > QUIET_S and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             if not self._to_come:
                 self.begin()
             if self._to_come:
                 file = self._to_come[0]
-                (set_index,) = set_indices([Path(file).name])
                 try:
-                    sha256 = self._sha256_of(set_index)
+                    sha256 = self._sha256_of(_index_of(file))
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
                 future_or_none = self._compaction.beside(damage_of, self._folder / file, sha256)
                 if future_or_none is not None:
-                    self._running = file, future_or_none
+                    self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
 
-    def _take_back(self, file: str, future: Future[str]) -> None:
+    def _take_back(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         try:
-            told = future.result()
+            told, sha256 = future.result()
+            if not (told or is_noted):
+                self._note(_index_of(file), file, sha256)
         except SetNotFoundError:
             told = "is missing"
+        except _TROUBLE as error:
+            log.warning("%s is checked again later: %s", file, error)
+            return
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             log.error("%s could not be checked: %s", file, error)
             return
@@ -120,3 +127,8 @@ class IdleCheck:
             self.damaged[file] = told
         else:
             self.damaged.pop(file, None)
+
+
+def _index_of(file: str) -> int:
+    (set_index,) = set_indices([Path(file).name])
+    return set_index

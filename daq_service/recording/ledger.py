@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from analysis.waves.features import ShotFeatures
@@ -22,6 +22,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
+from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
 
@@ -33,6 +34,8 @@ class Ledger:
     ----------
     rig
         None where sets are judged that were taken long ago; ``rehearsal`` says then whether they are noise.
+    news
+        Called for each ``alarm`` that has changed and each ``gap``, once it is stored.
 
     Attributes
     ----------
@@ -54,11 +57,13 @@ class Ledger:
         remote_drive: RemoteDrive | None = None,
         *,
         rehearsal: bool = False,
+        news: Callable[..., None] = lambda event, **values: None,
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
         self._cost = cost
         self._tried: Transaction | None = None
+        self._news = news
         rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
@@ -185,12 +190,33 @@ class Ledger:
         indices = {row.set_index for row in transaction.sets}
         if transaction is self._tried and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
+            self._tell_news(transaction)
             return
         self._tried = transaction if indices else self._tried
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
+        self._tell_news(transaction)
+
+    def _tell_news(self, transaction: Transaction) -> None:
+        """Tell whoever started the test what is not as it should be, and what is again."""
+        lacking: dict[tuple[int, str, str], list[str]] = {}
+        for row in transaction.sets:
+            if row.state in ("missed", "partial"):
+                lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
+        for (set_index, state, cause), positions in lacking.items():
+            self._news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
+        for at, row_at in transaction.alarm_of_event.items():
+            alarm = transaction.alarms[row_at]
+            since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
+            self._news(
+                "alarm",
+                change=transaction.events[at].kind,
+                hour=alarm.raised_h + since_h,
+                severity=alarm.severity,
+                message=alarm.message,
+            )
 
     def nothing_taken(
         self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None

@@ -116,7 +116,7 @@ class Recorder:
         for opened in self._open.values():
             refuse_foreign_open_set(opened, self._plan, archive.name)
         self._cost = Cost()
-        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive)
+        self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
         self._kept = Safekeeping(
             archive,
             catalogue,
@@ -163,6 +163,7 @@ class Recorder:
         self._kept.do(self._orders.begin)
         self._kept.say("recorder_started", started)
         self._set_damaged_aside()
+        self._tell("begun")
         absences = self._wait_for_a_set_clock(not_running_because)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
@@ -426,7 +427,9 @@ class Recorder:
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._archive.digest(file)
         judged = partial(self._ledger.judged, due, record, file, features, sha256=sha256)
-        self._kept.post(judged, stored=due.set_index)
+        self._kept.post(judged)
+        if sha256 is None:  # it is still in the journal
+            self._kept.do(partial(self._kept.file, due.set_index))
         self._next_sequence = max([self._next_sequence, *(item.sequence + 1 for item in record.records)])
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         # Simulated time goes on where that set ended; the wall clock is past it anyway.

@@ -32,6 +32,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
+from daq_service.judgement.results import differing, results_of
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because
@@ -234,6 +235,10 @@ class _Replay:
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
         transaction = self._ledger.judged(due, record, reference, features, sha256=sha256)
+        if record.results and not damage:
+            again = results_of(transaction.features, transaction.thickness, transaction.shots)
+            found = differing(record.results, again)
+            self._result.differing += [f"set {set_index}, its file: {told}" for told in found]
         self._add_environment(transaction, record)
         computed = list(transaction.events)
         if events:

@@ -24,6 +24,7 @@ from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
 from daq_service.errors import BusyError, RigError
+from daq_service.judgement.results import results_in
 from daq_service.orders.obey import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
 from daq_service.processes.heartbeat import Beat, Heartbeat, read_heartbeat
@@ -45,6 +46,8 @@ log = logging.getLogger(__name__)
 
 WAITS_FOR_RIG_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 BEAT_EVERY_S = 0.2
+NOTED_AT_ONCE = 100
+"""Files that a start reads: more than a crash leaves, and done long before a heartbeat is missed."""
 
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
@@ -72,7 +75,8 @@ def record(
     Parameters
     ----------
     tell
-        Called with the name of an event and its values: ``beat``, ``progress``, ``finished``.
+        Called with the name of an event and its values: ``beat``, ``begun`` (the first set is waited for or
+        taken), ``progress``, ``alarm``, ``gap``, ``finished``.
     linger
         Stay after the last set and carry out orders (acknowledgements) until ``stop``.
     left_alone
@@ -117,7 +121,12 @@ def record(
         history = HistoryFollower(folder, catalogue)
         history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
-        _note_digests(catalogue, archive)
+
+        def filed(set_index: int, file: str, sha256: str) -> None:
+            catalogue.set_digest(set_index, file, sha256)
+            history.filed(file, sha256)
+
+        _note_digests(catalogue, archive, filed)
         clock: Clock
         if settings.clock.kind == "wall":
             clock = wall_clock(
@@ -149,12 +158,16 @@ def record(
             folder,
             archive,
             start=compaction_worker,
-            filed=catalogue.set_digest,
+            results=partial(results_in, catalogue),
+            filed=filed,
         )
-        for set_index in archive.to_compact():
+        # One that has no rows yet gets them first: its file holds what they say.
+        for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
             compaction.put(set_index)
         stack.callback(compaction.close)
-        idle_check = IdleCheck(folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of)
+        idle_check = IdleCheck(
+            folder, compaction, partial(lost_sets, folder, catalogue), catalogue.digest_of, filed
+        )
         live = LivePicture(folder, rig.kind)
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
         stack.callback(disk.give_back)
@@ -203,12 +216,14 @@ def _made_again(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[
     return asdict(made)
 
 
-def _note_digests(catalogue: RecorderCatalogue, archive: Archive) -> None:
-    """Note the SHA-256 of files from before it was, or that a crash kept from being noted."""
-    for set_index, file in catalogue.without_digest().items():
+def _note_digests(
+    catalogue: RecorderCatalogue, archive: Archive, filed: Callable[[int, str, str], None]
+) -> None:
+    """Note the SHA-256 of files that a crash kept from being noted; a whole older folder's come when idle."""
+    for set_index, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
-            catalogue.set_digest(set_index, file, sha256)
+            filed(set_index, file, sha256)
 
 
 def longest_call_s(rig: RigSettings) -> float:

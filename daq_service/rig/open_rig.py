@@ -39,9 +39,22 @@ STRIKES_WORTH_A_PROCESS = 2_000
 Announce = Callable[[ShotKey], None]
 
 
+Preparing = Callable[[str, bool], None]
+"""Told what takes long, once on a computer, and whether it begins (True) or is done."""
+COMPILING = "compiling the twin's loops, once on this computer"
+BUILDING = "building the twin's plates, which are kept for the next time"
+
+
 @contextmanager
-def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+def open_rig(
+    settings: Settings, clock: Clock, epoch_utc_ns: int, *, preparing: Preparing = lambda what, begins: None
+) -> Iterator[Rig]:
     """Instruments of the configured kind; safe again when the context ends.
+
+    Parameters
+    ----------
+    preparing
+        Called by any thread.
 
     Raises
     ------
@@ -53,7 +66,7 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
     with ExitStack() as stack:
         match settings.rig.kind:
             case "simulated":
-                rig = stack.enter_context(_simulated(settings, clock, epoch_utc_ns))
+                rig = stack.enter_context(_simulated(settings, clock, epoch_utc_ns, preparing))
             case "daqmx":
                 rig = stack.enter_context(_daqmx(settings.rig, clock))
                 if settings.rig.on_doubles:
@@ -65,16 +78,16 @@ def open_rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Ri
 
 
 @contextmanager
-def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    from daq_service.rig.twin import records, transducers_of, twin_executor
+def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int, preparing: Preparing) -> Iterator[Rig]:
+    from daq_service.rig.twin import records, transducers_of, twin_process
 
     places, schedule = settings.positions, settings.schedule
     sets = plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h)
-    own_process = _deserves_a_process(settings, len(sets))
+    own_process, compiling = _deserves_a_process(settings, len(sets)), partial(preparing, COMPILING)
     with ExitStack() as stack:
         # One worker: the physics of the next shots runs while this one is stored and judged.
         executor: Executor = (
-            twin_executor(settings)
+            stack.enter_context(twin_process(settings, compiling))
             if own_process
             else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
         )
@@ -82,11 +95,16 @@ def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[
         # These imports take a while: the worker has started by now.
         from simulator.errors import SimulatorError
         from simulator.instruments import build_bench
+        from simulator.numerics.machine_code import compilation_told
 
+        stack.enter_context(compilation_told(compiling))
+        preparing(BUILDING, True)
         try:
             transducers = transducers_of(settings)
         except SimulatorError as error:
             raise UsageError(f"the twin cannot be built as configured: {error}") from error
+        finally:
+            preparing(BUILDING, False)
         bench = build_bench(
             settings.twin,
             clock=clock,

@@ -10,9 +10,14 @@ The simulator is imported where it is needed: the worker starts while the record
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import atexit
+import multiprocessing
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
 from daq_service.processes.worker import leave_with_parent, one_worker
@@ -46,9 +51,43 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     }
 
 
-def twin_executor(settings: Settings) -> ProcessPoolExecutor:
-    """One worker process that computes `records` of these settings; its owner shuts it down."""
-    return one_worker(_prepare, settings.model_dump_json())
+def twin_executor(settings: Settings, told: Connection | None = None) -> ProcessPoolExecutor:
+    """One worker process that computes `records` of these settings; its owner shuts it down.
+
+    Parameters
+    ----------
+    told
+        Where it says that it begins to compile (True) and that it has (False).
+    """
+    return one_worker(_prepare, settings.model_dump_json(), told)
+
+
+@contextmanager
+def twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
+    """Give that process; a thread here calls ``compiling`` with what it says of its compilations."""
+    hear, told = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    with hear:
+        with told:  # once it has started, it alone holds this end: the pipe ends with it
+            executor = twin_executor(settings, told)
+        listening = threading.Thread(
+            target=_pass_on, args=(hear, compiling), name="news-of-the-worker", daemon=True
+        )
+        listening.start()
+        try:
+            yield executor
+        finally:
+            executor.shutdown(cancel_futures=True)
+            listening.join()
+
+
+def _pass_on(hear: Connection, compiling: Callable[[bool], None]) -> None:
+    begun = False
+    with suppress(EOFError, OSError):  # the worker has ended, or was killed in the midst of a word
+        while True:
+            begun = hear.recv()
+            compiling(begun)
+    if begun:
+        compiling(False)
 
 
 def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
@@ -70,7 +109,13 @@ def _specimen(settings_json: str) -> Specimen:
     )
 
 
-def _prepare(settings_json: str) -> None:
+def _prepare(settings_json: str, told: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
+    if told is not None:
+        from simulator.numerics.machine_code import compilation_told
+
+        telling = ExitStack()
+        telling.enter_context(compilation_told(told.send))
+        atexit.register(telling.close)  # kept as long as the process
     _specimen(settings_json)

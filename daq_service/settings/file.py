@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import ast
 import difflib
-import inspect
 import json
 import os
 import tomllib
 from collections.abc import Mapping
-from functools import cache
-from itertools import pairwise
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic.json_schema import GenerateJsonSchema
 
 from daq_service.errors import UsageError
-from daq_service.settings.stored import renamed
+from daq_service.settings.schema import describe, known_keys
+from daq_service.settings.stored import KeyPath, flattened, renamed
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
 """Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
+
+PLACEHOLDER = "PLACEHOLDER"
+"""Stands in a value that only the laboratory knows; what holds it is refused."""
 
 
 def config_file(name: str) -> Path:
@@ -62,16 +60,41 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
     if not isinstance(values, dict):
         raise UsageError(f"{path} must hold tables, not a {type(values).__name__}")
     values.pop("$schema", None)
-    if (
-        path.suffix == ".json"
-    ):  # a folder's, maybe of an earlier version; a TOML file is a person's to correct
-        values = renamed(values)
+    # A JSON file is a folder's, maybe of an earlier version; a TOML file is a person's to correct.
+    values = renamed(values) if path.suffix == ".json" else values
+    return checked_settings(values, path, overrides=overrides)
+
+
+def checked_settings(
+    values: dict[str, Any], path: Path, *, overrides: Mapping[str, Any] | None = None
+) -> Settings:
+    """Make settings of what a file holds, or will hold; errors as of `load_settings`."""
     _refuse_unknown_variables()
+    if path.suffix != ".json":
+        _refuse_placeholders(values, path)
     _resolve_recording(values, path)
     try:
         return Settings(**_laid_over(values, overrides or {}))
     except ValidationError as error:
         raise UsageError(_explain(error, path)) from error
+
+
+def placeholders(values: Mapping[str, Any]) -> list[KeyPath]:
+    """Keys that nobody has filled in yet, but for those that the environment gives."""
+    return [
+        key
+        for key, value in flattened(values).items()
+        if PLACEHOLDER in str(value) and f"SOLIMON_{'__'.join(key)}".upper() not in map(str.upper, os.environ)
+    ]
+
+
+def _refuse_placeholders(values: Mapping[str, Any], path: Path) -> None:
+    if missing := placeholders(values):
+        lines = "\n".join(f"  {'.'.join(key)}: {describe(key)}" for key in missing)
+        raise UsageError(
+            f"{path} is not finished; still {PLACEHOLDER}:\n{lines}\n"
+            f"Fill them in and run `solimon check-config {path}`."
+        )
 
 
 def _resolve_recording(values: dict[str, Any], path: Path) -> None:
@@ -118,7 +141,7 @@ def _explain(error: ValidationError, path: Path) -> str:
         where = [str(part) for part in problem["loc"]]
         key = ".".join(where) or "(whole file)"
         if problem["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
-            near = difflib.get_close_matches(where[-1], _known_keys(), n=1, cutoff=0.6)
+            near = difflib.get_close_matches(where[-1], known_keys(), n=1, cutoff=0.6)
             hint = f"; did you mean {near[0]}?" if near else "; remove it"
             lines.append(f"{key}: unknown key{hint}")
         else:
@@ -130,61 +153,3 @@ def _explain(error: ValidationError, path: Path) -> str:
         f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"
         f"Correct it and run `solimon check-config {path}`."
     )
-
-
-def _known_keys() -> list[str]:
-    keys: set[str] = set()
-
-    def walk(node: Any) -> None:
-        if isinstance(node, dict):
-            keys.update(node.get("properties", {}))
-            for below in node.values():
-                walk(below)
-        elif isinstance(node, list):
-            for below in node:
-                walk(below)
-
-    walk(Settings.model_json_schema())
-    return sorted(keys)
-
-
-@cache
-def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
-    tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
-    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
-
-
-def _texts_below_attributes(kind: type) -> dict[str, str]:
-    """Return the string literal that follows each annotated attribute of a class."""
-    texts = {}
-    for attribute, text in pairwise(_classes(inspect.getmodule(kind))[kind.__name__].body):
-        match attribute, text:
-            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
-                texts[name] = inspect.cleandoc(words)
-    return texts
-
-
-class _Described(GenerateJsonSchema):
-    """Describes each key by the text below its attribute.
-
-    pydantic's ``use_attribute_docstrings`` would read the sources anew at each start of each process.
-    """
-
-    def _described(self, table: dict[str, Any], kind: type) -> dict[str, Any]:
-        keys = table["properties"]
-        for base in kind.__mro__[:-1]:
-            for name, words in _texts_below_attributes(base).items():
-                keys.get(name, {}).setdefault("description", words)
-        return table
-
-    def model_schema(self, schema: Any) -> dict[str, Any]:
-        return self._described(super().model_schema(schema), schema["cls"])
-
-    def dataclass_schema(self, schema: Any) -> dict[str, Any]:
-        return self._described(super().dataclass_schema(schema), schema["cls"])
-
-
-def settings_schema() -> dict[str, Any]:
-    """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
-    schema = Settings.model_json_schema(schema_generator=_Described)
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

@@ -53,8 +53,8 @@ def stored_settings(values: Mapping[str, Any]) -> Settings:
 
 def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Nested tables under today's names, without the keys that went."""
-    moved = ((_todays(path), value) for path, value in _flat(values).items())
-    return _nested({path: value for path, value in moved if path})
+    moved = ((_todays(path), value) for path, value in flattened(values).items())
+    return nested({path: value for path, value in moved if path})
 
 
 def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
@@ -70,12 +70,12 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
     list of str
         A line a key, with both values; empty where the same is measured.
     """
-    given_flat = _flat(given.model_dump(mode="json"))
+    given_flat = flattened(given.model_dump(mode="json"))
     flat = {
         path: given_flat.get(path, value) if _is_hashed_out(path) else value
-        for path, value in _flat(renamed(stored)).items()
+        for path, value in flattened(renamed(stored)).items()
     }
-    foreign = _unknown(_nested(flat))
+    foreign = _unknown(nested(flat))
     unknown = {path for path in flat if any(path[: len(key)] == key for key in foreign)}
     told = {
         path: f"began with {json.dumps(flat[path])}; this version has no such key"
@@ -83,11 +83,11 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
         if not _is_hashed_out(path)
     }
     try:
-        began = _flat(_Stored(**_nested({p: v for p, v in flat.items() if p not in unknown})).measured())
+        began = flattened(_Stored(**nested({p: v for p, v in flat.items() if p not in unknown})).measured())
     except ValidationError as error:
         told |= {_path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()}
     else:
-        now = _flat(given.measured())
+        now = flattened(given.measured())
         told |= {
             path: f"began with {_value(began, path)}, is {_value(now, path)} now"
             for path in {**began, **now}
@@ -143,18 +143,19 @@ def _value(flat: Mapping[KeyPath, Any], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
 
 
-def _flat(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
+def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
     """Tables by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, Any] = {}
+    found: dict[KeyPath, Any] = {}
     for name, value in values.items():
         below = isinstance(value, Mapping) and value
-        flat |= _flat(value, (*above, name)) if below else {(*above, name): value}
-    return flat
+        found |= flattened(value, (*above, name)) if below else {(*above, name): value}
+    return found
 
 
-def _nested(flat: Mapping[KeyPath, Any]) -> dict[str, Any]:
+def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
+    """Undo `flat`."""
     tree: dict[str, Any] = {}
-    for path, value in flat.items():
+    for path, value in values.items():
         below = tree
         for name in path[:-1]:
             below = below.setdefault(name, {})

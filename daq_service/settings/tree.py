@@ -36,14 +36,17 @@ HASHED_OUT: Mapping[str, Any] = {
     "rig": {
         "read_timeout_s": True,
         "stall_timeout_s": True,
-        "daqmx": {"grpc_address", "grpc_client_name", "call_timeout_s"},
+        "daqmx": {"grpc_address", "grpc_client_name", "grpc_tls", "call_timeout_s", "ringing_s"},
         "niscope": {"call_timeout_s"},
         "supply": {
             "line",
             "log_interval_s",
             "read_timeout_s",
             "setup_commands",
+            "channel",
             "protection_queries",
+            "over_voltage_v",
+            "over_current_a",
             "readback_tolerance_v",
             "readback_tolerance_a",
             "interlock_current_a",
@@ -301,7 +304,7 @@ class RigSettings(Section):
     @model_validator(mode="after")
     def _has_what_its_kind_needs(self) -> Self:
         if self.kind == "daqmx" and self.daqmx is None:
-            raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; see config/laboratory.toml")
+            raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:
             raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
         if self.on_doubles and self.kind != "daqmx":
@@ -443,13 +446,23 @@ class Settings(BaseSettings):
 
     def measured(self) -> dict[str, Any]:
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
-        return self.model_dump(mode="json", exclude=dict(HASHED_OUT))
+        values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
+        daqmx = values["rig"].get("daqmx")
+        if daqmx is not None and daqmx["holdoff_s"] is None:
+            # The key came later: absent, what was hashed before is hashed still.
+            del daqmx["holdoff_s"]
+        return values
 
     def configuration_hash(self) -> str:
         """SHA-256 of what the data depend on: the name of the folder that this configuration begins."""
         return hashlib.sha256(
             json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
+
+    @property
+    def thinnest_m(self) -> float:
+        """Thickness at which a probe's wall has lost as much as its alarm allows."""
+        return (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
 
     def names_of(self, method: Method) -> list[str]:
         """Positions monitored by a method, in the order of the file."""

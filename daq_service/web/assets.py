@@ -49,16 +49,17 @@ def assets() -> dict[str, Asset]:
 @router.get("/")
 async def get_dashboard(request: Request) -> Response:
     """Serve the page."""
-    return _answer("index.html", request)
+    return answer_asset("index.html", request)
 
 
 @router.get("/static/{name:path}")
 async def get_asset(name: str, request: Request) -> Response:
     """Serve a file of the dashboard; a browser revalidates by ETag."""
-    return _answer(name, request)
+    return answer_asset(name, request)
 
 
-def _answer(name: str, request: Request) -> Response:
+def answer_asset(name: str, request: Request) -> Response:
+    """Answer with one of the files, or with nothing where the browser has it already."""
     asset = assets().get(name)
     if asset is None:
         raise not_found(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,20 +10,15 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.archive import FolderSetReader
-from daq_service.catalogue.rows import EventRow, Row, SetRow, values
+from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
-from daq_service.processes.heartbeat import time_now_ns
-from daq_service.processes.recorder_state import look_at_recorder
+from daq_service.processes import freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, no_data_yet, not_found
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
-from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
-
-LOOK_BACK_EVENTS = 20
-"""The recorder's farewell is among its last events: behind it come at most answers to commands."""
 
 
 class CatalogueAccess:
@@ -145,34 +139,11 @@ class Context:
         return Freshness(self)
 
 
-class Freshness:
-    """Age of the data on both clocks, taken once an answer."""
+class Freshness(freshness.Freshness):
+    """The same for answers: times as text."""
 
     def __init__(self, context: Context) -> None:
-        catalogue = context.catalogue()
-        self.epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
-        self.clock = context.settings.clock.kind
-        self.last_event_id = catalogue.last_event_id()
-        newest = catalogue.events_after(max(0, self.last_event_id - LOOK_BACK_EVENTS), None, LOOK_BACK_EVENTS)
-        last = newest[-1] if newest else None
-        wall_ns = time.time_ns()
-        self._written_ns: int | None = None if last is None else last.wall_utc_ns
-        self.recorder = look_at_recorder(context.data_folder, [row.kind for row in newest])
-        told_ns = time_now_ns(self.recorder.beat) if self.clock == "wall" else None
-        # A simulated clock stands still while nobody works: the newest events tell its time. So does a real
-        # one while it is doubted, and then the system's may lie before.
-        self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
-        if self.clock == "wall":
-            self.now_utc_ns = max(wall_ns, self.now_utc_ns) if told_ns is None else told_ns
-        self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
-        self.system_ahead_s = None if told_ns is None else (wall_ns - told_ns) / NS_PER_S
-        self.wall_age_s = None if last is None else self._age_s(wall_ns, last, told_ns)
-
-    @staticmethod
-    def _age_s(wall_ns: int, last: EventRow, told_ns: int | None) -> float:
-        """Seconds since the last event was written; on the experiment's clock where the system's was set."""
-        ages_ns = [wall_ns - last.wall_utc_ns, *([] if told_ns is None else [told_ns - last.utc_ns])]
-        return min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
+        super().__init__(context.data_folder, context.catalogue(), context.settings.clock.kind)
 
     def as_of(self) -> dict[str, Any]:
         """Answer part `as_of`."""
@@ -180,14 +151,10 @@ class Freshness:
             "clock": self.clock,
             "now_utc": rfc3339(self.now_utc_ns),
             "now_h": self.now_h,
-            "last_write_wall_utc": rfc3339(self._written_ns),
+            "last_write_wall_utc": rfc3339(self.written_ns),
             "wall_age_s": self.wall_age_s,
             "recorder": self.recorder.word,
         }
-
-    def age_h(self, due_h: float) -> float:
-        """Age on the experiment's clock of what belongs to an hour; not negative."""
-        return max(0.0, self.now_h - due_h)
 
     def utc_of(self, hour: float) -> str | None:
         """RFC 3339 time of an hour of the experiment."""

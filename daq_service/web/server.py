@@ -23,9 +23,11 @@ LONGEST_SHUTDOWN_S = 1
 class _Server(uvicorn.Server):
     """Leaves signals to the caller when it brings its own stop event."""
 
-    def __init__(self, config: uvicorn.Config, app: FastAPI, stop: threading.Event | None) -> None:
+    def __init__(
+        self, config: uvicorn.Config, close_streams: Callable[[], None], stop: threading.Event | None
+    ) -> None:
         super().__init__(config)
-        self._app = app
+        self._close_streams = close_streams
         self._stop = stop
 
     @contextlib.contextmanager
@@ -45,7 +47,7 @@ class _Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Say goodbye to the streams first: uvicorn waits for every open answer."""
-        context_of(self._app).close_streams()
+        self._close_streams()
         await super().shutdown(sockets)
 
 
@@ -97,6 +99,7 @@ def serve(
     *,
     on_bound: Callable[[str], None],
     stop: threading.Event | None = None,
+    close_streams: Callable[[], None] | None = None,
 ) -> None:
     """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
 
@@ -104,6 +107,8 @@ def serve(
     ----------
     on_bound
         Called with the URL once connections are accepted.
+    close_streams
+        Called before the last answers are waited for; None: the service's own.
     """
     listener = bind(host, port)
     try:
@@ -122,6 +127,7 @@ def serve(
         address, bound_port = listener.getsockname()[:2]
         shown = f"[{address}]" if ":" in address else address
         on_bound(f"http://{shown}:{bound_port}/")
-        asyncio.run(_Server(config, app, stop).serve(sockets=[listener]))
+        closing = close_streams or context_of(app).close_streams
+        asyncio.run(_Server(config, closing, stop).serve(sockets=[listener]))
     finally:
         listener.close()

@@ -1,6 +1,10 @@
 """One transducer's acquisition: finite, triggered by the wave itself, with what came before it.
 
 Committed once a transducer's turn, started and stopped a shot; its buffer is made once.
+
+A coil's spike must not take the trigger. NI's boards ignore a reference trigger until the pre-trigger is
+full, and that fills from the start trigger on: so with ``holdoff_s`` the falling edge of the coil's counter
+starts the acquisition, and the first sample is delayed by the holdoff, all of it in hardware.
 """
 
 from __future__ import annotations
@@ -9,7 +13,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +35,13 @@ EDGE_FRACTION = 0.02
 OVER_RANGE = (0.99, 1.5)
 """Last code in volts over the range: a board's codes reach its range and a little beyond."""
 
+Record = Literal["shot", "noise", "pulse"]
+"""``shot``: triggered by the wave; ``noise``: at once; ``pulse``: from the coil's switching on to the end of
+the wave, whatever triggers."""
+
+DELAY_AGREEMENT_S = 1e-6
+"""A board rounds the holdoff to its time base: less than this, or it does not understand what it is asked."""
+
 _DTYPES: Mapping[int, type[np.int16 | np.int32]] = {16: np.int16, 32: np.int32}
 
 
@@ -43,6 +54,7 @@ class Acquisition:
     task: Any
     reader: Any
     buffer: NDArray[np.int16 | np.int32]
+    part_samples: int
     sample_rate_hz: float
     pretrigger_samples: int
     calibration: Calibration
@@ -51,7 +63,7 @@ class Acquisition:
     settings: Mapping[str, float | str]
 
     def start(self) -> None:
-        """Let samples flow; the pre-trigger is filling on return."""
+        """Let samples flow, at once or as soon as the coil's counter says so."""
         with vendor_call(f"starting the acquisition of {self.position!r}"):
             self.task.start()
 
@@ -59,8 +71,11 @@ class Acquisition:
         """Wait for the record and return it; the buffer's content is used only after a whole read."""
         with vendor_call(f"reading the record of {self.position!r}"):
             read = self.reader.read_int16 if self.buffer.dtype == np.int16 else self.reader.read_int32
-            got = int(read(self.buffer, self.buffer.shape[1], timeout_s))
-        wanted = self.buffer.shape[1]
+            wanted = self.buffer.shape[1]
+            # A longer record comes in parts: an answer over gRPC holds one of usual length.
+            starts = range(0, wanted, self.part_samples)
+            parts = [self.buffer[:, start : start + self.part_samples] for start in starts]
+            got = sum(int(read(part, part.shape[1], timeout_s)) for part in parts)
         if got != wanted:
             raise ConnectionLostError(
                 f"{self.board.label} gave {got} of {wanted} samples without an error; the record is not used"
@@ -100,36 +115,45 @@ class Acquisition:
 
 
 def commit_acquisition(
-    connection: Connection, parameters: DaqmxParameters, position: str, board: Board, *, triggered: bool
+    connection: Connection,
+    parameters: DaqmxParameters,
+    position: str,
+    board: Board,
+    coil_board: Board,
+    *,
+    record: Record,
 ) -> Acquisition:
     """Build one transducer's task, commit it, and read back what the board made of it.
 
     Parameters
     ----------
-    triggered
-        False records at once: noise, for a dry run and for `survey`.
+    coil_board
+        Its counter starts the records that wait for the coil.
 
     Raises
     ------
     ConfigurationError
-        The board would use another rate or range than asked, or codes this driver does not know.
+        The board would use another rate, range or holdoff than asked, or codes this driver does not know;
+        or the coil's counter cannot start it.
     """
     wiring = parameters.transducers[position]
     task = connection.task("digitizer")
     try:
         with vendor_call(f"setting up the acquisition of {position!r} on {board.label}"):
-            channel = _configure(task, parameters, wiring, board, triggered=triggered)
+            channel = _configure(task, parameters, wiring, board, record)
+            if record == "pulse" or (record == "shot" and parameters.holdoff_s is not None):
+                _start_by_coil(task, parameters, position, coil_board, board, record)
             from nidaqmx.constants import TaskMode
 
             task.control(TaskMode.TASK_COMMIT)
-            return _committed(task, channel, parameters, position, board, triggered=triggered)
+            return _committed(task, channel, parameters, position, board, record)
     except BaseException:
         discard(task, f"setting up the acquisition of {position!r}")
         raise
 
 
 def _configure(
-    task: Any, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, *, triggered: bool
+    task: Any, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> Any:
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
@@ -145,12 +169,12 @@ def _configure(
     task.timing.cfg_samp_clk_timing(
         parameters.sample_rate_hz,
         sample_mode=AcquisitionType.FINITE,
-        samps_per_chan=parameters.record_samples,
+        samps_per_chan=_samples(parameters, record),
     )
     if parameters.reference_clock != "onboard":
         task.timing.ref_clk_src = parameters.reference_clock
         task.timing.ref_clk_rate = _CLOCK_HZ[parameters.reference_clock]
-    if triggered:
+    if record == "shot":
         task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(
             physical,
             pretrigger_samples=parameters.pretrigger_samples,
@@ -158,6 +182,55 @@ def _configure(
             trigger_level=parameters.trigger_level_v,
         )
     return channel
+
+
+def _samples(parameters: DaqmxParameters, record: Record) -> int:
+    return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
+
+
+def _start_by_coil(
+    task: Any, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
+) -> None:
+    """Start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
+
+    Verified here, so that a route or delay that the boards do not have is told as what it is.
+    """
+    from nidaqmx.constants import DigitalWidthUnits, Edge, TaskMode
+
+    source = f"/{coil_board.name}/Ctr{parameters.transducers[position].counter[3:]}InternalOutput"
+    trigger = task.triggers.start_trigger
+    with vendor_call(
+        f"starting the acquisition of {position!r} on {board.label} by {source} of {coil_board.label} (a "
+        "coil's counter can do that on the digitizer's own board, of S Series ctr0 only, or on one in the "
+        "same chassis if NI MAX knows the chassis)"
+    ):
+        trigger.cfg_dig_edge_start_trig(source, Edge.RISING if record == "pulse" else Edge.FALLING)
+        if record == "shot":
+            trigger.delay_units = DigitalWidthUnits.SECONDS
+            trigger.delay = parameters.holdoff_s
+        task.control(TaskMode.TASK_VERIFY)
+        given = str(trigger.dig_edge_src)
+        if given.strip("/").casefold() != source.strip("/").casefold():
+            raise ConnectionLostError(
+                f"{board.label} would be started by {given or 'nothing'} instead of {source} for {position!r}"
+            )
+        if record == "shot":
+            _check_delay(parameters, board, float(trigger.delay))
+
+
+def _check_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
+    asked_s = parameters.holdoff_s or 0.0
+    try:
+        parameters.check_holdoff(delay_s)
+    except ValueError as error:
+        raise ConfigurationError(
+            f"holdoff_s is {asked_s:g} s; {board.label} would hold off for {delay_s:g} s: {error}"
+        ) from error
+    if not abs(delay_s - asked_s) <= DELAY_AGREEMENT_S:
+        raise ConfigurationError(
+            f"holdoff_s is {asked_s:g} s; {board.label} would hold off for {delay_s:g} s; "
+            "choose a time it can do"
+        )
 
 
 _TERMINALS = {
@@ -171,12 +244,12 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 
 
 def _committed(
-    task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, *, triggered: bool
+    task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
     """Read back what counts and refuse what was silently changed."""
     from nidaqmx.stream_readers import AnalogUnscaledReader
 
-    wiring = parameters.transducers[position]
+    wiring, triggered = parameters.transducers[position], record == "shot"
     rate_hz = float(task.timing.samp_clk_rate)
     if not agree(rate_hz, parameters.sample_rate_hz):
         raise ConfigurationError(
@@ -211,7 +284,8 @@ def _committed(
         board=board,
         task=task,
         reader=reader,
-        buffer=np.zeros((1, parameters.record_samples), dtype=_DTYPES[size]),
+        buffer=np.zeros((1, _samples(parameters, record)), dtype=_DTYPES[size]),
+        part_samples=parameters.record_samples,
         sample_rate_hz=rate_hz,
         pretrigger_samples=parameters.pretrigger_samples,
         calibration=calibration,
@@ -257,6 +331,7 @@ def _settings(
         "trigger_level_v": level_v if triggered else math.nan,
         "trigger_slope": parameters.trigger_slope if triggered else "none",
         "reference_clock": parameters.reference_clock,
+        **({"holdoff_s": parameters.holdoff_s} if triggered and parameters.holdoff_s is not None else {}),
         "pulse_s": 0.0 if parameters.dry_run else parameters.pulse_s,
         "calibration_date": board.calibration_date,
         "calibration_temperature_c": board.calibration_temperature_c,

@@ -7,8 +7,9 @@ a stop; nothing is created.
 Several boards need no common clock: a shot uses one analog-input board and one counter, and the
 record's time zero is its own trigger, so a counter on another board may start a little sooner or later.
 What matters is the order, which is kept here: acquisition first, counter second, and the counter's
-delay lets the pre-trigger fill. With ``reference_clock`` each digitizer's time base follows the
-chassis's clock, and then all records share one scale of time.
+delay lets the pre-trigger fill, unless the counter itself starts the acquisition (``holdoff_s``). With
+``reference_clock`` each digitizer's time base follows the chassis's clock, and then all records share
+one scale of time.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
+from hardware_drivers.daqmx.acquisition import Acquisition, Record, commit_acquisition
 from hardware_drivers.daqmx.boards import Board, check_board, find_boards, same_serial
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
@@ -43,6 +44,7 @@ class Turn:
     """The committed tasks of one transducer."""
 
     position: str
+    record: Record
     acquisition: Acquisition
     coil: Coil
 
@@ -95,13 +97,21 @@ class Chassis:
 
     # Turns ---------------------------------------------------------------------------------------
 
-    def turn(self, position: str) -> Turn:
-        """Commit a transducer's tasks, after the next rung of recovery if something was lost."""
+    def turn(self, position: str, record: Record = "shot") -> Turn:
+        """Commit a transducer's tasks, after the next rung of recovery if something was lost.
+
+        Parameters
+        ----------
+        record
+            What is recorded; in a dry run of a shot only noise.
+        """
         self._recover()
-        if self._turn is not None and self._turn.position == position:
+        if record == "shot" and self.parameters.dry_run:
+            record = "noise"
+        if self._turn is not None and (self._turn.position, self._turn.record) == (position, record):
             return self._turn
         self.end_turn()
-        self._turn = self._commit(position)
+        self._turn = self._commit(position, record)
         return self._turn
 
     def end_turn(self) -> None:
@@ -119,7 +129,7 @@ class Chassis:
         if not well:
             self._cleared_by_name(ROLES)
 
-    def _commit(self, position: str) -> Turn:
+    def _commit(self, position: str, record: Record) -> Turn:
         wiring = self.parameters.transducers[position]
         connection = self.connection
         coil_board = self._boards[same_serial(wiring.coil_serial)]
@@ -127,12 +137,12 @@ class Chassis:
         coil = commit_coil(connection, self.parameters, position, coil_board)
         try:
             acquisition = commit_acquisition(
-                connection, self.parameters, position, board, triggered=not self.parameters.dry_run
+                connection, self.parameters, position, board, coil_board, record=record
             )
         except BaseException:
             coil.close()
             raise
-        return Turn(position=position, acquisition=acquisition, coil=coil)
+        return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def prove(self) -> None:
         """Commit every transducer once: what the hardware refuses is said before a test begins."""

@@ -224,4 +224,5 @@ def _open_channel(parameters: DaqmxParameters) -> Any:
         parameters.grpc_address,
         call_timeout_s=parameters.call_timeout_s,
         record_samples=parameters.record_samples,
+        tls=parameters.grpc_tls,
     )

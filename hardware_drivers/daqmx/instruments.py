@@ -42,7 +42,7 @@ class DaqmxDigitizer:
         self._bench = bench
 
     def arm(self, key: ShotKey) -> None:
-        """Start the acquisition: its pre-trigger is filling on return.
+        """Start the acquisition: its pre-trigger is filling on return, or will when the coil has rung out.
 
         A striker of an earlier strike that nobody recorded is left to land first: its wave belongs to
         no shot.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
@@ -29,6 +30,11 @@ _ADDRESS = re.compile(r"[^\s:/]+:\d{1,5}\Z|\[[0-9A-Fa-f:]+\]:\d{1,5}\Z")
 _CLIENT = re.compile(r"[A-Za-z0-9_.-]{0,40}\Z")
 
 
+def fall_s(height_m: float) -> float:
+    """Time of a free fall, s."""
+    return math.sqrt(2.0 * height_m / GRAVITY_M_PER_S2)
+
+
 @bounded
 class TransducerWiring:
     """Where one transducer is connected: its PZT disk to an input, its coil to a counter's output."""
@@ -38,7 +44,8 @@ class TransducerWiring:
     input: str = "ai0"
     """Analog input of that board."""
     range_v: Annotated[float, Gt(0.0), Le(100.0)] = 5.0
-    """Input range -range_v .. +range_v; one the board does not have is refused, not rounded."""
+    """Input range -range_v .. +range_v, half of which the incident wave should fill (`solimon doctor
+    --strike`); one the board does not have is refused, not rounded."""
     terminal_configuration: Literal["default", "rse", "nrse", "differential", "pseudo_differential"] = (
         "default"
     )
@@ -86,6 +93,28 @@ class WatchdogWiring:
 
 
 @bounded
+class GrpcTls:
+    """Encryption of the way to NI's gRPC device server, as its own configuration asks for it.
+
+    A server with `server_cert` and `server_key` needs the root certificate here, one with `root_cert` also
+    knows its clients by theirs (mutual TLS). Files in PEM form.
+    """
+
+    root_certificate: Path
+    """Certificate that signed the server's; a self-signed server's own."""
+    certificate: Path | None = None
+    """This client's own, for a server with `root_cert`."""
+    private_key: Path | None = None
+    """The key of that certificate: readable by this user alone."""
+    server_name: str = ""
+    """Name in the server's certificate, where it is not the host of `grpc_address`; empty: it is."""
+
+    def __post_init__(self) -> None:
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("certificate and private_key belong together: give both, or neither")
+
+
+@bounded
 class DaqmxParameters:
     """Digitizers and strikers of a rig on NI-DAQmx boards."""
 
@@ -99,6 +128,8 @@ class DaqmxParameters:
     grpc_client_name: str = ""
     """Name under which this rig's tasks are kept on the server, so that those a killed recorder left are
     found and cleared, never another client's; empty: the name of this computer."""
+    grpc_tls: GrpcTls | None = None
+    """Encryption; absent: none, for a network that nobody else is on."""
     call_timeout_s: Annotated[float, Ge(0.05), Le(120.0)] = 10.0
     """Longest wait for an answer of the gRPC server to a call that does not itself wait; a self-calibration
     may take ten times as long. Without `grpc` nothing can end a hung call but the recorder's supervisor."""
@@ -119,6 +150,13 @@ class DaqmxParameters:
     """Height the striker falls from (paper: 5 mm): the wave comes sqrt(2 h / g) after the pulse."""
     fall_margin_s: Annotated[float, Ge(0.0), Le(5.0)] = 0.1
     """Wait beyond that before a strike counts as missed: friction in the guide."""
+    holdoff_s: Annotated[float, Gt(0.0), Le(1.0)] | None = None
+    """Time from the end of the coil's pulse until the acquisition starts, timed by the boards: what the coil
+    couples into the input meanwhile triggers nothing. Longer than `ringing_s`, shorter than the fall less the
+    pre-trigger. Absent: the trigger is armed before the pulse."""
+    ringing_s: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+    """Time after the pulse in which the coil's spike still rings, as `solimon doctor --strike` finds it; only
+    compared with `holdoff_s`."""
     self_calibration_interval_h: Annotated[float, Ge(0.0), Le(8760.0)] = 24.0
     """Hours between two self-calibrations, done between sets; 0: never."""
     dry_run: bool = False
@@ -128,11 +166,13 @@ class DaqmxParameters:
     """Clock the boards' time bases are locked to. `onboard`: each runs on its own, which is enough, since a
     record's time zero is its own trigger; a chassis clock gives all positions one scale of time."""
     watchdog: WatchdogWiring | None = None
-    """X Series watchdog over the coils' terminals around each strike; absent: none."""
+    """X Series watchdog: the board itself pulls the coils' lines low if this program hangs. Switch it on when
+    `pytest -m hardware` has shown that yours cuts a running pulse; absent: none."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
+        self.check_holdoff(self.holdoff_s)
         self._check_transport()
         self._check_wiring()
         self._check_watchdog()
@@ -148,6 +188,26 @@ class DaqmxParameters:
                     f"{position!r} (+-{wiring.range_v} V)"
                 )
 
+    def check_holdoff(self, holdoff_s: float | None) -> None:
+        """Raise ValueError for a holdoff, as asked or as a board would time it, that cannot work."""
+        latest_s = self.fall_s - self.pretrigger_samples / self.sample_rate_hz
+        if self.ringing_s >= latest_s:
+            raise ValueError(
+                f"ringing_s is {self.ringing_s:g} s, the fall less the pre-trigger {latest_s:.4g} s: no "
+                "holdoff fits between; put a flyback diode across the coil, screen the PZT's cable, lead the "
+                "two apart"
+            )
+        if holdoff_s is None and self.ringing_s > 0.0:
+            raise ValueError(
+                f"ringing_s is {self.ringing_s:g} s without a holdoff_s; set one between it and "
+                f"{latest_s:.4g} s (the fall less the pre-trigger)"
+            )
+        if holdoff_s is not None and not self.ringing_s < holdoff_s < latest_s:
+            raise ValueError(
+                f"holdoff_s is {holdoff_s:g} s; it must be longer than ringing_s = {self.ringing_s:g} s and "
+                f"shorter than {latest_s:.4g} s, the fall from {self.drop_height_m:g} m less the pre-trigger"
+            )
+
     def _check_transport(self) -> None:
         if self.transport == "grpc":
             _match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
@@ -155,6 +215,8 @@ class DaqmxParameters:
             raise ValueError(
                 f"grpc_address is {self.grpc_address!r} but transport is 'library'; set transport = 'grpc'"
             )
+        if self.grpc_tls is not None and self.transport != "grpc":
+            raise ValueError("grpc_tls is given but transport is 'library'; set transport = 'grpc'")
         _match("grpc_client_name", self.grpc_client_name, _CLIENT, "up to 40 letters, digits, . _ or -")
 
     def _check_wiring(self) -> None:
@@ -194,7 +256,7 @@ class DaqmxParameters:
     @property
     def fall_s(self) -> float:
         """Free fall of the striker, s."""
-        return math.sqrt(2.0 * self.drop_height_m / GRAVITY_M_PER_S2)
+        return fall_s(self.drop_height_m)
 
     @property
     def longest_call_s(self) -> float:
@@ -209,6 +271,11 @@ class DaqmxParameters:
     def initial_delay_s(self) -> float:
         """From the counter's start to the coil's pulse: twice the pre-trigger, which fills meanwhile."""
         return 2.0 * self.pretrigger_samples / self.sample_rate_hz
+
+    @property
+    def whole_strike_samples(self) -> int:
+        """Samples from the coil's switching on to the last one of a wave, friction allowed for."""
+        return math.ceil((self.longest_strike_s - self.initial_delay_s) * self.sample_rate_hz)
 
     @property
     def longest_strike_s(self) -> float:

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import grpc
+
+from hardware_drivers.daqmx.parameters import GrpcTls
+from hardware_drivers.errors import ConfigurationError
 
 SLOW_CALLS = frozenset({"SelfCal", "ResetDevice"})
 """Calls that take seconds on a sound board."""
@@ -71,9 +75,11 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
 class Channel:
     """A gRPC channel that is closed once."""
 
-    def __init__(self, address: str, *, call_timeout_s: float, record_samples: int) -> None:
+    def __init__(
+        self, address: str, *, call_timeout_s: float, record_samples: int, tls: GrpcTls | None = None
+    ) -> None:
         largest = BYTES_PER_SAMPLE * record_samples + OTHER_BYTES
-        options = [
+        options: list[tuple[str, int | str]] = [
             ("grpc.max_receive_message_length", largest),
             # gRPC shares connections between channels, and with them the pause after a failed attempt: a
             # new channel to a server that is back would be refused by what the old one met.
@@ -81,9 +87,34 @@ class Channel:
             ("grpc.initial_reconnect_backoff_ms", FIRST_PAUSE_MS),
             ("grpc.max_reconnect_backoff_ms", LONGEST_PAUSE_MS),
         ]
-        self._plain = grpc.insecure_channel(address, options=options)
+        if tls is None:
+            self._plain = grpc.insecure_channel(address, options=options)
+        else:
+            if tls.server_name:
+                options.append(("grpc.ssl_target_name_override", tls.server_name))
+            self._plain = grpc.secure_channel(address, _credentials(tls), options=options)
         self.calls = grpc.intercept_channel(self._plain, Deadlines(call_timeout_s))
 
     def close(self) -> None:
         """End the connection."""
         self._plain.close()
+
+
+def _credentials(tls: GrpcTls) -> Any:
+    root, key, certificate = map(_read, (tls.root_certificate, tls.private_key, tls.certificate))
+    return grpc.ssl_channel_credentials(root, key, certificate)
+
+
+def _read(file: Path | None) -> bytes | None:
+    """Bytes of a PEM file; what is none would only show as a server that cannot be reached."""
+    if file is None:
+        return None
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(
+            f"grpc_tls: {file} cannot be read ({error.strerror}); correct its path"
+        ) from error
+    if b"-----BEGIN " not in text:
+        raise ConfigurationError(f"grpc_tls: {file} is no PEM file; convert it with openssl")
+    return text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -18,7 +18,7 @@ from hardware_drivers.daqmx.chassis import ROLES
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name
-from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 
@@ -63,6 +63,8 @@ class BoardFacts:
     ours: bool
     max_rate_hz: float
     ranges_v: tuple[tuple[float, float], ...]
+    inputs: tuple[str, ...]
+    analog_trigger: bool
     terminals: tuple[str, ...]
     counters: tuple[str, ...]
     calibrates_itself: bool
@@ -92,6 +94,20 @@ class Survey:
         """The worst state found."""
         states = {finding.state for finding in self.findings}
         return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
+
+
+def boards_there(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
+    """Look at driver and boards before anything is wired; errors become findings."""
+    nobody = {"": TransducerWiring(board_serial="0")}
+    look = _Look(DaqmxParameters(transducers=nobody, transport=transport, grpc_address=grpc_address))
+    connection = look.reached()
+    if connection is not None:
+        try:
+            look.at_installed(connection)
+        finally:
+            connection.close()
+    look.end()
+    return look.result()
 
 
 def survey(parameters: DaqmxParameters) -> Survey:
@@ -144,13 +160,9 @@ class _Look:
 
     def at_boards(self, connection: Connection) -> None:
         """All boards, ours with what they say of themselves."""
-        there: dict[str, Any] = {}
-        self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
         ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
         ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
-        for serial, device in there.items():
-            subject = f"board {serial}"
-            self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
+        there = self.at_installed(connection, ours)
         for serial in sorted(ours - set(there)):
             self._add(
                 f"board {serial}",
@@ -162,6 +174,15 @@ class _Look:
         for facts in self._facts:
             if facts.ours:
                 self._judge_board(facts)
+
+    def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
+        """Each board that the driver knows, by serial number."""
+        there: dict[str, Any] = {}
+        self._checked("driver", "lists its boards", lambda: there.update(installed(connection)))
+        for serial, device in there.items():
+            subject = f"board {serial}"
+            self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
+        return there
 
     def _describe(self, serial: str, device: Any, ours: bool) -> str:
         board = describe(serial, device)
@@ -175,6 +196,8 @@ class _Look:
                 ours=ours,
                 max_rate_hz=float(device.ai_max_single_chan_rate),
                 ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
+                inputs=tuple(channel.name for channel in device.ai_physical_chans),
+                analog_trigger=bool(device.anlg_trig_supported),
                 terminals=tuple(device.terminals),
                 counters=tuple(channel.name for channel in device.co_physical_chans),
                 calibrates_itself=board.calibrates_itself,
@@ -213,6 +236,14 @@ class _Look:
             )
             return
         away_k = abs(facts.temperature_c - facts.calibration_temperature_c)
+        if math.isnan(away_k):
+            self._add(
+                subject,
+                "calibrated",
+                "ok",
+                f"on {facts.calibration_date}; the driver does not say how warm it was or is",
+            )
+            return
         self._add(
             subject,
             "calibrated",
@@ -234,7 +265,9 @@ class _Look:
         self._checked(
             subject,
             "trigger",
-            lambda: _given_back(commit_acquisition(connection, parameters, position, board, triggered=True)),
+            lambda: _given_back(
+                commit_acquisition(connection, parameters, position, board, coil_board, record="shot")
+            ),
         )
         self._look_at_terminal(subject, position, coil_board)
         # Committed, the output is connected and low; the counter is not started.
@@ -243,7 +276,9 @@ class _Look:
             "coil's counter",
             lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
         )
-        self._checked(subject, "input read", lambda: self._measure_noise(connection, position, board))
+        self._checked(
+            subject, "input read", lambda: self._measure_noise(connection, position, board, coil_board)
+        )
         noise_v = self._noise_rms_v.get(position)
         if noise_v is not None:
             level_v = abs(parameters.trigger_level_v)
@@ -269,8 +304,10 @@ class _Look:
             "" if known else "correct output_terminal in [rig.daqmx.transducers]",
         )
 
-    def _measure_noise(self, connection: Connection, position: str, board: Board) -> str:
-        acquisition = commit_acquisition(connection, self._parameters, position, board, triggered=False)
+    def _measure_noise(self, connection: Connection, position: str, board: Board, coil_board: Board) -> str:
+        acquisition = commit_acquisition(
+            connection, self._parameters, position, board, coil_board, record="noise"
+        )
         try:
             acquisition.start()
             waveform = acquisition.read(READ_TIMEOUT_S)

@@ -118,6 +118,11 @@ class NiscopePulseEchoUnit:
                 )
         return named
 
+    def serial_number(self, position: str) -> str:
+        """Return the serial number that a probe's board reports; empty where it has none."""
+        board = self._connections[self._parameters.probes[position].resource].board
+        return "" if board is None else board.serial_number
+
 
 @contextlib.contextmanager
 def open_niscope(parameters: NiscopeParameters) -> Iterator[NiscopePulseEchoUnit]:

@@ -1,4 +1,6 @@
-"""Instruments on a serial line: the electrochemical power supply and the climate probe.
+"""Instruments that speak text: the electrochemical power supply and the climate probe.
 
-`parameters` is light; `line` imports pyserial, and only it does.
+They stand at the end of one `line`, whatever carries it (`port`: a serial port, a TCP socket, a VISA
+resource); what a supply is told comes from a table (`dialects`). `parameters` and `dialects` are light;
+`port` imports pyserial, `visa_port` pyvisa, and only they do.
 """

@@ -1,4 +1,4 @@
-"""Thermometer and hygrometer on a serial line, for probes that answer one question with one number."""
+"""Thermometer and hygrometer on a line of text, for probes that answer one question with one number."""
 
 from __future__ import annotations
 
@@ -31,8 +31,11 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
         parameters = self._parameters
         self._connect(deadline_s)
         stamp = self._stamp()
-        temperature_c = self._line.query_number(parameters.temperature_query, deadline_s)
-        humidity = self._line.query_number(parameters.humidity_query, deadline_s)
+        temperature_c = self._line.query_number(
+            parameters.temperature_query, deadline_s, units=("C", "degC", "CEL")
+        )
+        percent = ("%", "%RH", "PCT") if parameters.humidity_unit == "percent" else ()
+        humidity = self._line.query_number(parameters.humidity_query, deadline_s, units=percent)
         if parameters.humidity_unit == "percent":
             humidity /= 100.0
         for what, value, (low, high) in (

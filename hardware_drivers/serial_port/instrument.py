@@ -1,13 +1,15 @@
-"""What instruments on a serial line share: the line, the name they tell, deadlines."""
+"""What instruments on a line share: the line, the name they tell, deadlines."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 from hardware_drivers.instruments import require_timeout
 from hardware_drivers.measurement import Stamp
+from hardware_drivers.serial_port.dialects import NAME_BY_COMMAS
 from hardware_drivers.serial_port.line import SerialLine
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
 
@@ -53,10 +55,17 @@ class SerialInstrument(Generic[Parameters]):
             As for `read`.
         """
         self._connect(self._deadline_s(self._parameters.read_timeout_s))
-        parts = [part.strip() for part in self._line.name.split(",", 3)]
-        parts += [""] * (4 - len(parts))
+        found = re.fullmatch(self._name_pattern, self._line.name)
+        parts = {} if found is None else found.groupdict(default="")
         names = ("maker", "model", "serial_number", "firmware")
-        return {**dict(zip(names, parts, strict=True)), "port": self._line.parameters.port}
+        return {
+            **{name: parts.get(name, "").strip() for name in names},
+            "port": self._line.parameters.port,
+        }
+
+    @property
+    def _name_pattern(self) -> str:
+        return NAME_BY_COMMAS
 
     def close(self) -> None:
         """Give the port back."""

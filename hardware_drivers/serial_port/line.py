@@ -1,10 +1,14 @@
-"""One instrument on one serial line: questions and answers as lines of ASCII text, each bounded in time.
+"""One instrument on one line, serial, TCP or VISA: questions and answers as text, each bounded in time.
 
 A line is in step with its instrument or it is not. Whatever goes wrong (silence, garbage, an unplugged
 cable) takes it out of step, and what an instrument answers too late would then answer the next question:
 so the next call first asks who is there and throws away everything that comes before the expected name.
 Nothing else is ever sent to an instrument that has another. A port stays open over a single fault, since
 opening resets some instruments; it is opened anew when it is gone or its instrument stays silent.
+
+Instruments differ in how they say a thing: a unit or the question's own header may stand beside a number,
+and every command may come back as an echo. All of that is understood; a wrong unit or a foreign header is
+not, since it answers something else.
 
 Attempts back off on the caller's clock: a call that comes too early fails at once with the
 cause of the last attempt, and no call waits longer than its timeout.
@@ -17,7 +21,7 @@ import logging
 import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 
 import serial
 
@@ -25,7 +29,7 @@ from hardware_drivers.errors import ConfigurationError, ConnectionLostError, Ins
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SerialLineParameters
-from hardware_drivers.serial_port.port import PORT_ERRORS, open_port
+from hardware_drivers.serial_port.port import PORT_ERRORS, Port, open_port
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +43,14 @@ LINES_BEFORE_NAME = 32
 """So many late answers are thrown away before the name; more is an instrument that talks by itself."""
 
 _ERROR_QUEUE_ENTRY = re.compile(r"[+-]?\d+\s*,")
+_BARE_ERROR = re.compile(r"[+-]?\d+$")
+_NUMBER = re.compile(
+    r"(?:(?P<header>[A-Z]+\d*)\s+)?"
+    r"(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?|nan|[+-]?inf)"
+    r"\s*(?P<unit>[A-Z%]*)",
+    re.IGNORECASE,
+)
+_PREFIXES = {"": 1.0, "k": 1e3, "m": 1e-3, "u": 1e-6}
 
 
 class SerialLine:
@@ -68,7 +80,8 @@ class SerialLine:
         self._identity = re.compile(identity)
         self._identity_query = identity_query
         self._stamp = stamp
-        self._port: serial.Serial | None = None
+        self._port: Port | None = None
+        self._echoes = False
         self._in_step = False
         self._name = ""
         self._attempts = 0
@@ -151,6 +164,7 @@ class SerialLine:
     def _identify(self, deadline_s: float) -> str:
         """Ask who is there; what comes before the expected name is a late reply and thrown away."""
         deadline_s = min(deadline_s, self.monotonic_s() + self.parameters.reply_timeout_s)
+        self._echoes = False
         self._write(self._identity_query)
         strangers, garbage = [], []
         pending = bytearray()
@@ -158,6 +172,9 @@ class SerialLine:
             if (raw := self._next_line(pending, deadline_s)) is None:
                 break
             reply = _text(raw)
+            if reply == self._identity_query:
+                self._echoes = True  # as it does with every command
+                continue
             if reply is not None and self._identity.match(reply):
                 return reply
             if reply is None or not _is_name(reply):
@@ -205,6 +222,13 @@ class SerialLine:
             It could not be sent.
         """
         self._write(command)
+        if not self.parameters.terminator:
+            with self._translated("be read"):
+                # Only a pause tells this command from the next; nothing is expected in it.
+                self._port.read(self.parameters.longest_reply_bytes)  # type: ignore[union-attr] # just written
+        elif self._echoes:
+            # Awaited, since it must not come in front of the next answer.
+            self._next_line(bytearray(), self.monotonic_s() + self.parameters.reply_timeout_s)
 
     def query(self, question: str, deadline_s: float) -> str:
         """Send a question and return its answer without its terminator.
@@ -215,6 +239,13 @@ class SerialLine:
             No answer in time, or one that is no text, too long or followed by another: the line finds
             its step again at the next `connect`.
         """
+        raw = self._query(question, deadline_s)
+        reply = _text(raw)
+        if reply is None:
+            raise self._lost(f"answered {_shown(raw)} to {question}: that is no text")
+        return reply
+
+    def _query(self, question: str, deadline_s: float) -> bytes:
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
@@ -223,7 +254,10 @@ class SerialLine:
         self._write(question)
         reply_timeout_s = self.parameters.reply_timeout_s
         pending = bytearray()
-        raw = self._next_line(pending, min(deadline_s, now_s + reply_timeout_s))
+        answered_by_s = min(deadline_s, now_s + reply_timeout_s)
+        raw = self._next_line(pending, answered_by_s)
+        if self._echoes and raw is not None and _text(raw) == question:
+            raw = self._next_line(pending, answered_by_s)
         if raw is None:
             raise self._lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
@@ -231,55 +265,101 @@ class SerialLine:
             )
         if pending:
             raise self._lost(f"answered {question} twice: {_shown(raw)} and {_shown(bytes(pending))}")
-        reply = _text(raw)
-        if reply is None:
-            raise self._lost(f"answered {_shown(raw)} to {question}: that is no text")
-        return reply
+        return raw
 
-    def query_number(self, question: str, deadline_s: float) -> float:
+    def query_number(
+        self,
+        question: str,
+        deadline_s: float,
+        *,
+        units: Collection[str] = (),
+        header: str = "",
+        stray: str = "",
+    ) -> float:
         """Send a question whose answer is a finite number.
+
+        Parameters
+        ----------
+        units
+            May stand behind it, as they are or with the prefix k, m or u.
+        header
+            May stand before it; so may the question's own.
+        stray
+            May stand behind it and means nothing.
 
         Raises
         ------
         ConnectionLostError
-            As `query`, and for anything that is no number or SCPI's 9.9E37 (infinite) and 9.91E37
-            (not a number).
+            As `query`, and for anything that is no number, has another unit or header, or is SCPI's 9.9E37
+            (infinite) and 9.91E37 (not a number).
         """
         reply = self.query(question, deadline_s)
-        try:
-            value = float(reply)
-        except ValueError as error:
-            raise self._lost(f"answered {reply!r} to {question}: that is no number") from error
+        found = _NUMBER.fullmatch(reply)
+        if found is None:
+            raise self._lost(f"answered {reply!r} to {question}: that is no number")
+        value = float(found["number"])
         if not math.isfinite(value) or abs(value) >= 9.9e37:
             raise self._lost(f"answered {reply!r} to {question}: it has no value to give")
-        return value
+        headers = {"", header.upper(), question.rstrip("?").upper()}
+        if (found["header"] or "").upper() not in headers:
+            raise self._lost(f"answered {reply!r} to {question}: that answers another question")
+        if found["unit"] in {"", stray}:
+            return value
+        for unit in units:
+            prefix = found["unit"][: len(found["unit"]) - len(unit)]
+            if found["unit"].upper().endswith(unit.upper()) and prefix in _PREFIXES:
+                return value * _PREFIXES[prefix]
+        raise self._lost(
+            f"answered {reply!r} to {question}: expected {' or '.join(units) or 'no unit'} behind the number"
+        )
 
-    def query_flag(self, question: str, deadline_s: float) -> bool:
-        """Send a question whose answer is 0 or 1 (some say OFF or ON).
+    def query_flag(self, question: str, deadline_s: float, *, mask: int = 0, raw: bool = False) -> bool:
+        """Send a question whose answer is yes or no.
+
+        Parameters
+        ----------
+        mask
+            The answer is a register, and any of these bits means yes; 0: it is 0 or 1 (some say OFF or ON,
+            NO or YES).
+        raw
+            The register comes as one byte instead of a decimal number.
 
         Raises
         ------
         ConnectionLostError
             As `query`, and for any other answer.
         """
+        if raw:
+            byte = self._query(question, deadline_s)
+            if len(byte) != 1:
+                raise self._lost(f"answered {_shown(byte)} to {question}: expected one byte")
+            return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
-        if reply.upper() in {"1", "+1", "ON"}:
+        said = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
+        if mask and said.isdecimal():
+            return bool(int(said) & mask)
+        if not mask and said in {"1", "+1", "ON", "YES"}:
             return True
-        if reply.upper() in {"0", "+0", "OFF"}:
+        if not mask and said in {"0", "+0", "OFF", "NO"}:
             return False
-        raise self._lost(f"answered {reply!r} to {question}: expected 0 or 1")
+        raise self._lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
-    def query_error(self, deadline_s: float) -> str | None:
-        """Take one entry off the instrument's error queue; None when it is empty.
+    def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
+        """Take one entry off the instrument's errors; None when there is none.
+
+        Parameters
+        ----------
+        bare
+            An entry is a number alone, without a comma and a text.
 
         Raises
         ------
         ConnectionLostError
-            As `query`, and for anything that is no entry of an error queue.
+            As `query`, and for anything that is no such entry.
         """
-        reply = self.query("SYST:ERR?", deadline_s)
-        if not _ERROR_QUEUE_ENTRY.match(reply):
-            raise self._lost(f"answered {reply!r} to SYST:ERR?: that is no entry of an error queue")
+        reply = self.query(question, deadline_s)
+        if not (_BARE_ERROR if bare else _ERROR_QUEUE_ENTRY).match(reply):
+            raise self._lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
@@ -301,9 +381,8 @@ class SerialLine:
         port, terminator = self._port, self.parameters.terminator.encode("ascii")
         assert port is not None, "only called while open"
         while True:
-            line, end, rest = pending.partition(terminator)
-            if end:
-                pending[:] = rest
+            if terminator and terminator in pending:
+                line, _, pending[:] = pending.partition(terminator)
                 return bytes(line)
             if len(pending) > self.parameters.longest_reply_bytes:
                 raise self._lost(
@@ -313,6 +392,9 @@ class SerialLine:
             with self._translated("be read"):
                 # A timeout of pyserial is a short read, here an empty one.
                 read = port.read(max(1, min(port.in_waiting, self.parameters.longest_reply_bytes)))
+            if not read and pending and not terminator:  # silence ends it
+                whole, pending[:] = bytes(pending), b""
+                return whole
             if not read and self.monotonic_s() >= deadline_s:
                 return None
             pending += read
@@ -339,7 +421,7 @@ class SerialLine:
         return f"{self._name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
-def _text(raw: bytes) -> str | None:
+def _text(raw: bytes | bytearray) -> str | None:
     """Printable ASCII of a reply, or None; spaces around it and a stray carriage return do not count."""
     stripped = raw.strip(b" \t\r\n")
     if not stripped or not all(0x20 <= byte < 0x7F for byte in stripped):

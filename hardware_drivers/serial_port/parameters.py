@@ -1,4 +1,4 @@
-"""Parameters of the instruments on serial lines: each with its unit, its bounds and what it means."""
+"""Parameters of the instruments that speak text: each with its unit, its bounds and what it means."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded
+from hardware_drivers.serial_port.dialects import DIALECTS
 
+TCP_PREFIX, VISA_PREFIX = "tcp:", "visa:"
+_TCP_ADDRESS = re.compile(r"([^:\s]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})")
 USB_SERIAL_PREFIX = "serial:"
 ORDER_REPLIES = 12
 """An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
@@ -16,13 +19,15 @@ ORDER_REPLIES = 12
 
 @bounded
 class SerialLineParameters:
-    """One serial line: where it is and how it speaks."""
+    """One line of text: where it is and how it speaks."""
 
     port: str
     """A path (`/dev/serial/by-id/...`, which survives replugging), a name (`COM4`), or `serial:` and the
-    serial number of the USB adapter (`serial:FT4XYZ01`), which is found again under any name."""
+    serial number of the USB adapter (`serial:FT4XYZ01`), which is found again under any name. Or no serial
+    port: `tcp:HOST:PORT`, the instrument's own socket, or `visa:` and a VISA resource (USB-TMC, GPIB, LAN;
+    extra `visa`)."""
     baud_rate: Annotated[int, Ge(50), Le(4_000_000)] = 9600
-    """Bits a second, as set at the instrument."""
+    """Bits a second, as set at the instrument; this and the next four keys count for serial ports only."""
     data_bits: Literal[7, 8] = 8
     """Data bits of a character."""
     parity: Literal["none", "even", "odd"] = "none"
@@ -31,8 +36,8 @@ class SerialLineParameters:
     """Stop bits of a character."""
     flow_control: Literal["none", "rts_cts", "dsr_dtr", "xon_xoff"] = "none"
     """Handshake, as set at the instrument."""
-    terminator: Literal["\n", "\r\n", "\r"] = "\n"
-    """Ends every command and every reply."""
+    terminator: Literal["\n", "\r\n", "\r", ""] = "\n"
+    """Ends every command and every reply; empty (Korad): 50 ms of silence do."""
     reply_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 1.0
     """Longest wait for one reply; one that comes later is thrown away."""
     longest_reply_bytes: Annotated[int, Ge(16), Le(65_536)] = 256
@@ -42,11 +47,27 @@ class SerialLineParameters:
     reconnect_longest_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 60.0
     """The wait between two attempts grows no further; they never end, since a plug may come back."""
 
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port of a `tcp:` line."""
+        found = _TCP_ADDRESS.fullmatch(self.port.removeprefix(TCP_PREFIX))
+        if found is None or not 0 < int(found[2]) < 65_536:
+            raise ValueError(
+                f"port is {self.port!r}; give {TCP_PREFIX}HOST:PORT, like {TCP_PREFIX}psu.lab:5025"
+            )
+        return found[1].strip("[]"), int(found[2])
+
     def __post_init__(self) -> None:
         name = self.port.removeprefix(USB_SERIAL_PREFIX)
         if not name or name != name.strip() or not name.isprintable():
             raise ValueError(
                 f"port is {self.port!r}; give a path, a name like COM4, or {USB_SERIAL_PREFIX}<serial number>"
+            )
+        if self.port.startswith(TCP_PREFIX):
+            _ = self.address  # raises what is none
+        elif self.port == VISA_PREFIX:
+            raise ValueError(
+                f"port is {self.port!r}; give visa: and a resource, like {VISA_PREFIX}GPIB0::5::INSTR"
             )
         if self.reconnect_longest_s < self.reconnect_first_s:
             raise ValueError(
@@ -60,16 +81,25 @@ class SupplyParameters:
     """The electrochemical drive: a DC supply between specimen (plus) and copper electrode (minus)."""
 
     line: SerialLineParameters
-    """Its serial line."""
+    """Its line."""
     identity: str
     """Regular expression that the answer to `*IDN?` must begin with, up to the serial number
     (`KEYSIGHT,E36312A,MY1234`): anything else on the line is refused and sent nothing but `*IDN?`."""
     identity_query: ClassVar[str] = "*IDN?"
-    """SCPI's own, which every supply of the dialect answers."""
-    dialect: Literal["scpi"] = "scpi"
-    """Commands it understands: `scpi` (SCPI-1999: VOLT, CURR, OUTP, MEAS:VOLT?, MEAS:CURR?, SYST:ERR?)."""
-    protection_queries: tuple[str, ...] = ("VOLT:PROT:TRIP?", "CURR:PROT:TRIP?")
-    """Ask whether a protection has tripped (answer 0 or 1); empty for a supply that has none."""
+    """IEEE 488.2's own, which every supply of these dialects answers."""
+    dialect: Literal["scpi", "aim_tti", "korad", "rigol"] = "scpi"
+    """Commands it understands: `scpi` (SCPI-1999: VOLT, CURR, OUTP, MEAS:VOLT?, MEAS:CURR?, SYST:ERR?),
+    `aim_tti` (PL-P, MX, CPX, QL-P), `korad` (KAxxxxP, with terminator = ""), `rigol` (DP800)."""
+    channel: Annotated[int, Ge(1), Le(4)] = 1
+    """Output of a supply with several (`aim_tti`, `rigol`); `scpi` chooses it by `setup_commands`."""
+    protection_queries: tuple[str, ...] | None = None
+    """Ask whether a protection has tripped (answer 0 or 1); absent: what the dialect asks; empty: nothing is
+    asked, and the protection is told as unknown. A question that the supply reports as undefined is, too."""
+    over_voltage_v: Annotated[float, Gt(0.0), Le(66.0)] | None = None
+    """Level of the supply's over-voltage protection: set and read back before the output goes on. Absent:
+    what is set at the instrument stays."""
+    over_current_a: Annotated[float, Gt(0.0), Le(110.0)] | None = None
+    """The same for its over-current protection, which switches off where `current_limit_a` only limits."""
     setup_commands: tuple[str, ...] = ()
     """Sent after each check of the identity, for example `SYST:REM` (many need it before they obey on a
     serial line) or `INST:NSEL 1` (channel); only SYST, INST and DISP commands, which switch nothing."""
@@ -110,7 +140,7 @@ class SupplyParameters:
 
     def __post_init__(self) -> None:
         check_identity(self.identity)
-        for query in self.protection_queries:
+        for query in self.protection_queries or ():
             check_query("protection_queries", query)
         for command in self.setup_commands:
             check_query("setup_commands", command)
@@ -118,6 +148,20 @@ class SupplyParameters:
                 raise ValueError(
                     f"setup_commands has {command!r}; only SYST, INST and DISP commands are sent"
                 )
+        dialect = DIALECTS[self.dialect](self.channel)
+        for name, level in (
+            ("over_voltage_v", dialect.over_voltage),
+            ("over_current_a", dialect.over_current),
+        ):
+            if getattr(self, name) is not None and level is None:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; dialect {self.dialect} cannot set and read back that "
+                    "level: set it at the instrument and leave the key out"
+                )
+        if self.over_voltage_v is not None and self.over_voltage_v <= self.voltage_v:
+            raise ValueError(
+                f"over_voltage_v is {self.over_voltage_v}; it must be above voltage_v = {self.voltage_v}"
+            )
         for name, cap in (
             ("voltage_v", "voltage_cap_v"),
             ("current_limit_a", "current_cap_a"),
@@ -133,7 +177,7 @@ class ClimateParameters:
     """Thermometer and hygrometer beside the specimen."""
 
     line: SerialLineParameters
-    """Its serial line."""
+    """Its line."""
     identity: str
     """Regular expression that the answer to `identity_query` must begin with."""
     identity_query: str = "*IDN?"

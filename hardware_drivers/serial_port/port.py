@@ -1,18 +1,29 @@
-"""Serial ports: found by path or by USB serial number, opened for one owner, their errors explained."""
+"""Ways to an instrument: serial ports, TCP sockets and VISA resources behind the calls of pyserial.
+
+A serial port is found by its path or by its adapter's USB serial number and opened for one owner; its errors
+are explained.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import os
+import socket
 import sys
 from pathlib import Path
+from typing import Protocol
 
 import serial
 from serial.tools import list_ports
 
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError, InstrumentError
-from hardware_drivers.serial_port.parameters import USB_SERIAL_PREFIX, SerialLineParameters
+from hardware_drivers.serial_port.parameters import (
+    TCP_PREFIX,
+    USB_SERIAL_PREFIX,
+    VISA_PREFIX,
+    SerialLineParameters,
+)
 
 POLL_S = 0.05
 """Granularity of a reply's deadline; a reply that has come is read at once."""
@@ -32,8 +43,108 @@ _FORBIDDEN = {errno.EACCES, errno.EPERM}
 _NO_PORT = {errno.ENOTTY, errno.EISDIR, errno.EINVAL, errno.ELOOP}
 
 
-def open_port(parameters: SerialLineParameters) -> serial.Serial:
-    """Open a port for this process alone.
+class Port(Protocol):
+    """What a line needs, as `serial.Serial` has it; whatever goes wrong is one of `PORT_ERRORS`."""
+
+    @property
+    def in_waiting(self) -> int:
+        """So many bytes can be read at once; more than there are, where that is not known."""
+        ...
+
+    def read(self, size: int, /) -> bytes:
+        """Wait up to `POLL_S` for something, and return it: up to ``size`` bytes, or nothing."""
+        ...
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send all of it."""
+        ...
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has come."""
+        ...
+
+    def reset_output_buffer(self) -> None:
+        """Throw away what has not been taken."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+class TcpPort:
+    """The socket of an instrument on the network. TCP keeps no other program from it."""
+
+    in_waiting = 65_536
+    """A socket gives what there is."""
+
+    def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
+        self._timeout_s = timeout_s
+        self._socket = socket.create_connection(address, timeout_s)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def read(self, size: int) -> bytes:
+        """Return what comes within `POLL_S`; the instrument's hanging up is an error."""
+        self._socket.settimeout(POLL_S)
+        try:
+            return self._received(size)
+        except TimeoutError:
+            return b""
+
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+        self._socket.settimeout(self._timeout_s)
+        self._socket.sendall(data)
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has come."""
+        self._socket.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                self._received(self.in_waiting)
+
+    def reset_output_buffer(self) -> None:
+        """Nothing waits here."""
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+    def _received(self, size: int) -> bytes:
+        if not (said := self._socket.recv(size)):
+            raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
+        return said
+
+
+def open_port(parameters: SerialLineParameters) -> Port:
+    """Open the way that the parameters name.
+
+    Raises
+    ------
+    BusyError
+        Another program owns it.
+    ConfigurationError
+        No right to open it, nothing of the kind, a package that is not installed, or parameters it cannot do.
+    ConnectionLostError
+        It is not there now.
+    """
+    if parameters.port.startswith(VISA_PREFIX):
+        from hardware_drivers.serial_port.visa_port import VisaPort  # only where one is asked for
+
+        return VisaPort(parameters.port.removeprefix(VISA_PREFIX), parameters)
+    if parameters.port.startswith(TCP_PREFIX):
+        try:
+            return TcpPort(parameters.address, parameters.reply_timeout_s)
+        except OSError as error:
+            raise ConnectionLostError(
+                f"{parameters.port} takes no connection ({error}); check that the instrument is on, its "
+                "address and port, and the network between"
+            ) from error
+    return _open_serial(parameters)
+
+
+def _open_serial(parameters: SerialLineParameters) -> Port:
+    """Open a serial port for this process alone.
 
     Raises
     ------
@@ -46,7 +157,7 @@ def open_port(parameters: SerialLineParameters) -> serial.Serial:
     """
     path = _path_of(parameters.port)
     try:
-        return serial.Serial(
+        port: Port = serial.Serial(
             port=path,
             baudrate=parameters.baud_rate,
             bytesize=parameters.data_bits,
@@ -59,12 +170,22 @@ def open_port(parameters: SerialLineParameters) -> serial.Serial:
             write_timeout=parameters.reply_timeout_s,
             exclusive=True,
         )
+        return port
     except ValueError as error:
         raise ConfigurationError(
             f"{path} cannot be opened as configured: {error}; correct the line's parameters"
         ) from error
     except PORT_ERRORS as error:
         raise _explained(path, error) from error
+
+
+def ports_there() -> dict[str, str]:
+    """Find the serial ports of this computer: how to call each for good, and what it is, in words."""
+    there = {}
+    for info in sorted(list_ports.comports()):
+        name = f"{USB_SERIAL_PREFIX}{info.serial_number}" if info.serial_number else info.device
+        there[name] = f"{info.device}: {info.description}"
+    return there
 
 
 def _path_of(port: str) -> str:

@@ -1,4 +1,4 @@
-"""The electrochemical drive: a DC supply that understands SCPI-1999 on a serial line.
+"""The electrochemical drive: a DC supply that speaks one of the `dialects`.
 
 Only `energise` switches the output on, and only a person's order calls it. A link that was lost is
 opened again by the next call, which checks the name and reads the state: nothing is set, nothing
@@ -13,6 +13,7 @@ from collections.abc import Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import SupplyReading
+from hardware_drivers.serial_port.dialects import DIALECTS, Dialect, Flag, Level, Number
 from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ORDER_REPLIES, SupplyParameters
 
@@ -20,17 +21,28 @@ log = logging.getLogger(__name__)
 
 ERROR_QUEUE_LENGTH = 32
 """SCPI queues hold some 20 entries; one that never empties is a fault."""
+UNDEFINED_HEADER = -113
+"""SCPI-1999, 21.8.9: the instrument does not know the command."""
 
 
 class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     """A `PowerSupply` of the instrument Protocols."""
 
     _tripped: tuple[str, ...] = ()
+    _undefined: frozenset[str] = frozenset()
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
         """Protections found tripped when the output was last found off, by the question asked."""
         return self._tripped
+
+    @property
+    def protection_unknown(self) -> str:
+        """Why a protection could trip without being told; empty where the supply tells."""
+        if not (asked := self._protections()):
+            return f"dialect {self._parameters.dialect} asks no protection whether it has tripped"
+        unknown = ", ".join(flag.ask for flag in asked if flag.ask in self._undefined)
+        return f"the supply does not know {unknown}" if unknown else ""
 
     def read(self, timeout_s: float) -> SupplyReading:
         """Measure voltage and current and ask whether the output is on.
@@ -62,10 +74,11 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         self._connect(deadline_s)
         self._tripped = self._ask_protections(deadline_s)
         return {
-            "set_voltage_v": self._line.query_number("VOLT?", deadline_s),
-            "set_current_limit_a": self._line.query_number("CURR?", deadline_s),
-            "output": "on" if self._line.query_flag("OUTP?", deadline_s) else "off",
+            "set_voltage_v": self._number(self._dialect.voltage.read, deadline_s),
+            "set_current_limit_a": self._number(self._dialect.current.read, deadline_s),
+            "output": "on" if self._flag(self._dialect.output, deadline_s) else "off",
             "tripped": ", ".join(self._tripped),
+            "protection_unknown": self.protection_unknown,
         }
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
@@ -92,7 +105,9 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             self._switch_off(deadline_s)
             self._drain_errors(deadline_s)  # what was wrong before is not this order's fault
             self._set(voltage_v, current_limit_a, deadline_s)
-            self._line.send("OUTP ON")
+            if self.protection_unknown:
+                log.warning("%s is switched on, though %s", self._line.name, self.protection_unknown)
+            self._line.send(self._dialect.switch_on)
             self._require_no_error("switch its output on", deadline_s)
             self._require_sound(voltage_v, current_limit_a, deadline_s)
         except InstrumentError as error:
@@ -128,41 +143,84 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     # Steps ---------------------------------------------------------------------------------------
 
+    @property
+    def _dialect(self) -> Dialect:
+        return DIALECTS[self._parameters.dialect](self._parameters.channel)
+
+    @property
+    def _name_pattern(self) -> str:
+        return self._dialect.name
+
+    def _protections(self) -> tuple[Flag, ...]:
+        given = self._parameters.protection_queries
+        return self._dialect.protections if given is None else tuple(Flag(ask=query) for query in given)
+
+    def _number(self, number: Number, deadline_s: float) -> float:
+        return self._line.query_number(
+            number.ask, deadline_s, units=(number.unit,), header=number.header, stray=number.stray
+        )
+
+    def _flag(self, flag: Flag, deadline_s: float) -> bool:
+        return self._line.query_flag(flag.ask, deadline_s, mask=flag.mask, raw=flag.raw)
+
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
-        if self._line.connect(deadline_s, at_once=at_once) and self._parameters.setup_commands:
-            for command in self._parameters.setup_commands:
-                self._line.send(command)
-            for entry in self._drain_errors(deadline_s):
-                log.warning("%s after the setup commands: %s", self._line.name, entry)
+        for entry in self._set_up(deadline_s, at_once=at_once):
+            log.warning("%s after the setup commands: %s", self._line.name, entry)
+
+    def _set_up(self, deadline_s: float, *, at_once: bool) -> list[str]:
+        """Connect; what the supply then complains of."""
+        if not self._line.connect(deadline_s, at_once=at_once) or not self._parameters.setup_commands:
+            return []
+        for command in self._parameters.setup_commands:
+            self._line.send(command)
+        return self._drain_errors(deadline_s)
 
     def _measure(self, deadline_s: float) -> SupplyReading:
-        voltage_v = self._line.query_number("MEAS:VOLT?", deadline_s)
+        voltage_v = self._number(self._dialect.measured_voltage, deadline_s)
         stamp = self._stamp()
-        current_a = self._line.query_number("MEAS:CURR?", deadline_s)
-        output_on = self._line.query_flag("OUTP?", deadline_s)
+        current_a = self._number(self._dialect.measured_current, deadline_s)
+        output_on = self._flag(self._dialect.output, deadline_s)
         self._tripped = () if output_on else self._ask_protections(deadline_s)
         return SupplyReading(stamp=stamp, voltage_v=voltage_v, current_a=current_a, output_on=output_on)
 
     def _switch_off(self, deadline_s: float) -> None:
-        self._line.send("OUTP OFF")
-        if self._line.query_flag("OUTP?", deadline_s):
+        self._line.send(self._dialect.switch_off)
+        if self._flag(self._dialect.output, deadline_s):
             raise self._line.refused("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Limit first, so that a voltage never stands with another order's limit."""
-        parameters = self._parameters
-        for command, value, unit, tolerance in (
-            ("CURR", current_limit_a, "A", parameters.readback_tolerance_a),
-            ("VOLT", voltage_v, "V", parameters.readback_tolerance_v),
+        parameters, dialect = self._parameters, self._dialect
+        if parameters.over_voltage_v is not None:
+            # Some supplies refuse a protection below the voltage that was set, or a voltage above the
+            # protection that was: from nothing each step is allowed.
+            self._set_level(dialect.voltage, 0.0, deadline_s)
+        for level, value in (
+            (dialect.over_voltage, parameters.over_voltage_v),
+            (dialect.over_current, parameters.over_current_a),
+            (dialect.current, current_limit_a),
+            (dialect.voltage, voltage_v),
         ):
-            self._line.send(f"{command} {value:.6g}")
-            self._require_no_error(f"take {command} {value:g}", deadline_s)
-            told = self._line.query_number(f"{command}?", deadline_s)
-            if abs(told - value) > tolerance:
-                raise ConfigurationError(
-                    f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
-                    f"than {tolerance:g} {unit} off; check its range and its lock"
-                )
+            if level is not None and value is not None:
+                self._set_level(level, value, deadline_s)
+
+    def _set_level(self, level: Level, value: float, deadline_s: float) -> None:
+        parameters, unit = self._parameters, level.read.unit
+        tolerance = parameters.readback_tolerance_v if unit == "V" else parameters.readback_tolerance_a
+        for command in (f"{level.command}{value:{level.digits}}", level.enable):
+            if command:
+                self._line.send(command)
+                self._require_no_error(f"take {command}", deadline_s)
+        told = self._number(level.read, deadline_s)
+        if abs(told - value) > tolerance:
+            raise ConfigurationError(
+                f"{self._line.name} was set to {value:g} {unit} and reads back {told:g} {unit}: more "
+                f"than {tolerance:g} {unit} off; check its range and its lock"
+            )
+        if level.enabled is not None and not self._flag(level.enabled, deadline_s):
+            raise ConfigurationError(
+                f"{self._line.name} was told {level.enable} and says it is off; check its lock"
+            )
 
     def _require_sound(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Look at what the output does once it is on; a drop below the voltage is the limit at work."""
@@ -193,16 +251,38 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
-        self._tripped = self._ask_protections(deadline_s)
-        if self._tripped:
+        self._tripped = tripped = self._ask_protections(deadline_s)
+        if tripped:
+            if self._dialect.trips_are_events:
+                # Nothing will tell that it was cleared: the next order is the person's word.
+                self._tripped = ()
             raise ConfigurationError(
-                f"{self._line.name} has tripped ({', '.join(self._tripped)}); find the cause, clear the "
+                f"{self._line.name} has tripped ({', '.join(tripped)}); find the cause, clear the "
                 "protection at the instrument, then order again"
             )
 
     def _ask_protections(self, deadline_s: float) -> tuple[str, ...]:
-        asked = self._parameters.protection_queries
-        return tuple(question for question in asked if self._line.query_flag(question, deadline_s))
+        tripped = list(self._tripped) if self._dialect.trips_are_events else []
+        for flag in self._protections():
+            if flag.ask in self._undefined:
+                continue
+            try:
+                has_tripped = self._flag(flag, deadline_s)
+            except ConnectionLostError as error:
+                # An instrument does not answer what it does not know. Only its own word tells that from a
+                # lost line, and then the protection is told as unknown, never as sound.
+                if not self._reports_undefined(deadline_s):
+                    raise
+                self._undefined |= {flag.ask}
+                log.warning("%s; it reports an undefined command: that protection is unknown", error)
+                continue
+            if has_tripped and (name := flag.name or flag.ask) not in tripped:
+                tripped.append(name)
+        return tuple(tripped)
+
+    def _reports_undefined(self, deadline_s: float) -> bool:
+        entries = self._set_up(deadline_s, at_once=True) + self._drain_errors(deadline_s)
+        return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:
         entries = self._drain_errors(deadline_s)
@@ -211,7 +291,8 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     def _drain_errors(self, deadline_s: float) -> list[str]:
         entries: list[str] = []
-        while (entry := self._line.query_error(deadline_s)) is not None:
+        query, bare = self._dialect.error_query, self._dialect.bare_errors
+        while query and (entry := self._line.query_error(query, deadline_s, bare=bare)) is not None:
             entries.append(entry)
             if len(entries) == ERROR_QUEUE_LENGTH:
                 raise self._line.refused(f"has an error queue that does not end: {entry}")

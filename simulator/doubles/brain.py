@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
+from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
 from simulator.doubles.daqmx import (
     analog_calls,
@@ -268,6 +269,11 @@ class Brain:
         """Say which shot the next strike at the key's position is."""
         with self.bench.changed:
             self.bench.strikes.announce(key, hour_h)
+
+    def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
+        """Let the coil at a position couple something else into its sensor."""
+        with self.bench.changed:
+            self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
 
     def unplug(self, serial_number: int) -> None:
         """Take a board out."""

@@ -6,6 +6,7 @@ see the static preload; a force that falls below it leaves a small negative volt
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,6 +116,7 @@ def triggered_record(
     noise: NoiseParameters,
     random: np.random.Generator,
     interference: Interference | None = None,
+    stray: Callable[[float, float, int], FloatArray] | None = None,
 ) -> TriggeredRecord | None:
     """Sample, trigger and quantise one shot.
 
@@ -130,6 +132,9 @@ def triggered_record(
         Electronic noise and the generator it is drawn from.
     interference
         Hum and spikes; a spike before the wave may take the trigger.
+    stray
+        Further volts on the wave, of the first sample's time from the contact, the rate and the number of
+        samples: they move the trigger, and whether they alone would trigger is the caller's to see.
 
     Returns
     -------
@@ -156,6 +161,8 @@ def triggered_record(
         )
         if interference is not None:
             sampled += interference.volts(start_s - crossing_s, adc.sample_rate_hz, sampled.size)
+        if stray is not None:
+            sampled += stray(start_s, adc.sample_rate_hz, sampled.size)
         if noise.enabled:
             sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
         trigger: int = rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)

@@ -6,10 +6,12 @@ written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compi
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numba
+from numba.core import event
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -23,3 +25,30 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any
         return made
 
     return decorate
+
+
+class _Compilations(event.Listener):
+    """Counts what is compiled for each other; loading what was kept is no such event."""
+
+    def __init__(self, tell: Callable[[bool], None]) -> None:
+        self._tell, self._depth = tell, 0
+
+    def on_start(self, event: object) -> None:
+        self._depth += 1
+        if self._depth == 1:
+            self._tell(True)
+
+    def on_end(self, event: object) -> None:
+        self._depth -= 1
+        if self._depth == 0:
+            self._tell(False)
+
+
+@contextmanager
+def compilation_told(tell: Callable[[bool], None]) -> Iterator[None]:
+    """Call ``tell`` with True when machine code begins to be made, with False when it is there.
+
+    It is called by the thread that compiles: one at a time, numba holds a lock meanwhile.
+    """
+    with event.install_listener("numba:compile", _Compilations(tell)):
+        yield

@@ -41,10 +41,30 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
         "daq_service/web/dashboard/index.html",
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
+        *(f"{package}/py.typed" for package in ("daq_service", "hardware_drivers", "analysis", "simulator")),
     ):
         assert wanted in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel: Path, tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "fresh")], check=True)
+    python = tmp_path / "fresh" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def run(*words: str) -> str:
+        done = subprocess.run(
+            [str(python), *words], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    run("-m", "pip", "install", "-q", "--no-deps", "-r", str(ROOT / "constraints.txt"), str(wheel))
+    assert run("-m", "pip", "check").strip() == "No broken requirements found."
+    assert "0.1.0" in run("-m", "daq_service.cli", "--version")
 
 
 def take_machine_code(site: Path) -> None:

@@ -30,10 +30,11 @@ def transport(request, doubles, monkeypatch):
     return request.param
 
 
-@pytest.fixture
-def rig(doubles, transport):
+@pytest.fixture(params=[None, 5e-3], ids=["armed over the pulse", "held off"])
+def rig(request, doubles, transport):
     doubles.control.clear_record()
-    with open_daqmx(parameters_of(DESCRIPTION, doubles, transport=transport)) as instruments:
+    parameters = parameters_of(DESCRIPTION, doubles, transport=transport, holdoff_s=request.param)
+    with open_daqmx(parameters) as instruments:
         yield instruments
     record = doubles.control.record()
     assert record["tasks"] == []

@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from dataclasses import replace
 from datetime import datetime
 
 import h5py
@@ -127,17 +128,64 @@ def test_each_transducer_has_its_records_and_its_detector(file):
         assert text(detector["sample_rate"].attrs["units"]) == "Hz"
 
 
-def test_both_conventions_of_scaling_give_the_volts_of_a_linear_calibration(file):
+def test_the_scale_in_nexus_fields_gives_the_volts_of_a_linear_calibration(file):
     group = file["entry/B_waveforms"]
     signal = group["waveform"]
-    counts = signal[()].astype(float)
-    nexus = (counts + group["waveform_offset"][()]) * group["waveform_scaling_factor"][()]
-    cf = counts * signal.attrs["scale_factor"] + signal.attrs["add_offset"]
+    nexus = (signal[()] + group["waveform_offset"][()]) * group["waveform_scaling_factor"][()]
     expected = LINEAR.volts(signal[()])
     assert LINEAR.coefficients_v[0] != 0.0
     # A few roundings of numbers up to 10 V.
     np.testing.assert_allclose(nexus, expected, rtol=0, atol=10 * 8 * 2.0**-53)
-    np.testing.assert_allclose(cf, expected, rtol=0, atol=10 * 8 * 2.0**-53)
+    assert {name: group[f"waveform_{name}"].attrs["units"] for name in ("scaling_factor", "offset")} == {
+        "scaling_factor": "V",
+        "offset": "counts",
+    }
+
+
+def test_the_file_names_its_maker_and_its_version(file):
+    assert (file.attrs["creator"], file.attrs["creator_version"]) == ("solimon", "0.1.0")
+    program = file["entry/program_name"]
+    assert (program.asstr()[()], program.attrs["version"]) == ("solimon", "0.1.0")
+
+
+def test_every_array_has_its_axes_by_name(file):
+    def look(name, item):
+        if isinstance(item, h5py.Dataset) and item.ndim and not item.is_scale:
+            assert [len(axis) for axis in item.dims] == [1] * item.ndim, name
+            assert item.shape == tuple(axis[0].size for axis in item.dims), name
+
+    file.visititems(look)
+    group = file["entry/C_waveforms"]
+    assert [axis[0].name.rpartition("/")[2] for axis in group["waveform"].dims] == ["shot_time", "time"]
+
+
+def test_text_of_attributes_is_text_to_a_reader(file):
+    """But for the two names that HDF5's own rules for axes give a fixed length."""
+
+    def look(name, item):
+        for key, value in item.attrs.items():
+            if key not in ("CLASS", "NAME"):
+                assert np.asarray(value).dtype.kind != "S", (name, key)
+
+    look("", file)
+    file.visititems(look)
+
+
+def test_results_are_in_a_file_that_is_made_after_them():
+    values = {
+        "shot_id": [41, 43],
+        "tof_pp_s": [3.3e-4, np.nan],
+        "valid": [1, 0],
+        "flags": ["", "clipped noisy"],
+    }
+    image = build_image(replace(make_set(), results={"features": values}))
+    with h5py.File.in_memory(image) as opened:
+        group = opened["entry/features"]
+        assert (group.attrs["signal"], group.attrs["axes"].tolist()) == ("tof_pp_s", ["shot_id"])
+        assert group["shot_id"][()].tolist() == [41, 43]
+        np.testing.assert_array_equal(group["tof_pp_s"][()], [3.3e-4, np.nan])
+        assert group["tof_pp_s"].attrs["units"] == "s"
+        assert group["flags"].asstr()[()].tolist() == ["", "clipped noisy"]
 
 
 def test_the_polynomial_in_the_file_is_the_truth(file):

@@ -302,20 +302,6 @@ def test_nothing_strikes_on_after_the_supervisor_is_killed(watched: Demo) -> Non
 
 
 @posix_only
-def test_run_records_serves_and_stays_until_told_to_stop(tmp_path: Path) -> None:
-    config = tmp_path / "test.toml"
-    config.write_text("[schedule]\nend_h = 1.0\n[storage]\nfolder = 'here'\n", encoding="utf-8")
-    with started("run", str(config), "--port", "0") as process:
-        url = line_with(process, r"http://127\.0\.0\.1:\d+")
-        line_with(process, "the schedule is done")
-        with urllib.request.urlopen(f"{url}/api/v1/health", timeout=LIMIT_S) as answer:
-            assert json.load(answer)["as_of"]["recorder"] == "finished"
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(LIMIT_S) == 130
-    assert sets_done(tmp_path / "here") == 2, "the folder of the configuration, beside its file"
-
-
-@posix_only
 def test_an_order_that_nobody_hears_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = two_hours
     beat = folder / "heartbeat.json"
@@ -506,5 +492,6 @@ def test_the_command_line_imports_nothing_heavy() -> None:
         "nidaqmx",
         "serial",
         "matplotlib",
+        "rich",
     }
     assert not loaded & heavy

@@ -72,7 +72,7 @@ def test_without_a_rig_every_test_is_skipped_with_its_reason(tmp_path: Path) -> 
 
 
 @pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "the library can be built")
-def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_once(tmp_path: Path) -> None:
+def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice(tmp_path: Path) -> None:
     config = tmp_path / "laboratory.json"
     with running_brain(DESCRIPTION) as doubles:
         values = {
@@ -84,8 +84,8 @@ def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_once(t
         rig = {"SOLIMON_TEST_HARDWARE": str(config), "SOLIMON_TEST_STRIKE": "yes"}
         counts, printed = day_one({**doubles.client_environment(environment={}), **rig}, tmp_path)
         record = doubles.control.record()
-    # Six need no wire; the other eight ask for the loopback.
-    assert counts == {"passed": 6, "skipped": 8}, printed
+    # Eight need no wire; the other ten ask for the loopback.
+    assert counts == {"passed": 8, "skipped": 10}, printed
     assert printed.count("SOLIMON_TEST_LOOPBACK is not set") > 0
     # The double times a pulse in whole nanoseconds.
-    assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)] * 3
+    assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)] * 9

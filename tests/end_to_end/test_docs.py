@@ -26,12 +26,24 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def test_the_python_of_read_the_files_reads_the_files(tmp_path: Path) -> None:
     assert run(small_settings(schedule={"end_h": 2.0}), tmp_path)
-    first, second = blocks(ROOT / "docs/how-to/read-the-files.md", "python")
+    first, by_xarray, of_all, second = blocks(ROOT / "docs/how-to/read-the-files.md", "python")
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         exec(first, {"path": set_files(tmp_path)[0]})
         exec(second, {"folder": tmp_path})
     waveforms, features = said.getvalue().splitlines()
+    table = io.StringIO()
+    with contextlib.redirect_stdout(table):
+        exec(by_xarray, {"path": set_files(tmp_path)[0]})
+    exported = tmp_path / "test.h5"
+    made = CliRunner().invoke(cli, ["export", "--data-dir", str(tmp_path), "--hdf5", str(exported)])
+    assert made.exit_code == 0, made.output
+    with contextlib.redirect_stdout(said := io.StringIO()):
+        exec(of_all, {"exported": exported})
+    assert said.getvalue().startswith("12 shots, mean wave up to ")
+    axes, _, *rows = table.getvalue().splitlines()
+    assert axes.startswith("('shot_time', 'time') "), axes
+    assert len(rows) == 1 + 9  # the index and its name are lines of their own
     match = re.fullmatch(r"3 shots of 13600 samples, first shot up to (\d\.\d\d) V", waveforms)
     assert match, waveforms
     # The incident wave of some 150 N fills half of the 5 V range; a shot scatters by some ten per cent.

@@ -135,8 +135,8 @@ def test_the_record_of_lines_would_show_a_strike(
     assert set(report["strike"]["features"]["flags"]) <= {"baseline", "noisy"}
     assert report["strike"]["settings"]["trigger_level_v"] == pytest.approx(0.25, abs=1e-3)
     record = doubles.control.record()
-    # One pulse of one coil, as long as configured; the double times it in whole ns.
-    assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)]
+    # Two pulses of one coil, one to look at it and one shot; the double times them in whole ns.
+    assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)] * 2
     assert {event["position"] for event in record["lines"] if event["level"]} == {"C"}
     assert record["tasks"] == []
 
@@ -203,13 +203,15 @@ def test_another_broken_instrument_forbids_no_strike(
     assert code == 3
     assert checks["board 0BADC0DE: present"]["state"] == "fail"
     assert report["strike"]["features"]["isw_amplitude_v"] > 0.25
-    assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"]
+    assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"] * 2
 
 
-def test_placeholders_are_boards_that_are_not_there(
+def test_a_laboratory_s_boards_that_are_not_there(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, checks, _ = doctor(capsys, config_file("laboratory.toml"), tmp_path / "data")
+    file = tmp_path / "lab.toml"
+    file.write_text(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
+    code, checks, _ = doctor(capsys, file, tmp_path / "data")
     assert code == 3
     present = checks["board FFFFFFFF: present"]
     assert present["state"] == "fail"

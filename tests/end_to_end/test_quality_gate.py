@@ -19,7 +19,8 @@ from support.stored_files import read_set, read_waveform, set_files
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow, ShotRow
-from daq_service.cli.inspection import describe_status, print_status
+from daq_service.cli.status.command import run_status
+from daq_service.cli.status.facts import describe_status
 from daq_service.clock import parse_utc
 from daq_service.errors import RigError
 from daq_service.settings.tree import Settings
@@ -533,7 +534,7 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
     assert not run(settings, tmp_path, rig=ordering_rig(tmp_path, stop_at_2))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
     assert describe_status(tmp_path, Settings())["held"] == "held by ann: hands in the rig"
-    print_status(config=None, data_dir=tmp_path, as_json=False)
+    run_status(config=None, data_dir=tmp_path, as_json=False, watch=False)
     assert "on hold   held by ann: hands in the rig" in capsys.readouterr().out
     orders: list[Order] = [(2.4, "release", {"note": "closed"}), (2.4, "release", {})]
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))

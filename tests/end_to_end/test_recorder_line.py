@@ -5,9 +5,11 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from support.small_experiment import disturbed_rig, rows_of, run
@@ -108,6 +110,24 @@ def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
         assert {name: getattr(row, name) for name in values} == {
             name: None if np.isnan(value) else value for name, value in values.items()
         }
+
+
+def test_a_file_holds_what_the_catalogue_says_of_its_set(finished: Path) -> None:
+    rows = rows_of(finished)
+    with h5py.File(set_files(finished)[7]) as file:
+        entry = file["entry"]
+        assert file.attrs["creator_version"] == entry["program_name"].attrs["version"] == version("solimon")
+        shots = {row.sequence: row for row in rows["shots"]}
+        found = [row for row in rows["shot_features"] if row.set_index == 7]
+        assert entry["features/shot_id"][()].tolist() == [row.sequence for row in found]
+        assert entry["features/tof_pp_s"][()].tolist() == [row.tof_pp_s for row in found]
+        assert entry["features/tof_pp_s"].attrs["units"] == "s"
+        flags = [" ".join(shots[row.sequence].flags) for row in found]
+        assert entry["features/flags"].asstr()[()].tolist() == flags
+        means = [row.amplitude_ratio for row in rows["set_features"] if row.set_index == 7]
+        assert entry["set_features/amplitude_ratio"][()].tolist() == means
+        (wall,) = (row.thickness_m for row in rows["thickness"] if row.set_index == 7)
+        assert entry["thickness/thickness_m"][()].tolist() == [wall]
 
 
 def test_a_stored_shot_is_what_simulate_gives_at_its_depth_height_and_tilt(finished: Path) -> None:
@@ -279,6 +299,12 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
     assert run(pair_settings(), tmp_path)
     assert rows_of(tmp_path) == pair
     assert sorted(set_files(tmp_path)) == list(range(SETS))
+    # Its rows come first, and its file has their results.
+    assert read_set(set_files(tmp_path)[killed_at]).results.keys() == {
+        "features",
+        "set_features",
+        "thickness",
+    }
 
 
 def test_a_stored_set_is_not_struck_again_after_a_kill(

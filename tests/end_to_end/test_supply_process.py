@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.notify_socket import notify_socket
 from support.small_experiment import RigOpener, disturbed_rig, small_settings
 from support.stepped_clock import SteppedClock
 from support.waiting import ended, until
@@ -20,8 +21,8 @@ from support.waiting import ended, until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
-from daq_service.cli.inspection import describe_status
 from daq_service.cli.run import start_drive
+from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.kept import look_at_drive
 from daq_service.corrosion_drive.remote import RemoteDrive
@@ -349,14 +350,19 @@ def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_
     config = write_configuration(test.settings(), test.folder)
     command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
     test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
-    with subprocess.Popen(command, stderr=subprocess.PIPE) as process:
-        try:
-            until(lambda: (now := look_at_drive(test.folder)) is not None and now.state == "on", "a reading")
-            second = subprocess.run(command, capture_output=True, text=True, check=False)
-            process.terminate()
-            ended(process, "SIGTERM")
-        finally:
-            process.kill()
+    with notify_socket(test.folder.parent) as (manager, heard):
+        environment = {**os.environ, **manager}
+        with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment) as process:
+            try:
+                until(
+                    lambda: (now := look_at_drive(test.folder)) is not None and now.state == "on", "a reading"
+                )
+                second = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+                process.terminate()
+                ended(process, "SIGTERM")
+            finally:
+                process.kill()
+    assert heard == [["READY=1"]], "the one that owns it"
     assert second.returncode == 5
     assert f"another process of the drive owns {test.folder} (process {process.pid}); " in second.stderr
     assert "key" not in second.stderr + (test.folder / "logs" / "drive.log").read_text(encoding="utf-8")

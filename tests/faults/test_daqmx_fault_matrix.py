@@ -59,6 +59,8 @@ READ_TIMEOUT_S = 0.3
 """Of a line with a fault in it, which may have to wait it out."""
 SOUND_READ_TIMEOUT_S = 20.0
 """Of a line without: a machine that is slow is no missed strike."""
+HOLDOFF_S = 5e-3
+"""A third of the fall from 1 mm."""
 PHASES = ("opening", "arming", "striking", "reading", "calibrating", "closing")
 
 LOST, BUSY, CONFIGURATION, MISSED = -88710, -50103, -200077, -200284
@@ -146,9 +148,10 @@ def laboratory(request):
 
 
 def guarded(parameters: DaqmxParameters) -> DaqmxParameters:
-    """Put the board's watchdog over the coil, so that its calls are faulted too."""
+    """Put the board's watchdog over the coil and hold off, so that those calls are faulted too."""
     serial = parameters.transducers["C"].coil_serial
-    return replace(parameters, watchdog=WatchdogWiring(board_serial=serial, lines=("port2/line4",)))
+    watchdog = WatchdogWiring(board_serial=serial, lines=("port2/line4",))
+    return replace(parameters, watchdog=watchdog, holdoff_s=HOLDOFF_S)
 
 
 @pytest.fixture(scope="module")

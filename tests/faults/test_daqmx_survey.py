@@ -79,6 +79,14 @@ def test_a_dry_run_is_surveyed_with_its_trigger(doubles, parameters):
     assert "CfgAnlgEdgeRefTrig" in functions_of(doubles.control.record())
 
 
+def test_a_temperature_that_is_unknown_is_compared_with_nothing(doubles, parameters):
+    doubles.control.inject("DAQmxGetCalInfoAttribute:Cal.DevTemp", "error", code=-200077, times=0)
+    found = survey(parameters)
+    (told,) = (one for one in found.findings if one.check == "calibrated")
+    assert (told.state, told.remedy) == ("ok", "")
+    assert "does not say how warm" in told.detail
+
+
 def test_noise_near_the_trigger_level_is_a_warning(parameters):
     found = survey(replace(parameters, trigger_level_v=0.06))
     assert {(finding.subject, finding.check) for finding in findings(found, "warn")} == {

@@ -56,7 +56,7 @@ def another_owner(folder, before):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-@pytest.mark.parametrize("kills", [4, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kills", [20, pytest.param(200, marks=pytest.mark.slow)])
 def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_path, kills):
     moments, folder, config = random.Random(kills), tmp_path / "data", tmp_path / "test.json"
     paced = {**SMALL, "schedule": schedule_for(kills), "clock": {"pace_h_per_s": PACE_H_PER_S}}

@@ -41,13 +41,14 @@ def supervise(
     stay: bool = False,
     **times: float,
 ) -> tuple[int, list[Any]]:
-    """Run one child whose program is ``script``; exit code and the messages of the child."""
+    """Run one child whose program is ``script``; exit code and the messages of the child but its beats."""
     program = folder / "child.py"
     program.write_text(PRELUDE + script, encoding="utf-8")
     messages: list[Any] = []
 
     def keep(name: str, message: Any) -> None:
-        messages.append(message)
+        if message["event"] not in ("beat", "restarts"):
+            messages.append(message)
         if on_message is not None:
             on_message(name, message)
 

@@ -79,6 +79,8 @@ def loopback(parameters: DaqmxParameters) -> Iterator[Loopback]:
         trigger_level_v=1.5,
         trigger_slope="rising",
         watchdog=None,
+        holdoff_s=None,
+        ringing_s=0.0,
     )
     connection = Connection(looped)
     try:

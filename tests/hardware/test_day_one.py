@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
+from analysis.waves.features import extract_features
 from daq_service.cli.doctor.boards import digital_name
+from daq_service.cli.doctor.spike import spike_check
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, same_serial
@@ -162,6 +164,57 @@ def test_the_comparator_does_not_trigger_above_the_pulse(loopback: Loopback) -> 
         one_shot(loopback.at_level(8.0), loopback.position)
 
 
+def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(loopback: Loopback) -> None:
+    """The route and the delay that a holdoff is made of: started by the pulse, delayed by half of it."""
+    from nidaqmx.constants import DigitalWidthUnits
+
+    parameters, board = loopback.parameters, loopback.board
+    for delay_s in (0.0, 0.5 * parameters.pulse_s):
+        acquisition = commit_acquisition(
+            loopback.connection, parameters, loopback.position, board, board, record="pulse"
+        )
+        coil = commit_coil(loopback.connection, parameters, loopback.position, board)
+        try:
+            if delay_s:
+                trigger = acquisition.task.triggers.start_trigger
+                trigger.delay_units = DigitalWidthUnits.SECONDS
+                trigger.delay = delay_s
+            acquisition.start()
+            coil.pulse()
+            waveform = acquisition.read(READ_TIMEOUT_S)
+        finally:
+            coil.close()
+            acquisition.close()
+        # The first sample comes some ticks after the edge, the last edge falls between two samples.
+        left_s = parameters.pulse_s - delay_s
+        assert high_s(waveform) == pytest.approx(left_s, abs=2.0 / LOOPBACK_RATE_HZ)
+
+
+def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback: Loopback) -> None:
+    """The line rises through the level with each pulse: held off, nothing triggers."""
+    # At the loopback's rate the pre-trigger takes 10 ms of the fall; the rest is shared.
+    held_off = replace(loopback.parameters, pretrigger_samples=2, holdoff_s=0.5 * loopback.parameters.fall_s)
+    with pytest.raises(AcquisitionTimeoutError):
+        one_shot(held_off, loopback.position)
+
+
+@pytest.mark.usefixtures("may_strike")
+def test_no_coil_takes_the_trigger_as_configured(parameters: DaqmxParameters) -> None:
+    """One strike each without a trigger: what the coil couples in has rung out when the trigger is armed."""
+    for position in parameters.transducers:
+        check, _ = spike_check(parameters, position, READ_TIMEOUT_S)
+        assert check.state == "ok", f"{position}: {check.found}; {check.remedy}"
+
+
+@pytest.mark.usefixtures("may_strike")
+def test_each_wave_comes_after_the_holdoff(parameters: DaqmxParameters) -> None:
+    """Held off for half the fall, every striker's wave is recorded all the same, and is no spike."""
+    for position in parameters.transducers:
+        waveform = one_shot(replace(parameters, holdoff_s=0.5 * parameters.fall_s, ringing_s=0.0), position)
+        flags = extract_features(waveform).flags
+        assert not {"missed", "false_trigger"} & set(flags), f"{position}: {flags}"
+
+
 def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxParameters) -> None:
     """Routes that a task gave up may stay connected: then two coils would pulse."""
     serial = loopback.board.serial
@@ -178,7 +231,12 @@ def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxPar
         coil = commit_coil(loopback.connection, alone, other, loopback.board)
         try:
             acquisition = commit_acquisition(
-                loopback.connection, loopback.parameters, loopback.position, loopback.board, triggered=False
+                loopback.connection,
+                loopback.parameters,
+                loopback.position,
+                loopback.board,
+                loopback.board,
+                record="noise",
             )
             try:
                 acquisition.start()
@@ -198,7 +256,12 @@ def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback
             coil.close()
         try:
             acquisition = commit_acquisition(
-                loopback.connection, loopback.parameters, loopback.position, loopback.board, triggered=False
+                loopback.connection,
+                loopback.parameters,
+                loopback.position,
+                loopback.board,
+                loopback.board,
+                record="noise",
             )
             try:
                 acquisition.start()
@@ -229,7 +292,7 @@ def test_the_watchdog_cuts_a_pulse_short(loopback: Loopback) -> None:
             [DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)]
         )
         acquisition = commit_acquisition(
-            loopback.connection, parameters, loopback.position, board, triggered=True
+            loopback.connection, parameters, loopback.position, board, board, record="shot"
         )
         coil = commit_coil(loopback.connection, parameters, loopback.position, board)
         try:

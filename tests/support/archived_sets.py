@@ -107,7 +107,7 @@ def make_set() -> SetRecord:
         environment={"supply_state": "on", "voltage_v": 0.1 + 0.2, "charge_coulomb": 12.5},
         provenance={
             "configuration_hash": "ab" * 32,
-            "solimon_version": "0.1.0",
+            "versions": {"solimon": "0.1.0", "numpy": "2.4.6"},
             "configuration": {
                 "name": "Ø test",
                 "plate": {"thickness_m": 0.00635},

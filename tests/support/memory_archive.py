@@ -15,6 +15,7 @@ from daq_service.archive import (
     Damage,
     MissedRecord,
     OpenSet,
+    Places,
     SetNotFoundError,
     SetRecord,
     SetReference,
@@ -88,6 +89,10 @@ class MemoryArchive:
     def resume_set(self, opened: OpenSet) -> None:
         if self.keeps_open_sets:
             self._begun[opened.set_index] = opened
+
+    def places(self, set_index: int) -> Places:
+        """Memory has no segments."""
+        return {}
 
     def settle(self, set_index: int) -> None:
         self._begun.pop(set_index, None)

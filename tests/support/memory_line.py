@@ -200,6 +200,7 @@ class Line:
         idle_check: IdleCheck | None = None,
         disk: DiskWatch | None = None,
         compaction: Compaction | None = None,
+        tell: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -237,7 +238,7 @@ class Line:
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
-                tell=lambda event, **values: None,
+                tell=tell,
                 left_alone=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(

@@ -12,6 +12,7 @@ class PlainSupply:
     """On or off, at 10 V; ``error`` is what it answers."""
 
     tripped_protections = ()
+    protection_unknown = ""
 
     def __init__(self, clock: Any) -> None:
         self.clock = clock

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,8 +14,9 @@ from hardware_drivers.measurement import Stamp
 from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
-from simulator.doubles.serial.instruments import SerialInstruments, Supply
-from simulator.doubles.serial.link import pseudo_terminals_missing
+from simulator.doubles.serial.dialects import SUPPLIES
+from simulator.doubles.serial.instruments import SerialInstruments
+from simulator.doubles.serial.link import SerialLink, SocketLink, pseudo_terminals_missing
 
 NO_TERMINALS = pseudo_terminals_missing()
 """Why there is nothing to test here; empty where there is."""
@@ -28,12 +30,15 @@ class DeadlineClock:
 
     def __init__(self) -> None:
         self._ahead_s = 0.0
+        self.per_look_s = 0.0
+        """Goes on by so much at each look: for silence that no double withholds."""
 
     def __call__(self) -> float:
+        self._ahead_s += self.per_look_s
         return time.monotonic() + self._ahead_s
 
-    def skip(self) -> None:
-        self._ahead_s += 100.0 * REPLY_TIMEOUT_S
+    def skip(self, seconds: float = 100.0 * REPLY_TIMEOUT_S) -> None:
+        self._ahead_s += seconds
 
 
 class TestClock:
@@ -64,7 +69,7 @@ class TestClock:
 
 
 class SerialRig:
-    """Doubles on pseudo terminals in a folder, and the drivers that speak with them."""
+    """Doubles on pseudo terminals in a folder, or on sockets, and the drivers that speak with them."""
 
     def __init__(
         self,
@@ -72,24 +77,35 @@ class SerialRig:
         *,
         noise_v: float = 0.0,
         noise_a: float = 0.0,
+        dialect: str = "scpi",
+        way: str = "pty",
         line: dict[str, Any] | None = None,
         read_timeout_s: float = READ_TIMEOUT_S,
         **supply: Any,
     ) -> None:
+        self.dialect = dialect
         self.clock = TestClock()
         self.deadlines = DeadlineClock()
-        self.instruments = SerialInstruments(folder, supply=Supply(noise_v=noise_v, noise_a=noise_a))
-        for link in (self.instruments.supply_link, self.instruments.climate_link):
-            link.withheld = self.deadlines.skip
+        double = SUPPLIES[dialect](noise_v=noise_v, noise_a=noise_a)
+        self.instruments = SerialInstruments(
+            folder, supply=double, link=SerialLink if way == "pty" else SocketLink
+        )
+        link = self.instruments.supply_link
+        for each in (link, self.instruments.climate_link):
+            each.withheld = self.deadlines.skip
         line = {"reply_timeout_s": REPLY_TIMEOUT_S, **(line or {})}
         self.supply_parameters = SupplyParameters(
-            line=SerialLineParameters(port=str(self.instruments.supply_link.path), **line),
-            identity="SOLIMON,DC SUPPLY DOUBLE,SD0001",
+            line=SerialLineParameters(
+                port=link.visa_port if way == "visa" else link.port,
+                **{"terminator": "" if dialect == "korad" else "\n", **line},
+            ),
+            identity=re.escape(double.IDENTITY),
+            dialect=dialect,
             read_timeout_s=read_timeout_s,
             **supply,
         )
         self.climate_parameters = ClimateParameters(
-            line=SerialLineParameters(port=str(self.instruments.climate_link.path), **line),
+            line=SerialLineParameters(port=self.instruments.climate_link.port, **line),
             identity="SOLIMON,CLIMATE PROBE DOUBLE,CD0001",
             read_timeout_s=read_timeout_s,
         )

@@ -14,6 +14,7 @@ from daq_service.archive.records import (
     Damage,
     MissedRecord,
     OpenSet,
+    Places,
     PositionRecord,
     SetRecord,
     SetReference,
@@ -170,10 +171,17 @@ def segment_path(folder: Path, number: int) -> Path:
     return folder / JOURNAL_FOLDER / f"{number:06d}.journal"
 
 
-def read_journal(folder: Path, *, of_set: int | None = None) -> dict[int, JournaledSet]:
+def read_journal(
+    folder: Path, *, of_set: int | None = None, places: Places | None = None
+) -> dict[int, JournaledSet]:
     """Read every segment; set index to what there is of it (of one set alone), in the order of the sets.
 
     A segment that goes while it is read has left its sets in files of their own.
+
+    Parameters
+    ----------
+    places
+        Where the frames of that set lie, as far as that is known (`Archive.places`); None: anywhere.
 
     Raises
     ------
@@ -181,16 +189,19 @@ def read_journal(folder: Path, *, of_set: int | None = None) -> dict[int, Journa
         A segment cannot be read.
     """
     found: dict[int, JournaledSet] = {}
-    for number, content in contents(folder):
+    for number, content in contents(folder, places):
         for frame in frames(content, of_set=of_set):
             found.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
     return dict(sorted(found.items()))
 
 
-def contents(folder: Path) -> Iterator[tuple[int, bytes]]:
-    """Yield number and bytes of each segment, in order; one that goes meanwhile is left out."""
+def contents(folder: Path, places: Places | None = None) -> Iterator[tuple[int, bytes]]:
+    """Yield number and bytes of each segment, or its place, in order; one that goes meanwhile is left out."""
     for number, path in segments(folder).items():
+        if places is not None and number not in places:
+            continue
+        first, last = (0, None) if places is None else places[number]
         try:
-            yield number, read_shared(path)
+            yield number, read_shared(path, first, last)
         except FileNotFoundError:
             continue

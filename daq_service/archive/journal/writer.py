@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq_service.archive.journal.frames import Buffers, aside_frame, begin_frame, missed_frame, record_frame
 from daq_service.archive.journal.reader import JournaledSet, read_journal, segment_path, segments
-from daq_service.archive.records import QUARANTINE_FOLDER, MissedRecord
+from daq_service.archive.records import QUARANTINE_FOLDER, MissedRecord, Places
 from daq_service.shared_file import (
     O_BINARY,
     patiently,
@@ -52,13 +52,15 @@ class Journal:
     def __init__(self, folder: Path, *, segment_bytes: int = SEGMENT_BYTES) -> None:
         self._folder, self._segment_bytes = folder, segment_bytes
         self.left: dict[int, JournaledSet] = read_journal(folder)
-        self._sets_in: dict[int, set[int]] = {number: set() for number in segments(folder)}
+        self._sets_in: dict[int, dict[int, tuple[int, int | None]]] = {
+            number: {} for number in segments(folder)
+        }
         for item in self.left.values():
             for number in item.segments:
-                self._sets_in.setdefault(number, set()).add(item.set_index)
+                self._sets_in.setdefault(number, {})[item.set_index] = 0, None
         self._number = max(self._sets_in, default=0)
         self._descriptor: int | None = None
-        self._room = 0
+        self._room = self._end = 0
         self._pending: list[Buffers] = []
         self._unacknowledged: list[int] = []
         self._pending_sets: set[int] = set()
@@ -143,7 +145,10 @@ class Journal:
         assert self._descriptor is not None, "just opened"
         write_all(self._descriptor, content)
         synchronise(self._descriptor)
-        self._sets_in[self._number] |= self._pending_sets
+        first, self._end = self._end, self._end + n_bytes
+        places = self._sets_in[self._number]
+        for set_index in self._pending_sets:
+            places[set_index] = places.get(set_index, (first, None))[0], self._end
         self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
@@ -151,8 +156,8 @@ class Journal:
         path = segment_path(self._folder, self._number)
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY
         self._descriptor = patiently(lambda: os.open(path, flags, 0o644))
-        self._sets_in[self._number] = set()
-        self._room = max(self._segment_bytes, n_bytes)
+        self._sets_in[self._number] = {}
+        self._room, self._end = max(self._segment_bytes, n_bytes), 0
         if hasattr(os, "posix_fallocate"):
             try:
                 os.posix_fallocate(self._descriptor, 0, self._room)
@@ -172,11 +177,15 @@ class Journal:
         if not self._sets_in[self._number]:  # else a failing disk would be filled with empty segments
             self._drop(self._number)
 
+    def places(self, set_index: int) -> Places:
+        """Where every durable frame of a set lies."""
+        return {number: sets[set_index] for number, sets in self._sets_in.items() if set_index in sets}
+
     def settle(self, set_index: int) -> None:
         """Forget a set that has a file of its own, or rows and no record; segments without others go."""
         self.left.pop(set_index, None)
         for number, indices in list(self._sets_in.items()):
-            indices.discard(set_index)
+            indices.pop(set_index, None)
             if not indices and (number != self._number or self._descriptor is None):
                 self._drop(number)
 

@@ -143,9 +143,10 @@ def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
     """Say in words what the board agreed to."""
     wiring = parameters.transducers[position]
     if check == "trigger":
+        held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
         return (
             f"{parameters.trigger_level_v:g} V {parameters.trigger_slope} at {wiring.input}, "
-            f"{parameters.pretrigger_samples} of {parameters.record_samples} samples before it"
+            f"{parameters.pretrigger_samples} of {parameters.record_samples} samples before it{held}"
         )
     if check == "coil's counter":
         return f"{wiring.counter} to {wiring.output_terminal}, {parameters.pulse_s:g} s, low when idle"

@@ -19,7 +19,7 @@ from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.other_instruments import climate_checks, probe_checks, supply_checks
 from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
-from daq_service.cli.doctor.trial import Trial, require_position, strike_once
+from daq_service.cli.doctor.trial import Trial, require_position, strike_transducer
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
 from daq_service.settings.file import load_settings
@@ -45,10 +45,11 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         remedy = "install what failed above, then strike"
         checks.append(_skipped(f"strike {strike}: record", found, remedy))
     elif strike is not None:
-        _progress(f"one test strike at {strike}")
+        strikes = "two test strikes" if settings.rig.kind == "daqmx" else "one test strike"
+        _progress(f"{strikes} at {strike}")
         with held_folder(folder) as owner:
             _refuse_while_owned(owner)
-            trial = strike_once(settings, strike)
+            trial = strike_transducer(settings, strike)
         checks += trial.checks
     code = exit_code(checks)
     if as_json:
@@ -83,9 +84,9 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from rig_checks(settings, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK)))
-    progress("clocks and sleep")
+    progress("clocks, sleep, updates and scanners")
     yield from machine_checks(
-        settings.clock.kind, started_wall_s=started_wall_s, started_mono_s=started_mono_s
+        settings.clock.kind, folder, started_wall_s=started_wall_s, started_mono_s=started_mono_s
     )
 
 

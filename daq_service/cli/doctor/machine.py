@@ -1,54 +1,37 @@
-"""The computer's clocks, and whether it would fall asleep during a test."""
+"""The computer: its clocks, and what may end a test while nobody looks."""
 
 from __future__ import annotations
 
 import re
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
 from datetime import datetime
+from pathlib import Path
 
 from daq_service.cli.doctor.check import Check
+from daq_service.cli.doctor.unattended import Ask, ask_system, unattended_checks
 
-LONGEST_ANSWER_S = 10.0
-"""Programs of the system are asked no longer than this."""
 LARGEST_STEP_S = 0.1
 """Wall and monotonic clock may part by this much during a checkup: more is a clock that is being set."""
-
-Ask = Callable[[Sequence[str]], str | None]
-"""Runs a program of the system and returns what it printed; None where there is none or it failed."""
-
-SLEEP_UNITS = ("sleep.target", "suspend.target", "hibernate.target", "hybrid-sleep.target")
-
-
-def ask_system(command: Sequence[str]) -> str | None:
-    """Run a program without a shell."""
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=LONGEST_ANSWER_S, check=False, errors="replace"
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        # No such program here, or it does not answer: unknown, and told as that.
-        return None
-    # `systemctl is-enabled` prints "masked" and ends with 1: what was printed counts.
-    return done.stdout.strip() or None
 
 
 def machine_checks(
     clock: str,
+    folder: Path,
     *,
     ask: Ask = ask_system,
     system: str = sys.platform,
     started_wall_s: float | None = None,
     started_mono_s: float | None = None,
 ) -> list[Check]:
-    """Look at clocks and sleep settings.
+    """Look at clocks, sleep, updates and scanners.
 
     Parameters
     ----------
     clock
         The experiment's clock: ``wall`` or ``simulated``.
+    folder
+        The test's data folder.
     started_wall_s, started_mono_s
         Both clocks when the checkup began; the present time if None.
     """
@@ -61,11 +44,11 @@ def machine_checks(
         _time_zone(),
     ]
     if clock == "wall":
-        return [*checks, _synchronised(ask, system), _sleep(ask, system)]
+        return [*checks, _synchronised(ask, system), *unattended_checks(folder, ask, system)]
     unneeded = "nothing to do: the experiment runs on simulated time"
     return checks + [
         Check(area="machine", name=name, state="skipped", found="not looked at", remedy=unneeded)
-        for name in ("clock synchronised", "sleep")
+        for name in ("clock synchronised", "sleep", "updates", "antivirus")
     ]
 
 
@@ -136,36 +119,8 @@ def _clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:
         text = ask(["timedatectl", "show", "--property=NTPSynchronized", "--value"]) or ""
         if text in ("yes", "no"):
             return "timedatectl", text == "yes"
-        return "no timedatectl here", None
+        # The last of chrony's values is its leap status.
+        if tracking := ask(["chronyc", "-c", "tracking"]):
+            return "chronyc", tracking.rpartition(",")[2] != "Not synchronised"
+        return "neither timedatectl nor chronyc here", None
     return f"not asked on {system}", None
-
-
-# Sleep ----------------------------------------------------------------------------------------------
-
-
-def _sleep(ask: Ask, system: str) -> Check:
-    if system == "win32":
-        how, never = "powercfg", _windows_never_sleeps(ask)
-        command = "powercfg /change standby-timeout-ac 0, and the same with hibernate-timeout-ac"
-    elif system == "linux":
-        states = [ask(["systemctl", "is-enabled", unit]) for unit in SLEEP_UNITS]
-        how, never = "systemctl", None if None in states else all(state == "masked" for state in states)
-        command = f"sudo systemctl mask {' '.join(SLEEP_UNITS)}"
-    else:
-        how, never, command = f"not asked on {system}", None, "caffeinate -s solimon run ..."
-    told = {True: "switched off", False: "not switched off", None: "unknown"}
-    return Check(
-        area="machine",
-        name="sleep",
-        state="ok" if never else "warn",
-        found=f"suspend is {told[never]} ({how}); a sleeping computer strikes nothing, its sets are missed",
-        remedy=command,
-        values={"never_sleeps": never},
-    )
-
-
-def _windows_never_sleeps(ask: Ask) -> bool | None:
-    """Read the standby timeout on mains power: the last but one number, in any language."""
-    text = ask(["powercfg", "/query", "SCHEME_CURRENT", "SUB_SLEEP", "STANDBYIDLE"]) or ""
-    settings = re.findall(r"0x[0-9a-fA-F]{8}", text)
-    return int(settings[-2], 16) == 0 if len(settings) >= 2 else None

@@ -77,20 +77,24 @@ def supply_checks(parameters: SupplyParameters) -> Iterator[Check]:
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     name = "supply: identity"
-    with closing(ScpiPowerSupply(parameters, stamp=_stamp)) as supply:
+    with closing(ScpiPowerSupply(parameters, stamp=stamp_now)) as supply:
         try:
             identity = supply.identity()
             yield Check(area="rig", name=name, found=", ".join(identity.values()), values=dict(identity))
             name = "supply: read-back"
             told = supply.read_back(parameters.read_timeout_s)
-            tripped = str(told["tripped"])
+            tripped, unknown = str(told["tripped"]), str(told["protection_unknown"])
             yield Check(
                 area="rig",
                 name=name,
-                state="fail" if tripped else "ok",
+                state="fail" if tripped else "warn" if unknown else "ok",
                 found=f"set to {told['set_voltage_v']:g} V, limit {told['set_current_limit_a']:g} A, output "
-                f"{told['output']}" + (f"; protection tripped: {tripped}" if tripped else ""),
-                remedy="find the cause, then clear the protection at the instrument",
+                f"{told['output']}"
+                + (f"; protection tripped: {tripped}" if tripped else "")
+                + (f"; {unknown}" if unknown else ""),
+                remedy="find the cause, then clear the protection at the instrument"
+                if tripped
+                else "look at the instrument's own display after it has gone off by itself",
                 values=dict(told),
             )
             name = "supply: output"
@@ -118,7 +122,7 @@ def climate_checks(parameters: ClimateParameters) -> Iterator[Check]:
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     name = "climate probe: identity"
-    with closing(ScpiClimateProbe(parameters, stamp=_stamp)) as probe:
+    with closing(ScpiClimateProbe(parameters, stamp=stamp_now)) as probe:
         try:
             identity = probe.identity()
             yield Check(area="rig", name=name, found=", ".join(identity.values()), values=dict(identity))
@@ -137,5 +141,6 @@ def climate_checks(parameters: ClimateParameters) -> Iterator[Check]:
             yield failure(name, error, CABLE)
 
 
-def _stamp() -> Stamp:
+def stamp_now() -> Stamp:
+    """Time on this computer's own clocks."""
     return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=boot_id())

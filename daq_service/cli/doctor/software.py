@@ -11,6 +11,7 @@ from importlib.metadata import PackageNotFoundError, requires, version
 
 from daq_service.cli.doctor.check import Check
 from daq_service.settings.tree import RigSettings
+from hardware_drivers.serial_port.parameters import VISA_PREFIX
 
 OLDEST_PYTHON = (3, 11)
 ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
@@ -53,12 +54,15 @@ def _needed(rig: RigSettings) -> list[str]:
             names.append("niscope")
     if rig.supply is not None or rig.climate is not None:
         names.append("pyserial")
+    lines = [instrument.line for instrument in (rig.supply, rig.climate) if instrument is not None]
+    if any(line.port.startswith(VISA_PREFIX) for line in lines):
+        names += ["pyvisa", "pyvisa-py"]
     if rig.kind == "playback" and rig.playback is not None and rig.playback.format == "tdms":
         names.append("npTDMS")
     return names
 
 
-EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms"}
+EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "visa", "pyvisa-py": "visa"}
 
 
 def _python() -> Check:

@@ -1,4 +1,4 @@
-"""One test strike, the way of every shot: arm, strike, read, make safe; then features and flags."""
+"""Test strikes: on boards one without a trigger, then one as every shot is: arm, strike, read, make safe."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from daq_service.acquisition.taken_set import features_of
 from daq_service.cli.doctor.check import Check, failure
+from daq_service.cli.doctor.spike import spike_check
 from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
@@ -23,6 +25,8 @@ from hardware_drivers.measurement import Shot
 from hardware_drivers.methods import SOLITARY_WAVE
 
 REMEDIES: Mapping[str, str] = {
+    "missed": "see whether the striker lifts and falls, then the sensor's cable and trigger_slope",
+    "false_trigger": "set holdoff_s as the look at the coil's spike proposes",
     "double": "let the striker come to rest on its stop: shorten pulse_s or damp the guide",
     "clipped": "take a larger range_v, or lower the gain before the input",
     "inverted": "swap the PZT's leads, or set trigger_slope to the other direction",
@@ -32,8 +36,6 @@ REMEDIES: Mapping[str, str] = {
     "noisy": "look for noise: screen and grounding of the PZT's cable",
     "not_analysed": "see the log; the record could not be analysed",
 }
-LEVEL_PART = (0.02, 0.5)
-"""A trigger level between these parts of the incident wave is passed once, early and safely above noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,12 +48,15 @@ class Trial:
         Features of the record; None where there is none.
     settings
         What the instrument says of the record.
+    spike
+        What a strike without a trigger showed; None where it was not taken.
     """
 
     position: str
     checks: tuple[Check, ...]
     features: ShotFeatures | None = None
     settings: Mapping[str, float | str] = field(default_factory=dict)
+    spike: SpikeSurvey | None = None
 
     def as_row(self) -> dict[str, Any]:
         """Everything, for programs."""
@@ -60,6 +65,7 @@ class Trial:
             "position": self.position,
             "features": None if told is None else asdict(told),
             "settings": dict(self.settings),
+            "spike": None if self.spike is None else asdict(self.spike),
         }
 
 
@@ -87,9 +93,18 @@ def require_position(settings: Settings, position: str) -> None:
         )
 
 
-def strike_once(settings: Settings, position: str) -> Trial:
-    """Strike one transducer once; an instrument's error is a check that failed."""
+def strike_transducer(settings: Settings, position: str) -> Trial:
+    """Strike one transducer, on boards once more to see its coil; an instrument's error is a failed check."""
     settings = _this_transducer_only(settings, position)
+    boards = settings.rig.daqmx
+    if settings.rig.kind != "daqmx" or boards is None:
+        return _shot(settings, position, None)
+    look, spike = spike_check(boards, position, settings.rig.read_timeout_s)
+    trial = _shot(settings, position, spike)
+    return replace(trial, checks=(look, *trial.checks), spike=spike)
+
+
+def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial:
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
@@ -113,7 +128,7 @@ def strike_once(settings: Settings, position: str) -> Trial:
     features = features_of(measurement)
     return Trial(
         position=position,
-        checks=(_record(measurement, features, took_s), _level(settings, measurement, features)),
+        checks=(_record(measurement, features, took_s), _level(settings, measurement, features, spike)),
         features=features,
         settings=measurement.settings,
     )
@@ -149,14 +164,16 @@ def _missed(missed: MissedShot) -> Check:
 
 def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     flags = features.flags
-    filled = features.isw_amplitude_v / shot.waveform.calibration.range_v
+    incident = "no incident wave, "
+    if not math.isnan(features.isw_amplitude_v):
+        filled = features.isw_amplitude_v / shot.waveform.calibration.range_v
+        incident = f"incident wave {features.isw_amplitude_v:.3g} V ({filled:.0%} of the range), "
     reflected = f"reflected {features.psw_amplitude_v:.3g} V after {features.tof_pp_s * 1e6:.1f} us, "
     return Check(
         area="rig",
         name=f"strike {shot.key.position}: record",
         state="warn" if flags else "ok",
-        found=f"{features.quality}, flags: {', '.join(flags) or 'none'}; incident wave "
-        f"{features.isw_amplitude_v:.3g} V ({filled:.0%} of the range), "
+        found=f"{features.quality}, flags: {', '.join(flags) or 'none'}; {incident}"
         f"{'' if math.isnan(features.psw_amplitude_v) else reflected}noise {features.noise_rms_v:.2g} V rms; "
         f"in {took_s:.1f} s",
         remedy="; ".join(REMEDIES.get(flag, "see docs/explanation/detection.md") for flag in flags),
@@ -164,17 +181,30 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     )
 
 
-def _level(settings: Settings, shot: Shot, features: ShotFeatures) -> Check:
-    """Compare the trigger level with the incident wave."""
+def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None) -> Check:
+    """Compare the trigger level with the incident wave, of the shot or else of the strike before it."""
     boards = settings.rig.daqmx
     level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
-    part = abs(level_v) / features.isw_amplitude_v
-    fits = LEVEL_PART[0] <= part <= LEVEL_PART[1]
+    name = f"strike {shot.key.position}: trigger level"
+    incident_v = features.isw_amplitude_v
+    if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:
+        incident_v = abs(spike.wave_v)
+    if math.isnan(incident_v):
+        return Check(
+            area="rig",
+            name=name,
+            state="skipped",
+            found=f"{level_v:g} V; there is no incident wave to compare it with",
+            remedy="mend what is said of the record, then strike again",
+            values={"trigger_level_v": level_v},
+        )
+    part = abs(level_v) / incident_v
+    fits = FITTING_LEVEL[0] <= part <= FITTING_LEVEL[1]
     return Check(
         area="rig",
-        name=f"strike {shot.key.position}: trigger level",
+        name=name,
         state="ok" if fits else "warn",
         found=f"{level_v:g} V is {part:.0%} of the incident wave",
-        remedy="set trigger_level_v to a tenth of the incident wave",
-        values={"trigger_level_v": level_v, "isw_amplitude_v": features.isw_amplitude_v},
+        remedy=f"set trigger_level_v to a tenth of the incident wave, {0.1 * incident_v:.2g} V",
+        values={"trigger_level_v": level_v, "isw_amplitude_v": incident_v},
     )

@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 
 from daq_service.cli.keeping.backup import back_up
+from daq_service.cli.keeping.export import export_hdf5
 from daq_service.cli.keeping.repair import carry_out, planned
 from daq_service.cli.keeping.verify import Finding, verify_folder
 from daq_service.errors import EXIT_OK, StorageError
@@ -81,6 +82,20 @@ def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
             f"{copied.present} sets were there already"
         )
     return StorageError.exit_code if copied.damage else EXIT_OK
+
+
+def run_export(*, data_dir: Path, hdf5: Path, overwrite: bool, as_json: bool) -> int:
+    """Write one file of a test; 4 where a set's file cannot be read."""
+    made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
+    if as_json:
+        click.echo(json.dumps({"ok": not made.left_out, **asdict(made)}))
+    else:
+        for told in made.left_out.values():
+            click.echo(f"left out  {told}")
+        if made.waiting:
+            click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
+        click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
+    return StorageError.exit_code if made.left_out else EXIT_OK
 
 
 def _tell(damage: list[Finding]) -> None:

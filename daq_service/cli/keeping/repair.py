@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from daq_service.archive import SetReference
+from daq_service.archive import Results, SetReference
 from daq_service.archive.compaction import compact_set
 from daq_service.archive.journal.reader import JournaledSet
 from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, referenced_sets
 from daq_service.archive.verification import check_file, check_journal
 from daq_service.archive.writer import move_aside
+from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.keeping.rows import RowsOfSet, differing
 from daq_service.cli.keeping.verify import TABLES, Report, expected_sha256
+from daq_service.judgement.results import results_in
 from daq_service.shared_file import read_shared, remove_quietly, write_durably
+
+log = logging.getLogger(__name__)
 
 OF_A_FILE = ("set_missing", "set_unreadable", "set_touched", "shot", "metadata")
 """Kinds of damage that another copy of a set's file heals."""
@@ -97,6 +102,16 @@ def _rows(folder: Path, index: int) -> RowsOfSet | None:
         return None
 
 
+def _results(folder: Path, index: int) -> Results:
+    """Results that the file had; none where there is no catalogue to ask."""
+    try:
+        with open_catalogue(folder) as catalogue:
+            return results_in(catalogue, index)
+    except CatalogueError as error:
+        log.warning("set %d gets a file without its results: %s", index, error)
+        return {}
+
+
 def _told_against(backup: Path, file: SetReference, rows: RowsOfSet | None) -> str:
     """Say why a backup's file is not taken; empty: it is the file that was lost."""
     if not (backup / file).is_file():
@@ -125,7 +140,7 @@ def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
         move_aside(folder, file)
     if step.does == "from_journal":
         ((index, _),) = referenced_sets([path.name]).items()
-        compact_set(folder, index)
+        compact_set(folder, index, results=_results(folder, index))
     elif step.does == "from_backup":
         assert backup is not None, "a plan with a backup's file has a backup"
         path.parent.mkdir(exist_ok=True)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from daq_service.acquisition.taken_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
-from daq_service.catalogue.rows import Outcome, values
+from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
+from daq_service.judgement.results import differing as results_differ
+from daq_service.judgement.results import results_of
 from daq_service.judgement.transaction import shot_row
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -70,6 +73,28 @@ def differing(
         if row["n_taken"] or row["file"] is not None:
             yield None, f"sets, set {record.set_index} of {name}: the file has no such position"
     yield from _shots(rows.shots, record, lost)
+    if record.results and not lost:
+        copy = results_of(
+            [FeatureRow(**_known(FeatureRow, row)) for row in rows.features],
+            [ThicknessRow(**_known(ThicknessRow, row)) for row in rows.thickness],
+            [ShotRow(**{**_known(ShotRow, row), "flags": _flags(row)}) for row in rows.shots],
+        )
+        yield from (
+            (None, f"set {record.set_index}, {told}") for told in results_differ(record.results, copy)
+        )
+
+
+def _known(kind: type[Row], row: Found) -> dict[str, Any]:
+    """Columns that a kind of row has today."""
+    return {name: row[name] for name in kind.__slots__ if name in row}
+
+
+def _flags(row: Found) -> list[str]:
+    try:
+        found = json.loads(row["flags"])
+    except (TypeError, ValueError):  # damaged: then it is not what the file says
+        return [str(row["flags"])]
+    return [str(flag) for flag in found] if isinstance(found, list) else [str(found)]
 
 
 def _shots(

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, Row, SetRow, VerdictRow
-from daq_service.judgement.methods import METHODS
-from daq_service.settings.tree import ScheduleSettings
+from daq_service.catalogue.rows import Row
+from daq_service.judgement.standing import data_hour, is_stale, state_word
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import PositionList, PositionState, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.verdicts import with_quality
 
 router = APIRouter(tags=["transducers"])
-STALE_INTERVALS = 1.5
-"""A set may be late by half an interval before its position counts as stale."""
 
 
 @router.get(
@@ -53,19 +49,14 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
     place = context.settings.positions[name]
     last = found or LastWord(position=name, method=place.method)
     verdict, alarms = last.last_verdict, last.active_alarms
-    # A set that was missed, or planned for a retired transducer, brings no data: they age on.
-    data_h = max(
-        (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None
-    )
+    data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    retired = retired_positions(alarms).get(name)
-    word = "retired" if retired else state_word(last.last_set, verdict, alarms)
     return {
         "position": name,
         "label": place.label,
         "method": place.method,
         "serial_number": place.serial_number,
-        "state": word,
+        "state": state_word(last),
         "stale": is_stale(context.settings.schedule, fresh, age_h),
         "data_h": data_h,
         "data_utc": None if data_h is None else fresh.utc_of(data_h),
@@ -74,7 +65,7 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
         "last_verdict": None if verdict is None else with_quality(context, fresh, [verdict])[0],
-        "retired_because": retired,
+        "retired_because": retired_positions(alarms).get(name),
         "active_alarms": len(alarms),
         "highest_severity": max((row.severity for row in alarms), key=SEVERITIES.index, default=None),
     }
@@ -82,31 +73,3 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
 
 def _row(fresh: Freshness, row: Row | None) -> dict[str, Any] | None:
     return None if row is None else fresh.row(row)
-
-
-def state_word(last_set: SetRow | None, verdict: VerdictRow | None, alarms: Sequence[AlarmRow]) -> str:
-    """One word for a position that strikes, the gravest first."""
-    if last_set is None:
-        return "no_data"
-    if alarms:
-        return "alarm"
-    if verdict is not None and verdict.outlier:
-        return "outlier"
-    if not METHODS[last_set.method].has_baseline or (verdict is not None and verdict.outlier is not None):
-        return "normal"
-    return "learning"
-
-
-def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
-    """Tell that the newest set is older than the cadence explains, or nobody records any more."""
-    if age_h is None or fresh.recorder.word in {"silent", "absent", "stopped"}:
-        return True
-    return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
-
-
-def interval_at(schedule: ScheduleSettings, hour: float) -> float:
-    """Hours between two sets at an hour of the test; after the end, the last phase's."""
-    for phase in schedule.phases:
-        if hour <= phase.until_h:
-            return phase.interval_h
-    return schedule.phases[-1].interval_h

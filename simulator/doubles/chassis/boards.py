@@ -31,6 +31,10 @@ class BoardType:
         Where each counter's pulse leaves the board.
     digital_lines
         Lines whose power-up state can be set.
+    starting_counters
+        Counters of the board whose internal output can start its analog input.
+    start_delay_ticks
+        Shortest and longest delay from the start trigger to the first sample, ticks of the timebase.
     """
 
     product: str
@@ -44,6 +48,8 @@ class BoardType:
     counter_terminals: tuple[str, ...]
     digital_lines: tuple[str, ...]
     watchdog: bool
+    starting_counters: tuple[int, ...]
+    start_delay_ticks: tuple[int, int]
 
     @property
     def raw_sample_bits(self) -> int:
@@ -78,6 +84,8 @@ _X_SERIES = BoardType(
     counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
     digital_lines=_PORTS,
     watchdog=True,
+    starting_counters=(0, 1, 2, 3),
+    start_delay_ticks=(14, 2**32 - 1),
 )
 _TYPES = (
     _X_SERIES,
@@ -94,6 +102,8 @@ _TYPES = (
         counter_terminals=("Ctr0Out", "Ctr1Out"),
         digital_lines=tuple(f"port0/line{line}" for line in range(8)),
         watchdog=False,
+        starting_counters=(0,),
+        start_delay_ticks=(2, 2**24 - 1),
     ),
     BoardType(
         product="PCI-6221",
@@ -107,6 +117,8 @@ _TYPES = (
         counter_terminals=("PFI12", "PFI13"),
         digital_lines=_PORTS,
         watchdog=False,
+        starting_counters=(0, 1),
+        start_delay_ticks=(2, 2**24 - 1),
     ),
 )
 

@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from hardware_drivers.bounds import bounded
 from simulator.doubles.chassis.boards import BOARD_TYPES, BoardType
+from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import AdcParameters
@@ -90,6 +91,8 @@ class TransducerWiring:
     """The plate below."""
     corrosion: CorrosionParameters = field(default_factory=CorrosionParameters)
     """Footprint of the corrosion there."""
+    crosstalk: Crosstalk = field(default_factory=Crosstalk)
+    """What its coil and the mains couple into its sensor."""
 
 
 @bounded

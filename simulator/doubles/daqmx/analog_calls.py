@@ -19,6 +19,7 @@ from simulator.doubles.daqmx.analog_input import (
     Acquisition,
     InputChannel,
     record_samples,
+    recorded,
 )
 from simulator.doubles.daqmx.routing import short_name
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
@@ -135,11 +136,12 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
         values={"samps_per_chan_read": 0},
     )
     tasks.wait(bench, task, timeout_s, late)
-    if run.codes is None or run.ended:
+    codes = None if run.ended else recorded(bench, task)
+    if codes is None:
         raise late
     first = run.read_samples
     run.read_samples += wanted
-    return run.codes[first : first + wanted]
+    return codes[first : first + wanted]
 
 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import Calibration, Counts, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.devices import Device
+from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import fire, waits_for
+from simulator.doubles.daqmx.routing import FALLING, fire, require_start_route, short_name, waits_for
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Bench, Task
 from simulator.doubles.vendor_api.statuses import (
     INVALID_TRIGGER_SOURCE,
     INVALID_VALUE,
     SOFTWARE_FAULT,
+    START_DELAY_TOO_LONG,
+    START_DELAY_TOO_SHORT,
     TOO_MANY_PRETRIGGER_SAMPLES,
     Status,
 )
+from simulator.electronics.sampling_kernel import rising_edge
+from simulator.electronics.transduction import EARLY_TRIGGER_S, counts_of
 from simulator.errors import SimulatorError
 from simulator.parameters.electronics import AdcParameters
 
@@ -28,6 +34,9 @@ ANALOG_EDGE = 10099
 NO_TRIGGER = 10230
 DEFAULT_CONFIGURATION = -1
 SMALLEST_RECORD = 2
+SECONDS = 10364
+EARLY_NS = round(2.0 * EARLY_TRIGGER_S * NS_PER_S)
+"""So long before a wave's trigger nothing else is looked for: what lies nearer has moved that trigger."""
 LONGEST_TRAVEL_NS = NS_PER_S
 """No wave triggers later than this after the striker's contact: older strikes need no look."""
 
@@ -115,6 +124,7 @@ class AnalogInput:
                 task=task.name,
             )
         _verify_record(task)
+        _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
         """One timing engine a board: its analog input belongs to one task at a time."""
@@ -132,7 +142,7 @@ class AnalogInput:
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
         """Begin sampling and tell whoever waits for this board's start trigger."""
-        task.run.begin_ns = at_ns
+        task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
@@ -145,9 +155,10 @@ class AnalogInput:
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
-                _look_for_strike(bench, task, run)
+                _look_for_trigger(bench, task, run)
             else:
-                _record_freely(bench, task, run)
+                length_s = record_samples(task) / rate_hz(task)
+                run.done_ns = run.begin_ns + round(length_s * NS_PER_S)
         return run.done_ns
 
 
@@ -173,6 +184,12 @@ def rate_hz(task: Task) -> float:
     return coerced_hz if coerced_hz <= limit_hz * (1.0 + 1e-9) else asked_hz
 
 
+def start_delay_s(task: Task) -> float:
+    """Time from the start trigger to the first sample that the board takes: whole ticks of its timebase."""
+    timebase_hz = task.device.kind.timebase_hz
+    return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
+
+
 def record_samples(task: Task) -> int:
     """Return the length of the record, in samples a channel."""
     return int(task.settings.get("SampQuant.SampPerChan", 1000))
@@ -180,6 +197,26 @@ def record_samples(task: Task) -> int:
 
 def _has_reference_trigger(task: Task) -> bool:
     return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
+
+
+def _verify_start(bench: Bench, task: Task) -> None:
+    """Check that the start trigger can reach the board, and the delay after it."""
+    if waits_for(task):
+        require_start_route(bench, task)
+    if "StartTrig.Delay" not in task.settings:
+        return
+    if task.settings.get("StartTrig.DelayUnits") != SECONDS:
+        raise Status(
+            INVALID_VALUE,
+            "Property: StartTrig.DelayUnits\nThe double takes a delay in seconds only.",
+            task=task.name,
+        )
+    shortest, longest = task.device.kind.start_delay_ticks
+    ticks = start_delay_s(task) * task.device.kind.timebase_hz
+    if not shortest <= ticks <= longest:
+        code = START_DELAY_TOO_SHORT if ticks < shortest else START_DELAY_TOO_LONG
+        detail = f"Property: StartTrig.Delay\nRequested Value: {ticks} ticks of {shortest} to {longest}"
+        raise Status(code, detail, task=task.name)
 
 
 def _verify_record(task: Task) -> None:
@@ -233,18 +270,40 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
     return task.device.parameters.adc(record)
 
 
-def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find the first strike that triggers: hardware ignores what comes before the pre-trigger is full."""
-    position = _position(bench, task.channel)
-    pretrigger = int(task.settings["RefTrig.PretrigSamples"])
+def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
+    """Find what triggers first: hardware ignores what comes before the pre-trigger is full."""
     assert run.begin_ns is not None
-    filled_ns = run.begin_ns + round(pretrigger / rate_hz(task) * NS_PER_S)
+    filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
+    found = _first_wave(bench, task, run, filled_ns)
+    position = _position(bench, task.channel)
+    wave_ns = None if found is None else found[2]
+    if position is not None and _false_trigger(bench, task, run, position, wave_ns):
+        return
+    if found is not None:
+        run.strike, acquired, trigger_ns = found
+        run.codes = acquired.waveform.counts
+        run.done_ns = trigger_ns + _after_trigger_ns(task)
+
+
+def _pretrigger(task: Task) -> int:
+    return int(task.settings["RefTrig.PretrigSamples"])
+
+
+def _after_trigger_ns(task: Task) -> int:
+    return round((record_samples(task) - _pretrigger(task)) / rate_hz(task) * NS_PER_S)
+
+
+def _first_wave(
+    bench: Bench, task: Task, run: Acquisition, filled_ns: int
+) -> tuple[Strike, Acquired, int] | None:
+    """Find the first strike whose wave passes the level, its record and when it does."""
+    position = _position(bench, task.channel)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
             continue
-        if strike.contact_ns < run.begin_ns - LONGEST_TRAVEL_NS:
+        if strike.contact_ns < filled_ns - LONGEST_TRAVEL_NS:
             continue
-        adc = _adc(task, pretrigger, float(task.settings["AnlgEdge.RefTrig.Lvl"]))
+        adc = _adc(task, _pretrigger(task), float(task.settings["AnlgEdge.RefTrig.Lvl"]))
         try:
             acquired = bench.strikes.record(strike, adc, task.channel.calibration)
         except (SimulatorError, ValueError) as error:
@@ -252,24 +311,62 @@ def _look_for_strike(bench: Bench, task: Task, run: Acquisition) -> None:
         trigger_ns = strike.contact_ns
         if acquired is not None:
             trigger_ns += round(acquired.truth["trigger_time_s"] * NS_PER_S)
-        if acquired is None or trigger_ns < filled_ns:
-            run.seen.add(strike)
-            continue
-        run.codes = acquired.waveform.counts
-        run.done_ns = trigger_ns + round((record_samples(task) - pretrigger) / rate_hz(task) * NS_PER_S)
-        run.strike = strike
-        return
+            if trigger_ns >= filled_ns:
+                return strike, acquired, trigger_ns
+        run.seen.add(strike)
+    return None
 
 
-def _record_freely(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Without a trigger the record is what nobody struck: the noise floor."""
+def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wave_ns: int | None) -> bool:
+    """Take a record that crosstalk or hum starts before the wave does, if there is one.
+
+    The comparator sees the same noise as the record that follows.
+    """
     assert run.begin_ns is not None
+    crosstalk, pulses = bench.strikes.crosstalk(position), bench.strikes.coil_pulses(position)
+    rate, pretrigger = rate_hz(task), _pretrigger(task)
+    level_v = float(task.settings["AnlgEdge.RefTrig.Lvl"])
+    filling_ns = round(pretrigger / rate * NS_PER_S)
+    reach_ns = round(crosstalk.reach_s * NS_PER_S)
+    edges = [ns for pulse in pulses for ns in pulse if ns + reach_ns > run.begin_ns + filling_ns]
+    humming = crosstalk.hum_v >= 0.5 * level_v
+    if crosstalk.silent or not (edges or humming):
+        return False
+    first_ns = run.begin_ns if humming else max(run.begin_ns, min(edges) - 2 * filling_ns)
+    last_ns = max([edge + reach_ns for edge in edges], default=first_ns) + 2 * filling_ns
+    if humming:
+        last_ns += round(NS_PER_S / crosstalk.hum_hz)
+    if wave_ns is not None:
+        last_ns = min(last_ns, wave_ns - EARLY_NS)
+    looked_at = round((last_ns - first_ns) / NS_PER_S * rate)
+    if looked_at <= pretrigger:
+        return False
+    adc = replace(
+        _adc(task, SMALLEST_RECORD, level_v), record_samples=looked_at + record_samples(task) - pretrigger
+    )
+    key = ShotKey(position=position, set_index=0, shot_index=task.begun)
+    volts = bench.strikes.free_volts(key, first_ns, adc, task.channel.calibration)
+    at: int = rising_edge(volts, level_v, pretrigger, looked_at - pretrigger)
+    if at < 0:
+        return False
+    run.codes = counts_of(volts[at - pretrigger :][: record_samples(task)], task.channel.calibration)
+    run.done_ns = first_ns + round(at / rate * NS_PER_S) + _after_trigger_ns(task)
+    run.strike = bench.strikes.planned[-1] if bench.strikes.planned else None
+    return True
+
+
+def recorded(bench: Bench, task: Task) -> Counts | None:
+    """Codes of a record whose time is over; without a trigger it is whatever came."""
+    run: Acquisition = task.run
+    if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
+        return run.codes
     channel: InputChannel = task.channel
     place = _position(bench, channel) or channel.physical_name
     key = ShotKey(position=place, set_index=0, shot_index=task.begun)
     adc = _adc(task, SMALLEST_RECORD, 0.5 * channel.range_v)
-    run.codes = bench.strikes.quiet(key, adc, channel.calibration)
-    run.done_ns = run.begin_ns + round(record_samples(task) / rate_hz(task) * NS_PER_S)
+    volts = bench.strikes.free_volts(key, run.begin_ns, adc, channel.calibration)
+    run.codes = counts_of(volts, channel.calibration)
+    return run.codes
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:
@@ -289,3 +386,19 @@ def forget_strike(bench: Bench, strike: Strike, now_ns: int) -> None:
             run.seen.discard(strike)
             if run.strike is strike and run.done_ns is not None and run.done_ns > now_ns:
                 run.strike = run.codes = run.done_ns = None
+
+
+def begun_by(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
+    """Correct what counted on an edge of a pulse that ends now, before its time."""
+    for task in bench.tasks.values():
+        run = task.run
+        if not isinstance(run, Acquisition) or run.ended or waits_for(task) != short_name(terminal):
+            continue
+        if pulse.start_ns > now_ns:
+            run.begin_ns = None
+        elif task.settings["DigEdge.StartTrig.Edge"] == FALLING:
+            run.begin_ns = now_ns + round(start_delay_s(task) * NS_PER_S)
+        else:
+            continue
+        run.seen.clear()
+        run.strike = run.codes = run.done_ns = None

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
-from simulator.doubles.daqmx.analog_input import forget_strike
+from simulator.doubles.daqmx.analog_input import begun_by, forget_strike
 from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.lines import Pulse
 from simulator.doubles.daqmx.reservations import resource
-from simulator.doubles.daqmx.routing import fire, waits_for
+from simulator.doubles.daqmx.routing import FALLING, RISING, fire, waits_for
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
 from simulator.doubles.vendor_api.statuses import INVALID_VALUE, WATCHDOG_EXPIRED, Status
@@ -42,6 +42,11 @@ class PulseChannel:
     def pin(self) -> str:
         """Where the pulse leaves the board."""
         return self.terminal or self.device.kind.counter_terminals[self.number]
+
+    @property
+    def internal_output(self) -> str:
+        """Terminal inside the board that follows the counter wherever its pin is routed."""
+        return f"Ctr{self.number}InternalOutput"
 
     @property
     def line(self) -> str:
@@ -105,8 +110,9 @@ class CounterOutput:
         pulse = Pulse(line=channel.line, start_ns=start_ns, end_ns=start_ns + _ns(channel.high_s))
         run.begin_ns, run.pulse, run.strike = at_ns, pulse, _strike(bench, channel, pulse)
         bench.lines.start(pulse)
-        for terminal in (channel.pin, f"Ctr{channel.number}InternalOutput"):
-            fire(bench, f"/{channel.device.name}/{terminal}", start_ns)
+        for terminal in (channel.pin, channel.internal_output):
+            for edge, edge_ns in ((RISING, pulse.start_ns), (FALLING, pulse.end_ns)):
+                fire(bench, f"/{channel.device.name}/{terminal}", edge_ns, edge)
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
@@ -116,6 +122,8 @@ class CounterOutput:
             return
         cut(bench, task, 0, now_ns, cause)
         if run.pulse is not None and run.pulse.end_ns > now_ns:
+            for name in (task.channel.pin, task.channel.internal_output):
+                begun_by(bench, f"/{task.channel.device.name}/{name}", run.pulse, now_ns)
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:

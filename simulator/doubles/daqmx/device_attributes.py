@@ -23,6 +23,9 @@ _DEVICE: Mapping[str, Callable[[Device], object]] = {
     # A double passes for hardware: `doctor` and drivers shall take the real path.
     "Dev.IsSimulated": lambda device: 0,
     "Dev.Terminals": lambda device: listed(terminals(device.kind, device.name)),
+    "Dev.AI.PhysicalChans": lambda device: listed(
+        f"{device.name}/ai{n}" for n in range(device.kind.analog_inputs)
+    ),
     "Dev.CO.PhysicalChans": lambda device: listed(
         f"{device.name}/{counter}"
         for counter in (*(f"ctr{n}" for n in range(len(device.kind.counter_terminals))), "freqout")

@@ -12,16 +12,20 @@ from simulator.doubles.vendor_api.statuses import (
     INVALID_DESTINATION_TERMINAL,
     INVALID_SOURCE_TERMINAL,
     INVALID_VALUE,
+    NO_TRIGGER_LINE,
     ROUTE_IN_USE,
+    ROUTE_NOT_SUPPORTED,
     TERMINAL_IN_USE,
     Status,
 )
 
 DIGITAL_EDGE = 10150
+RISING, FALLING = 10280, 10171
 NO_TRIGGER = 10230
 START_TRIGGER_SIGNAL = 12491
 REFERENCE_TRIGGER_SIGNAL = 12490
 BACKPLANE = "pxi_trig"
+INTERNAL_OUTPUT = "internaloutput"
 
 
 def short_name(terminal: str) -> str:
@@ -36,8 +40,8 @@ def waits_for(task: Task) -> str:
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
 
 
-def fire(bench: Bench, terminal: str, at_ns: int) -> None:
-    """Begin what waits for an edge at a terminal, along routes and the backplane's lines too."""
+def fire(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
+    """Begin what waits for this edge at a terminal, along routes and the backplane's lines too."""
     reached = {short_name(terminal)}
     while True:
         onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
@@ -45,7 +49,8 @@ def fire(bench: Bench, terminal: str, at_ns: int) -> None:
             break
         reached |= onward
     for task in tuple(bench.tasks.values()):
-        if task.state is TaskState.RUNNING and task.run.begin_ns is None and _same(waits_for(task), reached):
+        waiting = task.state is TaskState.RUNNING and task.run.begin_ns is None
+        if waiting and _same(waits_for(task), reached) and task.settings["DigEdge.StartTrig.Edge"] == edge:
             bench.kinds[task.kind].triggered(bench, task, at_ns)
 
 
@@ -82,6 +87,31 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
         "DigEdge.StartTrig.Src": source,
         "DigEdge.StartTrig.Edge": arguments["trigger_edge"],
     }
+
+
+def require_start_route(bench: Bench, task: Task) -> None:
+    """Check that the edge an input task waits for can reach it.
+
+    Raises
+    ------
+    Status
+        The board cannot be started by that counter (-89136), or is in another chassis (-89125).
+    """
+    name, _, end = waits_for(task).partition("/")
+    if not end.endswith(INTERNAL_OUTPUT):
+        return
+    source, device = bench.devices.find(name), task.device
+    if source is device:
+        if int(end.removeprefix("ctr").removesuffix(INTERNAL_OUTPUT)) not in device.kind.starting_counters:
+            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {waits_for(task)}", task=task.name)
+    elif "slot" not in name or _chassis(name) != _chassis(device.name):
+        between = f"Source Device: {source.name}\nDestination Device: {device.name}"
+        raise Status(NO_TRIGGER_LINE, between, task=task.name)
+
+
+def _chassis(name: str) -> str:
+    """Chassis in a board's usual name: `PXI1Slot3` is in `pxi1`."""
+    return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:

@@ -13,11 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hardware_drivers.instruments import Acquired
-from hardware_drivers.measurement import Calibration, Counts, ShotKey
+from hardware_drivers.measurement import Calibration, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
+from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
-from simulator.electronics.transduction import counts_of, noise_volts
+from simulator.electronics.transduction import noise_volts
 from simulator.errors import SimulatorError
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.electronics import AdcParameters
 from simulator.shot.model import ShotModel
@@ -28,6 +30,9 @@ log = logging.getLogger(__name__)
 FALL_ACCELERATION_M_PER_S2 = 9.81
 STRIKES_KEPT = 256
 """Only strikes still in flight matter; the ring is far longer."""
+
+WAVE = AdcParameters()
+"""Part of a wave that a record without a trigger shows: the usual record."""
 
 
 @dataclass(slots=True, eq=False)
@@ -61,6 +66,7 @@ class Strikes:
         self._counted: dict[str, int] = {}
         self._hour_h = description.hour_h
         self._planned: deque[Strike] = deque(maxlen=STRIKES_KEPT)
+        self._crosstalk = {name: wiring.crosstalk for name, wiring in description.transducers.items()}
 
     @property
     def planned(self) -> tuple[Strike, ...]:
@@ -94,6 +100,19 @@ class Strikes:
         """Let the striker fall at a time to come; None if the pulse is too short to lift it."""
         lift_s = self._description.transducers[position].lift_s
         if released_ns - lifted_ns < round(lift_s * NS_PER_S):
+            # Nothing falls, but the coil was switched, which its sensor hears.
+            nothing = ShotKey(position=position, set_index=0, shot_index=0)
+            self._planned.append(
+                Strike(
+                    key=nothing,
+                    hour_h=0.0,
+                    announced=False,
+                    lifted_ns=lifted_ns,
+                    released_ns=released_ns,
+                    contact_ns=released_ns,
+                    cancelled=True,
+                )
+            )
             return None
         announced = self._announced.pop(position, None)
         key, hour_h = announced or (self._counted_key(position), self._hour_h)
@@ -117,7 +136,7 @@ class Strikes:
             strike.contact_ns -= strike.released_ns - ns
             strike.released_ns = ns
             return
-        strike.cancelled = True
+        strike.cancelled, strike.released_ns = True, max(ns, strike.lifted_ns)
         position = strike.key.position
         if strike.announced:
             self._announced.setdefault(position, (strike.key, strike.hour_h))
@@ -142,18 +161,68 @@ class Strikes:
         SimulatorError, ValueError
             The twin cannot compute this shot or this record.
         """
-        twin = replace(self.specimen.twin, adc=adc)
-        through_board = replace(self.specimen, twin=twin, adc_calibration=calibration)
+        crosstalk, pulses = self.crosstalk(strike.key.position), self.coil_pulses(strike.key.position)
+
+        def stray(first_s: float, rate_hz: float, samples: int) -> FloatArray:
+            return crosstalk.volts(pulses, strike.contact_ns + first_s * NS_PER_S, rate_hz, samples)
+
+        disturbed = replace(self.specimen, stray=None if crosstalk.silent else stray)
+        return self._through_board(disturbed, strike, adc, calibration)
+
+    def _through_board(
+        self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
+    ) -> Acquired | None:
+        twin = replace(specimen.twin, adc=adc)
+        through_board = replace(specimen, twin=twin, adc_calibration=calibration)
         return through_board.solitary_wave(strike.key, strike.hour_h)
 
-    def quiet(self, key: ShotKey, adc: AdcParameters, calibration: Calibration) -> Counts:
-        """Compute what a board records at a sensor that nobody strikes: noise, if it is on."""
-        twin = self.specimen.twin
+    def free_volts(
+        self, key: ShotKey, first_ns: int, adc: AdcParameters, calibration: Calibration
+    ) -> FloatArray:
+        """Voltage at a sensor's input whatever triggers, shape (record_samples,).
+
+        Noise if it is on, the waves of strikes as far as a usual record shows them, and crosstalk.
+        """
+        twin, rate_hz = self.specimen.twin, adc.sample_rate_hz
         volts = np.zeros(adc.record_samples)
         if twin.noise.enabled:
             random = generator(twin.seed, Purpose.NOISE, key=key)
-            volts += noise_volts(volts.size, adc.sample_rate_hz, twin.noise, random)
-        return counts_of(volts, calibration)
+            volts += noise_volts(volts.size, rate_hz, twin.noise, random)
+        usual = rate_hz / WAVE.sample_rate_hz
+        wave_adc = replace(
+            adc,
+            record_samples=round(WAVE.record_samples * usual),
+            pretrigger_samples=round(WAVE.pretrigger_samples * usual),
+            trigger_level_v=WAVE.trigger_level_v,
+        )
+        for strike in self.planned:
+            begins = (strike.contact_ns - first_ns) / NS_PER_S * rate_hz
+            if strike.key.position != key.position or not -wave_adc.record_samples < begins < volts.size:
+                continue
+            wave = self._through_board(self.specimen, strike, wave_adc, calibration)
+            if wave is not None:
+                begins += wave.truth["trigger_time_s"] * rate_hz
+                _paste(volts, wave.waveform.volts(), round(begins) - wave_adc.pretrigger_samples)
+        crosstalk = self.crosstalk(key.position)
+        if not crosstalk.silent:
+            volts += crosstalk.volts(self.coil_pulses(key.position), first_ns, rate_hz, volts.size)
+        return volts
+
+    def crosstalk(self, position: str) -> Crosstalk:
+        """Say what the coil at a position couples into its sensor; nothing where there is none."""
+        return self._crosstalk.get(position, Crosstalk())
+
+    def disturb(self, position: str, crosstalk: Crosstalk) -> None:
+        """Let the coil at a position couple in something else from now on."""
+        self._crosstalk[position] = crosstalk
+
+    def coil_pulses(self, position: str) -> list[tuple[int, int]]:
+        """When the coil at a position went, or will go, on and off."""
+        return [
+            (strike.lifted_ns, strike.released_ns)
+            for strike in self._planned
+            if strike.key.position == position and strike.released_ns > strike.lifted_ns
+        ]
 
     def warm_up(self) -> None:
         """Compute one shot a position, so that no later one waits for a compiler or a plate."""
@@ -164,6 +233,13 @@ class Strikes:
             except (SimulatorError, ValueError) as error:
                 # The same error answers the record that needs this position.
                 log.warning("the twin cannot compute position %s: %s", position, error)
+
+
+def _paste(volts: FloatArray, wave: FloatArray, at: int) -> None:
+    """Put a wave, with its own noise, into a longer record as far as it lies in it."""
+    first, last = max(at, 0), min(at + wave.size, volts.size)
+    if first < last:
+        volts[first:last] = wave[first - at : last - at]
 
 
 def _specimen(description: Description) -> Specimen:

@@ -15,6 +15,8 @@ from simulator.doubles.vendor_api.statuses import (
     Status,
 )
 
+SAMPLE_PERIODS = 10286
+
 Values = Mapping[str, Callable[[Task], object]]
 """By attribute name: how its value is found."""
 
@@ -50,6 +52,8 @@ _TRIGGER: Values = {
     "StartTrig.Type": _kept("StartTrig.Type", analog_input.NO_TRIGGER),
     "StartTrig.Term": _terminal("StartTrigger"),
     "DigEdge.StartTrig.Src": _kept("DigEdge.StartTrig.Src", ""),
+    "StartTrig.Delay": analog_input.start_delay_s,
+    "StartTrig.DelayUnits": _kept("StartTrig.DelayUnits", SAMPLE_PERIODS),
     "DigEdge.StartTrig.Edge": _kept("DigEdge.StartTrig.Edge", analog_input.RISING_SLOPE),
 }
 

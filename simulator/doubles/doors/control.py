@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from hardware_drivers.measurement import ShotKey
+from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description, default_description, to_json
 from simulator.doubles.doors.library import DEFAULT_CACHE_FOLDER, build_library, client_environment
 from simulator.doubles.errors import DoublesProcessError
@@ -67,6 +68,10 @@ class DoublesControl:
     def announce(self, key: ShotKey, hour_h: float) -> None:
         """Say which shot the next strike at the key's position is, and its hour."""
         self._ask("announce", key=asdict(key), hour_h=hour_h)
+
+    def disturb(self, position: str, crosstalk: Crosstalk) -> None:
+        """Let the coil at a position couple this into its sensor from now on."""
+        self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(
         self,

@@ -49,6 +49,7 @@ def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
     command = arguments.pop("command", None)
     commands: Mapping[Any, Callable[..., Any]] = {
         "announce": lambda key, hour_h: brain.announce(ShotKey(**key), float(hour_h)),
+        "disturb": brain.disturb,
         "inject": brain.faults.inject,
         "clear_faults": brain.faults.clear,
         "release_hangs": brain.faults.release,

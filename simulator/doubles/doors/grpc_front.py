@@ -188,6 +188,8 @@ class GrpcFront:
         The brain, asked in the name of the server: whoever calls, the tasks are its own.
     address
         Where to listen; port 0 takes a free one.
+    credentials
+        The server's side of TLS, as `grpc.ssl_server_credentials` gives it; None: none.
 
     Raises
     ------
@@ -195,7 +197,7 @@ class GrpcFront:
         grpc is not installed, or the address is taken.
     """
 
-    def __init__(self, call: BrainCall, address: str = "127.0.0.1:0") -> None:
+    def __init__(self, call: BrainCall, address: str = "127.0.0.1:0", credentials: Any = None) -> None:
         reason = why_unavailable()
         if reason:
             raise DoublesError(f"no gRPC front: {reason}")
@@ -222,7 +224,11 @@ class GrpcFront:
         self._server = grpc.server(self._workers, options=[("grpc.so_reuseport", 0)])
         self._server.add_generic_rpc_handlers((grpc.method_handlers_generic_handler(SERVICE, handlers),))
         try:
-            port = self._server.add_insecure_port(address)
+            port = (
+                self._server.add_insecure_port(address)
+                if credentials is None
+                else self._server.add_secure_port(address, credentials)
+            )
         except RuntimeError as error:
             raise DoublesError(f"no gRPC front at {address}: {error}") from error
         self.address = f"{address.rpartition(':')[0]}:{port}"

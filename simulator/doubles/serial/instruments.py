@@ -1,4 +1,4 @@
-"""A SCPI power supply with an electrochemical cell as its load, and a climate probe, on serial lines.
+"""A power supply with an electrochemical cell as its load, and a climate probe, on lines of text.
 
 The cell draws (all of it an assumption, the paper prints no current)::
 
@@ -30,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from simulator.doubles.serial.link import SerialLink
+from simulator.doubles.serial.link import Framing, SerialLink, SocketLink
 from simulator.errors import SimulatorError
 
 SUPPLY_IDENTITY = "SOLIMON,DC SUPPLY DOUBLE,SD0001,1.0"
@@ -69,7 +69,7 @@ class OutputChange:
 
 
 class Supply:
-    """What a bench supply does with SCPI commands.
+    """What a bench supply does with SCPI commands; `dialects` has those that speak otherwise.
 
     Parameters
     ----------
@@ -78,6 +78,9 @@ class Supply:
     noise_v, noise_a
         Standard deviation of a voltage and a current reading.
     """
+
+    IDENTITY = SUPPLY_IDENTITY
+    FRAMING = Framing()
 
     def __init__(
         self,
@@ -88,9 +91,10 @@ class Supply:
         noise_a: float = 0.0,
         seconds: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.identity = SUPPLY_IDENTITY
+        self.identity = self.IDENTITY
         self.cell = Cell() if cell is None else cell
         self.obeys_set_commands = True
+        self.has_protections = True
         self.output: list[OutputChange] = []
         self._noise = {"V": noise_v, "A": noise_a}
         self._seed = seed
@@ -102,6 +106,7 @@ class Supply:
         self._set = {"VOLT": 0.0, "CURR": 0.1}
         self._on = False
         self._tripped = {"VOLT": False, "CURR": False}
+        self._protection = {"VOLT": 1.1 * RATED_V, "CURR": 1.1 * RATED_A}
         self._errors: list[str] = []
 
     @property
@@ -152,11 +157,13 @@ class Supply:
                 return str(int(self._on))
             case "VOLT?" | "CURR?":
                 return f"{self._set[question[:4]]:+.6E}"
+            case "VOLT:PROT?" | "CURR:PROT?" if self.has_protections:
+                return f"{self._protection[question[:4]]:+.6E}"
             case "MEAS:VOLT?":
                 return f"{self._measured()[0] + self._scatter('V'):+.6E}"
             case "MEAS:CURR?":
                 return f"{self._measured()[1] + self._scatter('A'):+.6E}"
-            case "VOLT:PROT:TRIP?" | "CURR:PROT:TRIP?":
+            case "VOLT:PROT:TRIP?" | "CURR:PROT:TRIP?" if self.has_protections:
                 return str(int(self._tripped[question[:4]]))
         self._errors.append(UNDEFINED)
         return None  # an instrument does not answer what it does not know
@@ -171,6 +178,8 @@ class Supply:
                 self._switch(False, "command")
             case "VOLT" | "CURR", number:
                 return self._set_level(header, number)
+            case "VOLT:PROT" | "CURR:PROT", number if self.has_protections:
+                return self._protect(header[:4], float(number))
             case "VOLT:PROT:CLE" | "CURR:PROT:CLE", "":
                 self._tripped[header[:4]] = False
             case "*CLS", "":
@@ -188,8 +197,18 @@ class Supply:
             return '-104,"Data type error"'
         if not 0.0 <= value <= {"VOLT": RATED_V, "CURR": RATED_A}[header]:
             return OUT_OF_RANGE
+        if value > self._protection[header]:
+            return CONFLICT
         if self.obeys_set_commands:
             self._set[header] = value
+        return None
+
+    def _protect(self, what: str, value: float) -> str | None:
+        """Set the level of a protection: never below what is set."""
+        if value < self._set[what]:
+            return CONFLICT
+        if self.obeys_set_commands:
+            self._protection[what] = value
         return None
 
     def _measured(self) -> tuple[float, float]:
@@ -246,13 +265,18 @@ class SerialInstruments:
     """
 
     def __init__(
-        self, folder: Path, *, supply: Supply | None = None, climate: ClimateProbe | None = None
+        self,
+        folder: Path,
+        *,
+        supply: Supply | None = None,
+        climate: ClimateProbe | None = None,
+        link: type[SerialLink] = SerialLink,
     ) -> None:
         self.supply = Supply() if supply is None else supply
         self.climate = ClimateProbe() if climate is None else climate
-        self.supply_link = SerialLink(folder / "supply", self.supply.answer)
+        self.supply_link = link(folder / "supply", self.supply.answer, self.supply.FRAMING)
         try:
-            self.climate_link = SerialLink(folder / "climate", self.climate.answer)
+            self.climate_link = link(folder / "climate", self.climate.answer)
         except BaseException:
             self.supply_link.close()
             raise
@@ -336,23 +360,29 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
 
 def main() -> int:
     """Run both instruments until standard input ends."""
+    from simulator.doubles.serial.dialects import SUPPLIES  # they are kinds of the supply above
+
     parser = argparse.ArgumentParser(prog="simulator.doubles.serial.instruments", description=main.__doc__)
     parser.add_argument("--json", action="store_true", help="name the ports as one JSON line")
     parser.add_argument("--seed", type=int, default=0, help="seed of the readings' noise")
     parser.add_argument("--noise-v", type=float, default=1e-3, help="noise of a voltage reading in V")
     parser.add_argument("--noise-a", type=float, default=1e-4, help="noise of a current reading in A")
+    parser.add_argument("--dialect", choices=sorted(SUPPLIES), default="scpi", help="what the supply speaks")
+    parser.add_argument("--tcp", action="store_true", help="sockets instead of pseudo terminals")
     options = parser.parse_args()
-    supply = Supply(seed=options.seed, noise_v=options.noise_v, noise_a=options.noise_a)
+    supply = SUPPLIES[options.dialect](seed=options.seed, noise_v=options.noise_v, noise_a=options.noise_a)
     with tempfile.TemporaryDirectory(prefix="solimon-serial-") as folder:
         try:
-            instruments = SerialInstruments(Path(folder), supply=supply)
+            instruments = SerialInstruments(
+                Path(folder), supply=supply, link=SocketLink if options.tcp else SerialLink
+            )
         except SimulatorError as error:
             print(error, file=sys.stderr)
             return 2
         with instruments:
             ports = {
-                "supply": str(instruments.supply_link.path),
-                "climate": str(instruments.climate_link.path),
+                "supply": instruments.supply_link.port,
+                "climate": instruments.climate_link.port,
             }
             ready = json.dumps({"event": "ready", **ports}) if options.json else f"ports: {ports}"
             print(ready, flush=True)

@@ -1,4 +1,4 @@
-"""The instrument's end of a serial line: a pseudo terminal behind a path that survives replugging.
+"""The instrument's end of a line: a pseudo terminal behind a path that survives replugging, or a socket.
 
 A thread owns the terminal, hands each line that comes in to the instrument and writes its answer. The
 line can be unplugged and plugged in again (a new terminal behind the same path, as an adapter behind
@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import select
+import socket
 import threading
 import time
 from collections import deque
@@ -38,6 +40,30 @@ def pseudo_terminals_missing() -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Framing:
+    """Where a command ends, and what ends an answer.
+
+    Attributes
+    ----------
+    commands
+        Matches a whole command where none has an end of its own; None: a line feed ends it.
+    reply_end
+        Behind each answer.
+    """
+
+    commands: re.Pattern[bytes] | None = None
+    reply_end: bytes = b"\n"
+
+    def split(self, received: bytes) -> tuple[list[bytes], bytes]:
+        """Whole commands, and what has come of the next."""
+        if self.commands is None:
+            *lines, rest = received.split(b"\n")
+            return lines, rest
+        found = list(self.commands.finditer(received))
+        return [match[0] for match in found], received[found[-1].end() :] if found else received
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LineFaults:
     """What goes wrong with answers; the instrument hears and obeys all the same.
 
@@ -45,6 +71,9 @@ class LineFaults:
     ----------
     silent
         Every answer is lost.
+    echo
+        Every command comes back before its answer, as from a terminal; no fault, but not every driver
+        takes it.
     slow_s
         Every answer comes so much later.
     hold
@@ -54,6 +83,7 @@ class LineFaults:
     """
 
     silent: bool = False
+    echo: bool = False
     slow_s: float = 0.0
     hold: int = 0
     garbage: int = 0
@@ -75,15 +105,20 @@ class SerialLink:
         its own moves that on, instead of waiting for the driver's deadline.
     """
 
-    def __init__(self, path: Path, answer: Callable[[str], str | None]) -> None:
+    _listener: socket.socket | None = None
+
+    def __init__(
+        self, path: Path, answer: Callable[[str], str | None], framing: Framing | None = None
+    ) -> None:
         missing = pseudo_terminals_missing()
         if missing:
             raise SimulatorError(missing)
         self.path = path
         self.answer = answer
+        self._framing = framing or Framing()
         self.withheld: Callable[[], None] = lambda: None
         self._faults = LineFaults()
-        self._terminal: tuple[int, int] | None = None
+        self._terminal: tuple[int, ...] | None = None
         self._received = b""
         self._held: list[bytes] = []
         self._due: deque[tuple[float, bytes]] = deque()
@@ -100,6 +135,11 @@ class SerialLink:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    @property
+    def port(self) -> str:
+        """What a line's parameters call it."""
+        return str(self.path)
 
     # Orders, carried out by the owning thread ------------------------------------------------------
 
@@ -161,11 +201,15 @@ class SerialLink:
 
     def _run(self) -> None:
         while not self._ended:
-            watched = [self._wake_read] + ([self._terminal[0]] if self._terminal else [])
+            watched = [self._wake_read, *(self._terminal or ())[:1]]
+            watched += [] if self._listener is None else [self._listener.fileno()]
             wait_s = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
             ready, _, _ = select.select(watched, [], [], wait_s)
             if self._terminal and self._terminal[0] in ready:
                 self._hear()
+            if self._listener is not None and self._listener.fileno() in ready:
+                self._hang_up()
+                self._terminal = (self._listener.accept()[0].detach(),)
             while self._due and self._due[0][0] <= time.monotonic():
                 self._transmit(self._due.popleft()[1])
             if self._wake_read in ready:
@@ -174,17 +218,25 @@ class SerialLink:
 
     def _hear(self) -> None:
         assert self._terminal is not None, "only heard while plugged in"
-        self._received += os.read(self._terminal[0], 4096)
-        *lines, self._received = self._received.split(b"\n")
-        for line in lines:
+        try:
+            said = os.read(self._terminal[0], 4096)
+        except ConnectionError:
+            said = b""
+        if not said:  # only a socket has another end that can go
+            self._hang_up()
+            return
+        commands, self._received = self._framing.split(self._received + said)
+        for line in commands:
             command = line.decode("ascii", errors="replace").strip()
             self._heard.append((time.monotonic_ns(), command))
             for late in self._held:
                 self._transmit(late)
             self._held.clear()
+            if self._faults.echo:
+                self._transmit(command.encode("ascii") + b"\n")
             answer = self.answer(command)
             if answer is not None:
-                self._reply(answer.encode("ascii") + b"\n")
+                self._reply(answer.encode("latin-1") + self._framing.reply_end)
             elif command.endswith("?"):
                 self.withheld()
 
@@ -204,12 +256,15 @@ class SerialLink:
             self._due.append((time.monotonic() + faults.slow_s, answer))
         else:
             self._transmit(answer)
-            if not answer.endswith(b"\n"):
+            if not answer.endswith(self._framing.reply_end):
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
         if self._terminal is not None:
-            os.write(self._terminal[0], text)
+            try:
+                os.write(self._terminal[0], text)
+            except ConnectionError:
+                self._hang_up()
 
     def _set_faults(self, faults: LineFaults) -> None:
         self._faults = faults
@@ -233,7 +288,10 @@ class SerialLink:
         if self._terminal is None:
             return
         self.path.unlink(missing_ok=True)
-        for end in self._terminal:
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        for end in self._terminal or ():
             with contextlib.suppress(OSError):
                 os.close(end)
         self._terminal, self._received = None, b""
@@ -242,3 +300,34 @@ class SerialLink:
 
     def _end(self) -> None:
         self._ended = True
+
+
+class SocketLink(SerialLink):
+    """One instrument on a socket of the loopback interface, which stays where it is over an unplugging.
+
+    It serves one caller, the last one. Being unplugged is told to the caller, as when an instrument is
+    switched off; a cable that is pulled without a word is `LineFaults.silent`.
+    """
+
+    _number = 0
+
+    @property
+    def port(self) -> str:
+        """What a line's parameters call it."""
+        return f"tcp:127.0.0.1:{self._number}"
+
+    @property
+    def visa_port(self) -> str:
+        """The same as a VISA resource."""
+        return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
+
+    def _plug(self) -> None:
+        if self._listener is None:
+            self._listener = socket.create_server(("127.0.0.1", self._number))
+            self._number = self._listener.getsockname()[1]
+
+    def _unplug(self) -> None:
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+        self._hang_up()

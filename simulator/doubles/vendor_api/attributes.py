@@ -65,6 +65,7 @@ _TABLE = [
         {
             0x631: "Dev.ProductType",
             0x2A40: "Dev.Terminals",
+            0x231E: "Dev.AI.PhysicalChans",
             0x2325: "Dev.CO.PhysicalChans",
             0x2322: "Dev.DO.Lines",
         },
@@ -105,12 +106,13 @@ _TABLE = [
             0x1423: "AnlgEdge.RefTrig.Slope",
             0x1393: "StartTrig.Type",
             0x1404: "DigEdge.StartTrig.Edge",
+            0x18C8: "StartTrig.DelayUnits",
         },
         settable=True,
     ),
     *_text("Trig", {0x1424: "AnlgEdge.RefTrig.Src", 0x1407: "DigEdge.StartTrig.Src"}, settable=True),
     *_text("Trig", {0x2F1F: "RefTrig.Term", 0x2F1E: "StartTrig.Term"}),
-    *_number("Trig", FLOAT64, {0x1422: "AnlgEdge.RefTrig.Lvl"}, settable=True),
+    *_number("Trig", FLOAT64, {0x1422: "AnlgEdge.RefTrig.Lvl", 0x1856: "StartTrig.Delay"}, settable=True),
     *_number("Trig", UINT32, {0x1445: "RefTrig.PretrigSamples"}, settable=True),
     # Of reading: what NI's stream readers ask before a read
     *_number("Read", UINT32, {0x217B: "Read.NumChans"}),

@@ -1,5 +1,7 @@
 """What an order to switch on demands of the supply, against a supply that answers by a table: no line."""
 
+from dataclasses import replace
+
 import pytest
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
@@ -32,14 +34,14 @@ class AnsweringLine:
         word, value = command.split()
         self.values[word] = value == "ON" if word == "OUTP" else float(value)
 
-    def query_number(self, question, deadline_s):
+    def query_number(self, question, deadline_s, **_):
         told = self.values[question.rstrip("?").removeprefix("MEAS:")]
         return told + self.lies.get(question, 0.0)
 
-    def query_flag(self, question, deadline_s):
+    def query_flag(self, question, deadline_s, **_):
         return self.values["OUTP"] if question == "OUTP?" else question in self.lies
 
-    def query_error(self, deadline_s):
+    def query_error(self, question, deadline_s, **_):
         return None
 
 
@@ -91,10 +93,26 @@ def test_a_tripped_protection_is_left_for_a_person():
     assert line.sent == []
 
 
+@pytest.mark.parametrize(
+    ("changes", "unknown"),
+    [
+        ({}, ""),
+        ({"protection_queries": ()}, "dialect scpi asks no protection"),
+        ({"dialect": "korad"}, "dialect korad asks no protection"),
+    ],
+)
+def test_a_protection_that_is_not_asked_for_is_told_as_unknown(changes, unknown):
+    supply = ScpiPowerSupply(
+        replace(PARAMETERS, **changes), stamp=lambda: Stamp(utc_ns=0, mono_ns=0, boot_id="test")
+    )
+    assert supply.protection_unknown.startswith(unknown)
+    assert bool(supply.protection_unknown) == bool(unknown)
+
+
 class StuckLine(AnsweringLine):
     """A supply whose output stays on whatever it is told."""
 
-    def query_flag(self, question, deadline_s):
+    def query_flag(self, question, deadline_s, **_):
         return question == "OUTP?"
 
     def refused(self, message):

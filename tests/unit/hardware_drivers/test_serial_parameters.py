@@ -28,6 +28,12 @@ def test_a_port_without_a_name_is_refused(port):
     [
         (LINE, {"reconnect_first_s": 90.0}, "reconnect_longest_s is 60.0 s"),
         (LINE, {"reply_timeout_s": 0.0}, "reply_timeout_s is 0.0"),
+        (LINE, {"port": "tcp:psu.lab"}, "give tcp:HOST:PORT"),
+        (LINE, {"port": "tcp:psu.lab:70000"}, "give tcp:HOST:PORT"),
+        (LINE, {"port": "visa:"}, "give visa: and a resource"),
+        (SUPPLY, {"channel": 2}, "give INST:NSEL 2"),
+        (SUPPLY, {"over_voltage_v": 9.0}, "must be above voltage_v = 10.0"),
+        (SUPPLY, {"dialect": "korad", "over_voltage_v": 12.0}, "dialect korad cannot set and read back"),
         (SUPPLY, {"voltage_v": 12.5}, "at most voltage_cap_v = 12.0"),
         (SUPPLY, {"current_limit_a": 2.5}, "at most current_cap_a = 2.0"),
         (SUPPLY, {"voltage_cap_v": 61.0}, "voltage_cap_v is 61.0; it must be at most 60"),
@@ -54,6 +60,11 @@ def test_what_cannot_work_is_refused_with_its_value(parameters, changes, complai
 def test_what_supplies_need_before_they_obey_is_accepted():
     commands = ("SYST:REM", ":INST:NSEL 1", "disp:text 'solimon'")
     assert replace(SUPPLY, setup_commands=commands).setup_commands == commands
+
+
+def test_a_socket_has_a_host_and_a_port():
+    assert replace(LINE, port="tcp:psu.lab:5025").address == ("psu.lab", 5025)
+    assert replace(LINE, port="tcp:[fe80::1]:5025").address == ("fe80::1", 5025)
 
 
 @pytest.mark.parametrize(

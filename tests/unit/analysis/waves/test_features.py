@@ -172,6 +172,14 @@ def second_strike(scene, delay_s, fraction):
     return fraction * scene.isw_v * wave
 
 
+def coil_spike(t, height_v, decay_s, ringing_hz=0.0):
+    """At its height at the trigger, where it begins."""
+    since = np.maximum(t, 0.0)
+    return np.where(
+        t >= 0.0, height_v * np.exp(-since / decay_s) * np.cos(2.0 * np.pi * ringing_hz * since), 0.0
+    )
+
+
 def flagged(name, scene=NOISY):
     """Record that deserves one flag."""
     t = scene.time_s()
@@ -180,6 +188,8 @@ def flagged(name, scene=NOISY):
         volts = scene.with_(amplitude_ratio=0.0, ssw_fraction=0.0).volts(3) - scene.isw_v * cos4(
             t, scene.isw_time_s
         )
+    elif name == "false_trigger":
+        volts = coil_spike(t, 0.3, 2e-6) + 0.01 * np.random.default_rng(3).standard_normal(t.size)
     elif name == "double":
         volts += second_strike(scene, 160e-6, 0.8)
     elif name == "inverted":
@@ -222,7 +232,7 @@ def test_nothing_is_made_up_where_no_wave_came_back():
     }
 
 
-@pytest.mark.parametrize("name", ["missed", "inverted"])
+@pytest.mark.parametrize("name", ["missed", "false_trigger", "inverted"])
 def test_only_the_noise_is_known_of_a_strike_that_was_not_found(name):
     shot = extract_features(flagged(name))
     assert {n for n, v in shot.values().items() if not math.isnan(v)} == {"noise_rms_v"}
@@ -235,14 +245,45 @@ def test_an_electrical_spike_is_not_a_strike():
     assert extract_features(waveform_of(volts)).flags == ("missed",)
 
 
+@pytest.mark.parametrize("ringing_hz", [0.0, 5e3, 50e3])
+@pytest.mark.parametrize("decay_s", [1e-6, 10e-6, 70e-6, 0.2e-3, 5e-3])
+@pytest.mark.parametrize("height_v", [0.3, -3.0, 4.9])
+def test_a_record_that_a_coil_s_spike_started_is_a_false_trigger_and_tells_of_no_wall(
+    height_v, decay_s, ringing_hz
+):
+    """Whatever it looks like to the filters: too narrow, a wave without a reflection, a plateau."""
+    t = NOISY.time_s()
+    noise = 0.025 * np.random.default_rng(2).standard_normal(t.size)
+    shot = extract_features(waveform_of(coil_spike(t, height_v, decay_s, ringing_hz) + noise))
+    assert shot.flags == ("false_trigger",)
+    assert math.isnan(shot.isw_amplitude_v), "nothing is measured of what is no wave"
+
+
+def test_a_crest_of_noise_that_starts_the_record_of_a_wave_makes_no_false_trigger():
+    t = NOISY.time_s()
+    crest = 0.06 * NOISY.isw_v * np.exp(-0.5 * (t / 0.3e-6) ** 2)
+    volts = crest + NOISY.with_(isw_time_s=90e-6).volts(1)
+    assert extract_features(waveform_of(volts)).flags == ()
+
+
+@pytest.mark.parametrize("level", [0.02, 0.1, 0.5, 0.9, 0.99])
+def test_a_wave_that_starts_its_record_at_any_level_is_no_false_trigger(level):
+    trigger_to_peak_s = PULSE_WIDTH_S / np.pi * np.arccos(level**0.25)
+    scene = NOISY.with_(isw_time_s=trigger_to_peak_s)
+    assert extract_features(scene.waveform(1)).flags == ()
+
+
 @pytest.mark.parametrize("centre_s", [-2e-6, 0.0, 3.5e-6])
 def test_a_spike_narrower_than_the_filters_is_not_a_strike_either(centre_s):
-    """1 us wide, it leaves the 5-us mean less than half of the quartic's height: its width is then 0."""
+    """1 us wide, it leaves the 5-us mean less than half of the quartic's height: its width is then 0.
+
+    At the trigger it is what started the record.
+    """
     t = NOISY.time_s()
     spike = 2.0 * np.exp(-4.0 * math.log(2.0) * ((t - centre_s) / 1e-6) ** 2)
     for seed in range(20):
         volts = spike + 0.025 * np.random.default_rng(seed).standard_normal(t.size)
-        assert extract_from_volts(volts, NOISY.rate_hz, NOISY.pretrigger_samples).flags == ("missed",)
+        assert extract_from_volts(volts, NOISY.rate_hz, NOISY.pretrigger_samples).flags == ("false_trigger",)
 
 
 def test_second_strike_on_top_of_the_reflected_wave_is_found():

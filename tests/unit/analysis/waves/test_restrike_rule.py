@@ -17,7 +17,13 @@ from analysis.waves.quality_gate import (
 @pytest.mark.parametrize("flag", FLAGS)
 def test_a_flag_of_the_rule_asks_for_a_restrike_and_no_other_does(flag):
     wants = RestrikeRule().wants((flag,), attempt=0, restrikes_so_far=0)
-    assert wants == (flag in RESTRIKE_FLAGS)
+    # A false trigger left no wave either: it follows what is said of missed strikes.
+    assert wants == (flag in (*RESTRIKE_FLAGS, "false_trigger"))
+
+
+def test_a_false_trigger_is_repeated_where_a_missed_strike_is():
+    rule = RestrikeRule(flags=("double",))
+    assert not rule.wants(("false_trigger",), attempt=0, restrikes_so_far=0)
 
 
 def test_a_clean_shot_is_not_repeated():

@@ -1,11 +1,12 @@
 """The history follows the catalogue; whatever befalls a line of it, the others are read."""
 
 import os
+from dataclasses import replace
 
 import pytest
 from support.begun_experiment import begun_catalogue, tell
 
-from daq_service.catalogue import SetCommit
+from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import HistoryFollower, line_of, parsed, read_history
@@ -43,6 +44,7 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
     catalogue.set_digest(0, "sets/a.h5", "ab" * 32)
+    follower.filed("sets/a.h5", "ab" * 32)
     follower.follow()
     follower.follow()
     history = read_history(tmp_path)
@@ -54,6 +56,65 @@ def test_it_holds_the_experiment_every_event_every_state_of_an_order_and_every_f
     content = (tmp_path / HISTORY_FILE).read_bytes()
     assert all(f'"state":"{state}"'.encode() in content for state in ("pending", "started", "done"))
     assert content.count(b"\n") == history.last_number == 7
+
+
+def stored(catalogue, set_index, sha256=None):
+    """A set's row and its event, as the recorder commits them."""
+    row = replace(set_row("A", file=f"sets/{set_index}.h5", file_sha256=sha256), set_index=set_index)
+    event = EventRow(utc_ns=0, topic="sets", kind="set_done", position="A", set_index=set_index, payload={})
+    catalogue.commit_set(SetCommit(sets=[row], events=[event]))
+    return row.file
+
+
+def test_where_sets_have_no_journal_their_digests_come_with_their_rows(catalogue, follower, tmp_path):
+    files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(3)}
+    follower.follow()
+    assert read_history(tmp_path).digests == files
+
+
+def test_a_digest_whose_line_a_crash_kept_back_comes_with_the_next_start(catalogue, follower, tmp_path):
+    files = {stored(catalogue, index): f"{index}" * 64 for index in range(3)}
+    follower.follow()
+    for index, (file, sha256) in enumerate(files.items()):
+        catalogue.set_digest(index, file, sha256)
+    assert read_history(tmp_path).digests == {}
+    for _ in range(2):
+        HistoryFollower(tmp_path, catalogue).begin()
+        assert read_history(tmp_path).digests == files
+        assert read_history(tmp_path).last_number == 1 + 3 + 3
+
+
+def test_a_start_reads_what_the_end_of_a_long_history_tells_of_and_no_more(
+    catalogue, follower, tmp_path, monkeypatch
+):
+    for index in range(20):
+        file = stored(catalogue, index)
+        catalogue.set_digest(index, file, f"{index:064d}")
+        follower.filed(file, f"{index:064d}")
+        follower.follow()
+    path = tmp_path / HISTORY_FILE
+    before, asked, rows = path.read_bytes(), [], catalogue.rows
+
+    def noting(kind, **filters):
+        asked.append((kind, filters.get("first_set")))
+        return rows(kind, **filters)
+
+    monkeypatch.setattr(history, "TAIL_BYTES", len(b"".join(before.splitlines(keepends=True)[-5:])))
+    monkeypatch.setattr(catalogue, "rows", noting)
+    HistoryFollower(tmp_path, catalogue).begin()
+    assert path.read_bytes() == before
+    assert [first for kind, first in asked if kind is SetRow] == [18]
+
+
+def test_a_folder_older_than_its_history_is_followed_in_pieces(catalogue, tmp_path, monkeypatch):
+    files = {stored(catalogue, index, f"{index}" * 64): f"{index}" * 64 for index in range(7)}
+    monkeypatch.setattr(history, "EVENTS_AT_ONCE", 3)
+    follower = HistoryFollower(tmp_path, catalogue)
+    follower.begin()
+    found = read_history(tmp_path)
+    assert (list(found.events.values()), found.digests) == (catalogue.rows(EventRow), files)
+    assert found.last_number == 1 + 7 + 7
+    assert (len(follower._known.events), len(follower._known.digests)) == (1, 1), "memory stays flat"
 
 
 def test_a_new_follower_appends_what_is_lacking_and_nothing_twice(catalogue, follower, tmp_path):

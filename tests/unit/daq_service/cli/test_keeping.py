@@ -3,6 +3,8 @@
 import json
 import shutil
 import sqlite3
+import subprocess
+import sys
 import tarfile
 from contextlib import closing
 from dataclasses import replace
@@ -25,6 +27,7 @@ from daq_service.cli.keeping import backup, command
 from daq_service.cli.keeping.backup import back_up
 from daq_service.cli.keeping.verify import KINDS, verify_folder
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
+from daq_service.judgement.results import results_in
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import lost_sets
 
@@ -122,6 +125,30 @@ def test_each_damage_is_named_with_exit_code_4(folder):
 def test_a_row_that_differs_from_its_file_is_named(folder, sql):
     change(folder, sql)
     assert {item.kind for item in verify_folder(folder).damage} >= {"row"}
+
+
+@pytest.mark.parametrize(
+    ("sql", "told"),
+    [
+        ("UPDATE features SET tof_pp_s = 1.0 WHERE sequence = 12", "features, shot_id 12: tof_pp_s is 1.0"),
+        ("UPDATE shots SET flags = '[\"noisy\"]' WHERE sequence = 12", "shot_id 12: flags is 'noisy'"),
+        ("UPDATE shots SET valid = 0 WHERE sequence = 12", "shot_id 12: valid is 0, in the file 1"),
+        (
+            "UPDATE features SET quality = 'bad' WHERE set_index = 1 AND position = 'C' AND sequence IS NULL",
+            "set_features, position C: quality is 'bad', in the file 'good'",
+        ),
+        ("UPDATE thickness SET thickness_m = NULL WHERE set_index = 1", "position A: thickness_m is nan"),
+        ("DELETE FROM features WHERE sequence = 12", "features, shot_id 12: there is no row"),
+    ],
+)
+def test_results_are_compared_with_their_copy_in_the_file(folder, sql, told):
+    change(folder, sql)
+    assert any(f"set 1, {told}" in item.told or told in item.told for item in verify_folder(folder).damage)
+
+
+def test_another_version_of_the_extractor_may_say_something_else(folder):
+    change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
+    assert not any("in the file" in item.told for item in verify_folder(folder).damage)
 
 
 def test_rows_of_a_set_that_are_gone_are_named_where_later_ones_are_there(folder):
@@ -240,6 +267,32 @@ def test_repair_does_nothing_beside_a_recorder(folder, monkeypatch):
     monkeypatch.setattr(command, "own_data_folder", owned)
     assert solimon("repair", "--apply", "--data-dir", folder)[0] == 5
     assert solimon("repair", "--data-dir", folder)[0] == 0
+
+
+READS = """
+import sys
+from pathlib import Path
+from fastapi.testclient import TestClient
+from daq_service.cli.keeping.verify import verify_folder
+from daq_service.processes.data_folder import settings_of_folder
+from daq_service.web.app import create_app
+
+settings, folder = settings_of_folder(None, Path(sys.argv[1]))
+with TestClient(create_app(settings, folder)) as client:
+    for path in ("info", "sets", "features", "verdicts", "waveforms/B/1/1", "transducers/B"):
+        assert client.get(f"/api/v1/{path}", headers={"Host": "127.0.0.1"}).status_code == 200, path
+assert verify_folder(folder).damage == []
+print(*(name for name in %r if name in sys.modules))
+"""
+
+
+def test_neither_readers_nor_the_web_service_load_compiler_plots_or_drivers(folder):
+    heavy = ("numba", "llvmlite", "matplotlib", "nidaqmx", "niscope", "nitclk", "grpc", "nptdms", "serial")
+    done = subprocess.run(
+        [sys.executable, "-c", READS % (heavy,), folder], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
 
 
 # repair --------------------------------------------------------------------------------------------
@@ -408,7 +461,8 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
         assert verify_folder(copy).damage == []
         assert FolderSetReader(copy).read_set(FILES[2]).set_index == 2
         assert segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
-    compact_set(folder, 2)
+    with open_catalogue(folder) as catalogue:
+        compact_set(folder, 2, results=results_in(catalogue, 2))
     with closing(FolderArchive(folder)) as archive:
         archive.settle(2)
     back_up(folder, copy)

@@ -1,11 +1,22 @@
-"""Every end of a command is a code of the table and one line."""
+"""Every end of a command is a code of the table and one line; every word and option is explained."""
 
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
 import pytest
+from click.testing import CliRunner
 from support.command_line import solimon_here
 
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
-from daq_service.cli import inspection, run
+from daq_service.cli import run
+from daq_service.cli.main import cli
+from daq_service.cli.status import command
 from daq_service.processes.supervisor import FINAL_CODES
 
 
@@ -21,13 +32,13 @@ def test_what_nobody_foresaw_is_one_line_with_its_place(monkeypatch, tmp_path, r
     def fail(folder, settings):
         raise raised
 
-    monkeypatch.setattr(inspection, "describe_status", fail)
+    monkeypatch.setattr(command, "describe_status", fail)
     done = solimon_here("status", "--data-dir", str(tmp_path), env={})
     (line,) = filter(None, done.stderr.splitlines())  # click moves on to a new line first
     assert (done.returncode, done.stdout) == (code, "")
     assert line.startswith("solimon: ")
     assert words in line
-    assert ("inspection.py, line " in line or "test_main.py, line " in line) == (code == 1)
+    assert ("command.py, line " in line or "test_main.py, line " in line) == (code == 1)
 
 
 @pytest.mark.parametrize("command", ["record", "serve"])
@@ -49,3 +60,117 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
     assert again.returncode not in FINAL_CODES
     assert str(error) in by_hand.stderr
     assert str(error) in again.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "status",
+        "serve",
+        "hold",
+        "release",
+        "trust-clock",
+        "retire --position B",
+        "reinstate --position B",
+        "supply --off",
+    ],
+)
+def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -> None:
+    folder = tmp_path / "solimno-data"
+    done = solimon_here(*words.split(), "--data-dir", str(folder), env={})
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"there is no data folder {folder}; name the folder" in done.stderr
+    assert not folder.exists()
+
+
+def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:
+    done = solimon_here("hold", "--data-dir", str(tmp_path), env={})
+    assert done.returncode == 4
+    assert "no data yet" in done.stderr
+
+
+def test_a_web_service_of_a_test_that_has_begun_waits_for_its_folder(tmp_path: Path) -> None:
+    """Its supervisor started it again: the disk may come back."""
+    folder = tmp_path / "data"
+    again = ("--restarted-because", "crashed")
+    done = solimon_here("serve", "--data-dir", str(folder), *again, env={})
+    assert done.returncode == 1
+    assert "bring back the test's own folder" in done.stderr
+
+
+def test_no_summary_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    told = CliRunner().invoke(cli, ["--help"]).stdout
+    assert "..." not in told.partition("Commands:")[2]
+    for name, word in cli.commands.items():
+        summary = " ".join((word.help or "").partition("\n\n")[0].split())
+        assert summary.partition(". ")[0].rstrip(".") in " ".join(told.split()), name
+    assert max(len(line) for line in told.splitlines()) <= 80
+
+
+def test_every_option_is_described() -> None:
+    for name, word in cli.commands.items():
+        for option in word.params:
+            if isinstance(option, click.Option) and not option.hidden:
+                assert option.help, f"{name} {option.opts}"
+
+
+FIRST_WORDS = """
+import sys
+from importlib.abc import MetaPathFinder
+
+class Ends(MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name == "daq_service.cli.demo":
+            print(*sorted(module for module in sys.modules if "." not in module))
+            sys.exit(0)
+
+sys.meta_path.insert(0, Ends())
+sys.argv = ["solimon", "demo"]
+from daq_service.cli.main import main
+main()
+"""
+
+
+def test_the_first_words_of_the_demo_come_before_anything_is_imported() -> None:
+    done = subprocess.run([sys.executable, "-c", FIRST_WORDS], capture_output=True, text=True, check=True)
+    assert done.stderr.startswith("solimon demo: ")
+    assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_told_how_to_complete(shell: str) -> None:
+    done = solimon_here("completion", shell, env={})
+    assert done.returncode == 0
+    assert f"_SOLIMON_COMPLETE={shell}_complete" in done.stdout
+    told = CliRunner().invoke(cli, ["completion", "--help"]).stdout
+    assert re.search(rf"{shell}: .*solimon completion {shell}", told)
+
+
+@pytest.mark.skipif(shutil.which("bash") is None or os.name == "nt", reason="needs bash")
+def test_bash_completes_words_and_options(tmp_path: Path) -> None:
+    program = tmp_path / "solimon"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m daq_service.cli "$@"\n')
+    program.chmod(0o755)
+    # As bash itself does when a person presses the key.
+    script = """
+        eval "$(solimon completion bash)"
+        ask() { COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=(); _solimon_completion solimon; }
+        ask solimon sta; echo "${COMPREPLY[@]}"
+        ask solimon status --w; echo "${COMPREPLY[@]}"
+    """
+    # click finds the name of the variable by the name of the program.
+    wrapped = program.read_text().replace(" -m daq_service.cli", f' "{tmp_path}/solimon.py"')
+    program.write_text(wrapped)
+    (tmp_path / "solimon.py").write_text(
+        "import sys; sys.argv[0] = 'solimon'\nfrom daq_service.cli import main\nmain()\n"
+    )
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script],
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["status", "--watch"]

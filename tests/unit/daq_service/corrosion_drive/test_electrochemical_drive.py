@@ -387,6 +387,13 @@ def test_off_without_an_order_is_told_with_its_cause_and_not_corrected(energised
     assert energised.supply.calls == ["read"] * 6
 
 
+def test_a_protection_that_is_not_told_is_not_ruled_out_as_the_cause(energised):
+    energised.supply.on = False
+    energised.supply.protection_unknown = "dialect korad asks no protection"
+    energised.run(60.0)
+    assert "a protection may have tripped: dialect korad" in energised.message("supply_off_unexpectedly")
+
+
 def test_off_by_order_is_no_alarm(energised):
     energised.drive.switch_off("Ada")
     energised.run(60.0)

@@ -91,7 +91,17 @@ def test_a_closed_terminal_is_a_polite_stop():
     with stop_on_signals() as stop:
         assert not stop.is_set()
         signal.raise_signal(signal.SIGHUP)
-        assert stop.is_set()
+        assert stop.wait(60.0)
+
+
+@pytest.mark.timeout(60)
+def test_a_signal_that_comes_while_the_event_is_looked_at_is_heard():
+    """Its handler runs in the thread that holds the event's lock, and waits for nobody."""
+    with stop_on_signals() as stop:
+        with stop._cond:
+            signal.raise_signal(signal.SIGTERM)
+        assert stop.wait(60.0)
+    assert "signals" not in {thread.name for thread in threading.enumerate()}
 
 
 @pytest.mark.parametrize(("sent", "alone"), [(child.FAREWELL, False), (b"", True)])

@@ -16,6 +16,7 @@ from daq_service.processes.data_folder import (
     is_owned,
     own_data_folder,
     prepare_data_folder,
+    refuse_other_folders,
     settings_and_folder,
     sweep,
     write_configuration,
@@ -114,6 +115,25 @@ def test_the_folder_of_a_test_that_has_begun_is_never_made_anew(tmp_path: Path) 
         folder.mkdir(exist_ok=True)
     prepare_data_folder(folder)  # by the supervisor; its recorder may be killed before it takes the lock
     prepare_data_folder(folder, anew=False)
+
+
+def test_whoever_only_looks_is_refused_what_is_not_there_or_not_ours(tmp_path: Path) -> None:
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "thesis.tex").write_text("precious")
+    for name, words in {
+        "solimno-data": "there is no data folder",
+        "thesis": r"holds 'thesis\.tex'",
+        "thesis/thesis.tex": "cannot be read",
+    }.items():
+        with pytest.raises(UsageError, match=words) as refusal:
+            refuse_other_folders(tmp_path / name)
+        assert refusal.value.exit_code == 2
+        assert "--data-dir" in str(refusal.value)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis"]
+    (tmp_path / "empty").mkdir()
+    refuse_other_folders(tmp_path / "empty")
+    prepare_data_folder(tmp_path / "ours")
+    refuse_other_folders(tmp_path / "ours")
 
 
 def test_only_one_owner_at_a_time(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from support.begun_experiment import begun_catalogue, tell
 
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import SetRow
-from daq_service.cli.inspection import describe_status
+from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.errors import BusyError
 from daq_service.orders.give import give_order

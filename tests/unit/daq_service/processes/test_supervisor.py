@@ -226,10 +226,12 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
     alive = Life()
     world = World(alive, Life(0))
     beat = beat_at(world, STARTING_GRACE_S / 2, deadline_s=100.0)
-    alive.stdout = io.BytesIO(json.dumps({"event": "beat", **asdict(beat)}).encode() + b"\n")
+    told = {"event": "beat", **asdict(beat)}
+    alive.stdout = io.BytesIO(2 * (json.dumps(told).encode() + b"\n"))
     world.run()
     assert alive.killed_s == pytest.approx(STARTING_GRACE_S / 2 + 100.0, abs=0.101)
-    assert world.messages == []
+    restarts = {"event": "restarts", "cause": world.causes()[1], "in_s": 0.2}
+    assert world.messages == [("recorder", told), ("recorder", restarts)], "of two beats alike one is news"
 
 
 def test_a_recorder_that_beats_is_left_alone() -> None:

@@ -3,6 +3,8 @@
 import math
 from concurrent.futures import Executor, Future
 from concurrent.futures.process import BrokenProcessPool
+from hashlib import sha256
+from types import SimpleNamespace
 
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
@@ -13,6 +15,7 @@ from support.small_experiment import AtOnce
 from daq_service.archive import FolderArchive
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
+from daq_service.recording import session
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import EVERY_S, QUIET_S, IdleCheck
 
@@ -44,14 +47,21 @@ class Idle:
     def __init__(self, folder, worker=None):
         self.now_s, self.lost, self.worker = 0.0, {}, worker or Reading()
         self.compaction = Compaction(folder, FolderArchive(folder), start=lambda: self.worker)
-        self.trouble = None
+        self.trouble, self.noted = None, {}
         self.check = IdleCheck(
-            folder, self.compaction, lambda: self.lost, self.sha256_of, mono_s=lambda: self.now_s
+            folder, self.compaction, lambda: self.lost, self.sha256_of, self.note, mono_s=lambda: self.now_s
         )
 
     def sha256_of(self, set_index):
         if self.trouble is not None:
             raise self.trouble
+        return self.noted.get(set_index)
+
+    def note(self, set_index, file, sha256):
+        if self.trouble is not None:
+            raise self.trouble
+        assert set_index not in self.noted
+        self.noted[set_index] = sha256
 
     def steps(self, count, free_s=LONG_S):
         """So many files, each at its time, and what is wrong then."""
@@ -94,6 +104,20 @@ def test_a_catalogue_that_does_not_answer_costs_the_check_its_time_and_not_the_t
     idle.trouble = None
     idle.steps(3)
     assert [f"sets/{name}" for name in idle.worker.files] == stored
+
+
+def test_a_sound_file_of_which_nobody_noted_the_sha256_gets_it(tmp_path, stored):
+    """Of an older folder's year of files none was noted; what is damaged is not blessed."""
+    idle = Idle(tmp_path)
+    damaged, *sound = (tmp_path / file for file in stored)
+    damaged.write_bytes(damaged.read_bytes()[:-2000])
+    idle.check.work(LONG_S)
+    idle.trouble = CatalogueBusyError("locked")
+    idle.steps(2)
+    idle.trouble = None
+    assert list(idle.steps(6)) == [stored[0]]
+    digests = [sha256(path.read_bytes()).hexdigest() for path in sound]
+    assert idle.noted == dict(zip(range(SET_INDEX + 1, SET_INDEX + 3), digests, strict=True))
 
 
 def test_damage_is_known_until_it_is_mended(tmp_path, stored):
@@ -168,3 +192,11 @@ def test_in_real_time_it_is_told_how_long_nothing_is_due(tmp_path, monkeypatch):
     assert line.run(clock=clock, idle_check=told)
     assert max(told.free_s) == pytest.approx(1800.0, abs=1.0)  # half an hour between sets; a strike's rest
     assert min(told.free_s) <= 0.0
+
+
+def test_a_start_reads_few_files_of_an_older_folder_and_leaves_the_others_to_its_idle_hours():
+    """A year's files take hours, and no heartbeat comes while a start reads."""
+    catalogue = SimpleNamespace(without_digest=lambda: {index: f"sets/{index}.h5" for index in range(17_500)})
+    archive, noted = SimpleNamespace(digest=lambda file: f"of {file}"), []
+    session._note_digests(catalogue, archive, lambda *told: noted.append(told))
+    assert noted == [(index, f"sets/{index}.h5", f"of sets/{index}.h5") for index in range(17_400, 17_500)]

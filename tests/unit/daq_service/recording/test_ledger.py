@@ -306,3 +306,33 @@ def test_the_rig_s_alarm_names_a_method_that_nobody_answers(line):
     assert alarm.raised_set_index == 2
     assert "the probe's board is gone" in alarm.message
     assert alarm.state == "returned_unacknowledged"
+
+
+def test_whoever_started_the_test_hears_of_gaps_and_alarms_once_they_are_stored(line):
+    def hole_at_c_and_nothing_once_at_d(key):
+        if (key.set_index, key.position) == (3, "D"):
+            return None  # no trigger
+        return silent() if key.position == "C" and key.set_index >= 5 else healthy(key)
+
+    line.script = hole_at_c_and_nothing_once_at_d
+    news = []
+
+    def tell(event, **values):
+        if event in ("alarm", "gap"):
+            news.append((event, values, len(line.rows("alarms")), len(line.rows("sets", "D"))))
+
+    line.run(tell=tell)
+    gap, alarm = news
+    assert gap[0] == "gap"
+    assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])
+    assert gap[1]["cause"] == line.rows("sets", "D")[3].cause
+    assert gap[3] == 4, "its row is stored before it is told"
+    row = line.rows("alarms")[-1]
+    assert alarm[0] == "alarm"
+    assert alarm[1] == {
+        "change": "alarm_raised",
+        "hour": row.raised_h,
+        "severity": row.severity,
+        "message": row.message,
+    }
+    assert alarm[2] == len(line.rows("alarms"))

@@ -11,6 +11,7 @@ from support.memory_line import Line, healthy, memory_settings
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
+from daq_service.archive.layout import build_image
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
@@ -19,6 +20,7 @@ from daq_service.catalogue.experiment_file import (
     read_experiment,
 )
 from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.judgement.results import results_in
 from daq_service.recording.experiment import foreign_because
 from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
 
@@ -146,6 +148,19 @@ def test_a_file_that_is_another_one_is_told(line):
     assert any("SHA-256" in warning for warning in made_again(line).warnings)
     with open_catalogue(line.folder) as catalogue:
         assert catalogue.rows(SetRow, set_index=1)[0].file_sha256 == digest
+
+
+def test_results_are_computed_again_and_a_copy_that_differs_is_told(line):
+    before = table_rows(line.folder)
+    file = set_files(line.folder)[1]
+    with open_catalogue(line.folder) as catalogue:
+        copy = {name: dict(columns) for name, columns in results_in(catalogue, 1).items()}
+    copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
+    file.write_bytes(build_image(replace(read_set(file), results=copy)))
+    lose_catalogue(line.folder)
+    warnings = made_again(line).warnings
+    assert any("set 1, its file: features" in told and "in the file 1.0" in told for told in warnings)
+    assert table_rows(line.folder)["features"] == before["features"]
 
 
 def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):

@@ -1,6 +1,5 @@
 """The shipped laboratory.toml: complete, loadable, and safe to read as it is."""
 
-import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -10,12 +9,14 @@ from typing import Any
 import pytest
 
 from daq_service.cli.inspection import describe_plan
-from daq_service.settings.file import config_file, load_settings
+from daq_service.errors import UsageError
+from daq_service.settings.commented import switched_on
+from daq_service.settings.file import PLACEHOLDER, config_file, load_settings
 from daq_service.settings.tree import RigSettings, Settings
 
-TEXT = config_file("laboratory.toml").read_text(encoding="utf-8")
-WITH_EVERYTHING = re.sub(r"^#(?=[a-z\[])", "", TEXT, flags=re.MULTILINE)
-"""The tables that the file holds switched off are switched on."""
+SHIPPED = config_file("laboratory.toml").read_text(encoding="utf-8")
+TEXT = SHIPPED.replace(PLACEHOLDER, "FFFFFFFF")
+WITH_EVERYTHING = switched_on(TEXT)
 
 
 def load(folder: Path, text: str) -> Settings:
@@ -35,6 +36,8 @@ def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
     missing = []
     for field in fields(value):
         if field.name not in given:
+            if getattr(value, field.name) is None:
+                continue  # what is absent by choice cannot be written
             missing.append(f"{where}.{field.name}")
         elif is_dataclass(getattr(value, field.name)) or isinstance(getattr(value, field.name), Mapping):
             missing += missing_keys(given[field.name], getattr(value, field.name), f"{where}.{field.name}")
@@ -59,7 +62,7 @@ def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
 
 def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
     """The check above can fail."""
-    text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("timeout_s = 2.0", "")
+    text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
     assert missing_keys(given["daqmx"], rig.daqmx, "daqmx") == [
         "daqmx.transducers.C.counter",
@@ -67,9 +70,9 @@ def test_a_key_that_is_not_written_down_is_noticed(tmp_path: Path) -> None:
     ]
 
 
-def test_the_other_tables_say_what_the_paper_s_experiment_says() -> None:
+def test_the_other_tables_say_what_the_paper_s_experiment_says(tmp_path: Path) -> None:
     """The laboratory's file and the twin's plan and judge alike; only the instruments differ."""
-    laboratory, simulated = load_settings(config_file("laboratory.toml")), Settings()
+    laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):
         assert getattr(laboratory, table) == getattr(simulated, table), table
     assert laboratory.names_of("pulse_echo") == simulated.names_of("pulse_echo")
@@ -91,16 +94,44 @@ def test_each_coil_has_the_home_terminal_of_its_counter() -> None:
     assert boards["watchdog"]["lines"] == [f"port2/line{4 + number}" for number in numbers]
 
 
-def test_every_placeholder_is_called_one() -> None:
-    named = [line for line in TEXT.splitlines() if "FFFFFFFF" in line or "MAKER" in line or "by-id" in line]
-    assert len(named) == 9
-    assert all("PLACEHOLDER" in line.partition(" #")[2] for line in named)
+def test_what_only_the_laboratory_knows_is_refused_all_at_once() -> None:
+    unknown = [
+        "rig.daqmx.transducers.B.board_serial: Serial number of the digitizer board",
+        "rig.daqmx.transducers.C.board_serial: Serial number of the digitizer board",
+        "rig.daqmx.transducers.D.board_serial: Serial number of the digitizer board",
+        "rig.niscope.probes.A.resource: Name of the board in NI MAX",
+        "rig.niscope.probes.A.serial_number: Serial number the board must report",
+        "rig.supply.identity: Regular expression that the answer to `*IDN?`",
+        "rig.supply.line.port: A path (`/dev/serial/by-id/...`",
+    ]
+    file = config_file("laboratory.toml")
+    with pytest.raises(UsageError) as refused:
+        load_settings(file)
+    first, *lines, last = str(refused.value).splitlines()
+    assert first == f"{file} is not finished; still PLACEHOLDER:"
+    assert [line.strip()[: len(words)] for line, words in zip(lines, unknown, strict=True)] == unknown
+    assert last == f"Fill them in and run `solimon check-config {file}`."
 
 
-def test_a_rehearsal_is_one_variable_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert load_settings(config_file("laboratory.toml")).rig.daqmx.dry_run is False
+def test_a_placeholder_in_a_list_is_one(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"still PLACEHOLDER:\n  rig\.supply\.setup_commands"):
+        load(tmp_path, TEXT.replace("setup_commands = []", 'setup_commands = ["PLACEHOLDER"]'))
+
+
+def test_the_environment_may_fill_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = TEXT.replace('identity = "FFFFFFFF"', 'identity = "PLACEHOLDER"')
+    with pytest.raises(UsageError, match=r"rig\.supply\.identity"):
+        load(tmp_path, text)
+    monkeypatch.setenv("SOLIMON_RIG__SUPPLY__IDENTITY", "MAKER,MODEL,1")
+    supply = load(tmp_path, text).rig.supply
+    assert supply is not None
+    assert supply.identity == "MAKER,MODEL,1"
+
+
+def test_a_rehearsal_is_one_variable_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert load(tmp_path, TEXT).rig.daqmx.dry_run is False
     monkeypatch.setenv("SOLIMON_RIG__DAQMX__DRY_RUN", "true")
-    rehearsal = load_settings(config_file("laboratory.toml"))
+    rehearsal = load(tmp_path, TEXT)
     assert rehearsal.rig.daqmx.dry_run is True
     assert list(rehearsal.rig.daqmx.transducers) == ["B", "C", "D"]
 

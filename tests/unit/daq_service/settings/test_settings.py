@@ -4,7 +4,8 @@ from pathlib import Path
 import pytest
 
 from daq_service.errors import UsageError
-from daq_service.settings.file import config_file, load_settings, settings_schema
+from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.schema import settings_schema
 from daq_service.settings.tree import Settings
 
 
@@ -140,6 +141,22 @@ def test_the_hash_changes_with_what_the_data_depend_on_and_with_nothing_else() -
     assert same.configuration_hash() == Settings().configuration_hash()
     other = load_settings(None, overrides={"chain": {"drop_height_m": 5.1e-3}})
     assert other.configuration_hash() != Settings().configuration_hash()
+
+
+def test_without_a_holdoff_a_rig_has_the_hash_it_had_before_there_was_one() -> None:
+    boards = {"transducers": {"B": {"board_serial": "01A2B3C4"}}}
+
+    def settings_with(**changes: float) -> Settings:
+        rig = {"kind": "daqmx", "daqmx": {**boards, **changes}}
+        return Settings(rig=rig, positions={"B": {"method": "solitary_wave"}}, clock={"kind": "wall"})
+
+    without, held = settings_with(), settings_with(holdoff_s=10e-3)
+    measured = without.measured()["rig"]["daqmx"]
+    assert "pulse_s" in measured
+    assert not {"holdoff_s", "ringing_s"} & set(measured)
+    assert held.measured()["rig"]["daqmx"] == {**measured, "holdoff_s": 10e-3}
+    assert held.configuration_hash() != without.configuration_hash()
+    assert settings_with(holdoff_s=10e-3, ringing_s=5e-3).configuration_hash() == held.configuration_hash()
 
 
 @pytest.mark.parametrize("position", ["Z", "A"])

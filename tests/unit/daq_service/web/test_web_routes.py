@@ -3,7 +3,6 @@
 import math
 import re
 import time
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import httpx
@@ -13,8 +12,8 @@ from support.filled_folder import LIMIT_F, FilledFolder
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EnvironmentRow, EventRow, FeatureRow, SetRow, VerdictRow, values
-from daq_service.cli.inspection import print_status
+from daq_service.catalogue.rows import EnvironmentRow, EventRow, FeatureRow, VerdictRow, values
+from daq_service.cli.status.command import run_status
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.kept import kept_now, write_kept
@@ -23,7 +22,6 @@ from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import rfc3339, with_utc
-from daq_service.web.routes.transducers import interval_at, state_word
 from hardware_drivers.nanoseconds import NS_PER_H
 
 N_SETS = 60
@@ -139,7 +137,7 @@ def test_ages_are_on_the_tests_own_time_when_the_computers_clock_was_set(tmp_pat
     age = datetime.now(UTC) - datetime.fromisoformat(info["as_of"]["now_utc"])
     assert age.total_seconds() == pytest.approx(by_h * 3600, abs=300.0)
     assert 0.0 <= info["as_of"]["wall_age_s"] < 300.0
-    print_status(config=None, data_dir=tmp_path, as_json=False)
+    run_status(config=None, data_dir=tmp_path, as_json=False, watch=False)
     told = rf"^clock     this computer's is 14\d{{5}} s {side} the test's time$"
     assert re.search(told, capsys.readouterr().out, re.MULTILINE)
 
@@ -399,47 +397,6 @@ def test_hours_get_their_time_beside_them():
         "raised_utc": None,
         "wall_utc": "1970-01-01T00:00:00Z",
     }
-
-
-SET = SetRow(
-    set_index=0,
-    position="B",
-    method="solitary_wave",
-    due_utc_ns=0,
-    due_h=0.0,
-    state="done",
-    n_planned=1,
-)
-ECHO_SET = replace(SET, method="pulse_echo")
-
-
-def judged(outlier):
-    return VerdictRow(
-        set_index=0, position="B", due_h=0.0, in_baseline=False, limit_name="f_predictive", outlier=outlier
-    )
-
-
-@pytest.mark.parametrize(
-    ("last_set", "verdict", "alarms", "word"),
-    [
-        (None, None, [], "no_data"),
-        # It was reinstated after this set: what it is now is told by its alarms.
-        (replace(SET, state="retired"), judged(False), [], "normal"),
-        (SET, judged(False), ["an alarm"], "alarm"),
-        (SET, judged(True), [], "outlier"),
-        (SET, judged(False), [], "normal"),
-        (SET, judged(None), [], "learning"),
-        (SET, None, [], "learning"),
-        (ECHO_SET, None, [], "normal"),
-    ],
-)
-def test_word_for_a_position(last_set, verdict, alarms, word):
-    assert state_word(last_set, verdict, alarms) == word
-
-
-def test_interval_follows_the_phases():
-    schedule = Settings().schedule
-    assert [interval_at(schedule, hour) for hour in (0.0, 75.0, 76.0, 400.0)] == [0.5, 0.5, 1.0, 1.0]
 
 
 def test_everything_the_twin_measures_is_a_number_or_null(api):

@@ -102,6 +102,39 @@ def test_times_of_a_strike():
     assert wired.longest_strike_s == pytest.approx(1e-3 + 0.05 + 0.031928 + 0.1 + 2e-3, rel=1e-4)
 
 
+def test_a_holdoff_lies_between_ringing_and_wave():
+    """From 5 mm the fall takes 31.93 ms, 0.1 ms of which the pre-trigger needs."""
+    held = parameters(holdoff_s=10e-3, ringing_s=5e-3)
+    assert (held.holdoff_s, held.ringing_s) == (10e-3, 5e-3)
+    assert (parameters().holdoff_s, parameters().ringing_s) == (None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"holdoff_s": 31.9e-3}, r"0\.0319 s; .* ringing_s = 0 s and shorter than 0\.03183 s"),
+        ({"holdoff_s": 5e-3, "ringing_s": 5e-3}, r"0\.005 s; .* longer than ringing_s = 0\.005 s"),
+        ({"holdoff_s": 20e-3, "drop_height_m": 1e-3}, r"shorter than 0\.01418 s, the fall from 0\.001 m"),
+        (
+            {"holdoff_s": 20e-3, "sample_rate_hz": 1e5, "record_samples": 4000, "pretrigger_samples": 2000},
+            r"0\.02 s; .* shorter than 0\.01193 s",
+        ),
+        ({"ringing_s": 5e-3}, r"without a holdoff_s; set one between it and 0\.03183 s"),
+        ({"ringing_s": 40e-3}, "flyback diode"),
+        ({"holdoff_s": 0.0}, "holdoff_s is 0.0"),
+        ({"holdoff_s": float("nan")}, "holdoff_s is nan"),
+    ],
+)
+def test_a_holdoff_that_cannot_work_is_refused_with_both_numbers(change, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        parameters(**change)
+
+
+def test_a_whole_strike_goes_from_the_pulse_s_begin_to_the_record_s_end():
+    wired = parameters(sample_rate_hz=1e6, pretrigger_samples=500, record_samples=2000, pulse_s=0.05)
+    assert wired.whole_strike_samples == 50_000 + 31_928 + 100_000 + 2_000
+
+
 def test_a_file_gives_the_same_and_is_held_to_the_same_bounds():
     adapter = TypeAdapter(DaqmxParameters)
     table = {"transducers": {"B": {"board_serial": "01A2B3C4"}, "C": {"board_serial": "7", "range_v": 2}}}

@@ -30,6 +30,7 @@ def acquisition(volts, *, triggered=True):
         task=None,
         reader=SimpleNamespace(read_int16=read),
         buffer=np.zeros((1, SAMPLES), dtype=np.int16),
+        part_samples=SAMPLES,
         sample_rate_hz=RATE_HZ,
         pretrigger_samples=PRETRIGGER,
         calibration=Calibration(

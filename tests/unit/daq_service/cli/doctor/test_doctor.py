@@ -3,12 +3,13 @@
 import json
 import sys
 import time
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from support.small_experiment import run, small_settings
@@ -16,18 +17,20 @@ from support.small_experiment import run, small_settings
 from daq_service.cli.doctor.boards import board_checks, digital_name
 from daq_service.cli.doctor.check import Check, exit_code
 from daq_service.cli.doctor.command import run_doctor
-from daq_service.cli.doctor.machine import ask_system, machine_checks
+from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.cli.doctor.trial import Trial
+from daq_service.cli.doctor.unattended import ask_system
 from daq_service.cli.forecast import stored_bytes
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.file import config_file
 from daq_service.settings.tree import RigSettings, Settings
 from hardware_drivers.daqmx.survey import BoardFacts, Finding
 
-LABORATORY = load_settings(config_file("laboratory.toml")).rig
+VALUES = tomllib.loads(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
+LABORATORY = Settings(**VALUES).rig
 
 
 def by_name(checks: Sequence[Check]) -> dict[str, Check]:
@@ -104,6 +107,7 @@ def test_a_package_that_does_not_load_is_named() -> None:
 
 # Machine --------------------------------------------------------------------------------------------
 
+FOLDER = Path("data")
 ON_BATTERY_AND_MAINS = """\
 GUID des Energieschemas: 381b4222-f694-41f0-9685-ff5bb260df2e  (Ausbalanciert)
     Minimale Einstellung: 0x00000000
@@ -124,6 +128,12 @@ def answers(**by_program: str | None) -> Any:
     [
         ("linux", {"timedatectl": "yes"}, "ok"),
         ("linux", {"timedatectl": "no"}, "warn"),
+        ("linux", {"chronyc": "A29FC801,time,3,1.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,64.0,Normal"}, "ok"),
+        (
+            "linux",
+            {"chronyc": "00000000,,0,0.0,0.0,0.0,0.0,0.0,0.0,0.0,1.0,1.0,0.0,Not synchronised"},
+            "warn",
+        ),
         ("linux", {}, "warn"),
         ("win32", {"w32tm": "Sprungindikator: 0(keine Warnung)"}, "ok"),
         ("win32", {"w32tm": "Leap Indicator: 3(not synchronized)"}, "warn"),
@@ -134,7 +144,9 @@ def answers(**by_program: str | None) -> Any:
 def test_whether_the_clock_is_synchronised_and_how_that_was_found(
     system: str, answer: dict[str, str], state: str
 ) -> None:
-    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["clock synchronised"]
+    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))[
+        "clock synchronised"
+    ]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
     assert next(iter(answer), "") in found.found, "it says who was asked"
@@ -152,20 +164,96 @@ def test_whether_the_clock_is_synchronised_and_how_that_was_found(
     ],
 )
 def test_whether_the_computer_would_sleep(system: str, answer: dict[str, str], state: str) -> None:
-    found = by_name(machine_checks("wall", ask=answers(**answer), system=system))["sleep"]
+    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
 
 
-def test_on_simulated_time_neither_matters() -> None:
-    checks = by_name(machine_checks("simulated", ask=answers(), system="linux"))
-    assert {name for name, one in checks.items() if one.state == "skipped"} == {"clock synchronised", "sleep"}
+def test_it_says_what_would_let_the_computer_sleep() -> None:
+    ask = answers(systemctl="static", busctl='s "suspend"')
+    found = by_name(machine_checks("wall", FOLDER, ask=ask, system="linux"))["sleep"]
+    assert "not switched off (systemctl, IdleAction of logind is suspend)" in found.found
+
+
+def test_a_computer_that_hibernates_sleeps_too() -> None:
+    def ask(command: Sequence[str]) -> str | None:
+        hibernates = "0x00000e10" if command[-1] == "HIBERNATEIDLE" else "0x00000000"
+        return ON_BATTERY_AND_MAINS.format(mains=hibernates) if command[0] == "powercfg" else None
+
+    assert by_name(machine_checks("wall", FOLDER, ask=ask, system="win32"))["sleep"].state == "warn"
+
+
+UPGRADES = 'APT "";\nAPT::Periodic::Unattended-Upgrade "1";\n'
+REBOOTS = UPGRADES + 'Unattended-Upgrade::Automatic-Reboot "true";\n'
+KEY = r"HKEY_LOCAL_MACHINE\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "restarts", "waits"),
+    [
+        ("linux", {"apt_config": UPGRADES}, False, False),
+        ("linux", {"apt_config": REBOOTS}, True, False),
+        ("linux", {"apt_config": REBOOTS.replace('"1"', '"0"')}, False, False),
+        ("linux", {"apt_config": UPGRADES, "ls": "/run/reboot-required"}, False, True),
+        ("linux", {"systemctl": "disabled"}, False, False),
+        ("linux", {"systemctl": "enabled"}, None, False),
+        ("linux", {}, None, False),
+        ("win32", {"reg": f"{KEY}\n    NoAutoUpdate    REG_DWORD    0x1"}, False, True),
+        ("win32", {"reg": f"{KEY}\n    AUOptions    REG_DWORD    0x2"}, False, True),
+        ("win32", {"reg": f"{KEY}\n    AUOptions    REG_DWORD    0x4"}, None, True),
+        ("win32", {}, None, False),
+        ("darwin", {}, None, None),
+    ],
+)
+def test_whether_updates_restart_the_computer(
+    system: str, answer: dict[str, str], restarts: bool | None, waits: bool | None
+) -> None:
+    found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
+    assert (found.values["restart_by_themselves"], found.values["restart_waits"]) == (restarts, waits)
+    assert found.state == ("ok" if restarts is False and not waits else "warn")
+    assert ("unknown" in found.found) == (restarts is None)
+    assert ("restart it before the test" in found.remedy) == bool(waits)
+
+
+HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
+
+
+@pytest.mark.parametrize(
+    ("system", "answer", "left_alone", "words"),
+    [
+        ("linux", {"ps": "systemd\nbash"}, True, "none that is known"),
+        ("linux", {"ps": "systemd\nclamonacc"}, None, "ClamAV"),
+        ("linux", {}, None, "unknown"),
+        ("win32", {"powershell": "False"}, True, "off"),
+        ("win32", {"powershell": "True\nC:\\other\nc:\\LAB"}, True, "an exception"),
+        ("win32", {"powershell": "True\nC:\\lab\\data2"}, False, "no exception"),
+        ("win32", {"powershell": "True"}, False, "no exception"),
+        ("win32", {"powershell": HIDDEN}, None, "administrators alone"),
+        ("win32", {}, None, "unknown"),
+        ("darwin", {}, None, "not asked"),
+    ],
+)
+def test_whether_a_scanner_holds_the_data_s_files(
+    system: str, answer: dict[str, str], left_alone: bool | None, words: str
+) -> None:
+    folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
+    found = by_name(machine_checks("wall", folder, ask=answers(**answer), system=system))["antivirus"]
+    assert (found.values["data_folder_left_alone"], words in found.found) == (left_alone, True)
+    assert found.state == ("ok" if left_alone else "warn")
+    assert str(folder) in found.remedy or found.state == "ok"
+
+
+def test_on_simulated_time_none_of_it_matters() -> None:
+    checks = by_name(machine_checks("simulated", FOLDER, ask=answers(), system="linux"))
+    skipped = {name for name, one in checks.items() if one.state == "skipped"}
+    assert skipped == {"clock synchronised", "sleep", "updates", "antivirus"}
 
 
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
 def test_a_wall_clock_that_is_being_set_is_noticed(step_s: float, state: str) -> None:
     checks = machine_checks(
         "simulated",
+        FOLDER,
         started_wall_s=time.time() - 5.0 - step_s,
         started_mono_s=time.monotonic() - 5.0,
     )
@@ -284,7 +372,7 @@ def test_no_recorder_starts_while_the_doctor_strikes(
         seen.append(started(folder))
         return Trial(position=position, checks=())
 
-    monkeypatch.setattr("daq_service.cli.doctor.command.strike_once", striking)
+    monkeypatch.setattr("daq_service.cli.doctor.command.strike_transducer", striking)
     run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
     capsys.readouterr()
     assert "another recorder owns" in seen[0]
@@ -378,7 +466,7 @@ def test_somebody_else_s_broken_board_is_no_failure_of_ours() -> None:
 def test_what_a_board_agreed_to_is_told_with_units() -> None:
     said = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
     assert looked(Found(findings=(said,)))["transducer B: trigger"].found == (
-        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it"
+        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 

@@ -101,3 +101,25 @@ def test_a_missing_board_hides_no_other() -> None:
         checks = by_name(list(probe_checks(both)))
     assert checks["probe X: board"].state == "fail"
     assert checks["probe A: record"].state == "ok"
+
+
+@on_terminals
+def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> None:
+    with SerialRig(tmp_path, dialect="korad", way="tcp") as rig:
+        checks = by_name(list(supply_checks(rig.supply_parameters)))
+    assert checks["supply: identity"].found.startswith("KORAD, KA3005P")
+    assert checks["supply: read-back"].state == "warn"
+    assert "dialect korad asks no protection" in checks["supply: read-back"].found
+    assert checks["supply: read-back"].values["tripped"] == ""
+
+
+@on_terminals
+def test_an_address_where_nobody_listens_is_told_from_an_instrument_that_is_silent(tmp_path: Path) -> None:
+    with SerialRig(tmp_path, way="tcp", line={"reply_timeout_s": 0.1}) as rig:
+        rig.instruments.supply_link.inject(silent=True)
+        (silent,) = supply_checks(rig.supply_parameters)
+        rig.instruments.supply_link.unplug()
+        (absent,) = supply_checks(rig.supply_parameters)
+    assert (silent.state, absent.state) == ("fail", "fail")
+    assert "does not answer *IDN? within 0.1 s" in silent.found
+    assert "takes no connection" in absent.found

@@ -238,7 +238,7 @@ def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
             assert np.array_equal(stored, expected, equal_nan=True)
             assert np.array_equal(cells, expected, equal_nan=True)
             assert np.array_equal(from_parquet[name].to_numpy(), expected, equal_nan=True)
-        assert entry["results/tof_us"].attrs["units"] == b"us"
+        assert entry["results/tof_us"].attrs["units"] == "us"
         assert (
             [text.decode() for text in entry["status"][()]]
             == table.status

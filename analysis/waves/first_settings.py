@@ -1,0 +1,253 @@
+"""What one strike of each transducer asks for: slope, trigger level, ranges, pre-trigger and holdoff.
+
+Slope, level, pre-trigger and holdoff are those of all transducers of a rig, a range is each one's own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from analysis.waves.coil_spike import (
+    EARLIEST_FALL,
+    FITTING_LEVEL,
+    HOLDOFF_DIGITS,
+    HOLDOFF_PART,
+    LEVEL_OF_WAVE,
+    NOISE_PART,
+    SMALLEST_ROOM,
+    WAVE_BLOCK_S,
+    SpikeSurvey,
+    survey_spike,
+)
+from analysis.waves.record_reduction import FloatArray, median
+from hardware_drivers.measurement import Waveform
+
+HEADROOM = 1.5
+"""A range over the highest voltage of a shot: a drop height that scatters by 8 % (one SD) lets the wave
+scatter by 5 %, and a coupling that gets better has room."""
+LEVEL_OF_NOISE = 8.0
+"""A trigger level is at least this times the noise's rms, so that crests (`NOISE_PART`) leave it alone."""
+SHORTEST_PRETRIGGER_S = 100e-6
+"""The paper's."""
+QUIET_S = 50e-6
+"""Of the pre-trigger, before the wave begins: the quiet level and the noise are read there."""
+
+Trouble = Literal["noise", "ringing", "no_wave", "inverted", "level", "range"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Struck:
+    """What is known of one transducer.
+
+    Attributes
+    ----------
+    noise
+        A record with the coil at rest.
+    strike
+        From the coil's switching on to after the wave, without a trigger.
+    ranges_v
+        Ranges -r .. +r of its board, rising.
+    """
+
+    noise: Waveform
+    strike: Waveform
+    ranges_v: Sequence[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Proposal:
+    """Settings of a rig.
+
+    Attributes
+    ----------
+    trigger_level_v, holdoff_s
+        None where there is none to make; `troubles` says why.
+    ringing_s
+        Longest of all transducers, rounded up to 0.1 ms.
+    range_v
+        By position: the smallest range with headroom.
+    surveys
+        By position, with the proposed level.
+    again
+        Positions whose record is clipped where the wave is: take their new range, then strike again.
+    troubles
+        What stands against the proposal, by position: the ``noise`` leaves no room for a level, the
+        ``ringing`` none for a holdoff, there is ``no_wave``, it goes down (``inverted``, which the quality
+        gate refuses), its height fits no ``level`` of all, or no ``range`` of the board holds it.
+    """
+
+    rising: bool
+    trigger_level_v: float | None
+    pretrigger_s: float
+    holdoff_s: float | None
+    ringing_s: float
+    range_v: Mapping[str, float]
+    surveys: Mapping[str, SpikeSurvey]
+    again: tuple[str, ...]
+    troubles: Mapping[str, Trouble]
+
+
+def propose(struck: Mapping[str, Struck], *, pulse_s: float, fall_s: float) -> Proposal:
+    """Judge one strike of each transducer, at least one.
+
+    Parameters
+    ----------
+    pulse_s, fall_s
+        Time the coil is on; nominal fall of the striker.
+
+    Raises
+    ------
+    RecordError
+        A record ends before a wave could have come.
+    """
+    earliest_s = pulse_s + EARLIEST_FALL * fall_s
+    crests_v = {name: _crest(one, earliest_s) for name, one in struck.items()}
+    offsets_v = {name: median(one.noise.volts()) for name, one in struck.items()}
+    noises_v = {name: float(one.noise.volts().std()) for name, one in struck.items()}
+
+    falling = {name for name, v in crests_v.items() if v < -LEVEL_OF_NOISE * noises_v[name]}
+    sign = -1.0 if len(falling) == len(struck) else 1.0
+
+    def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
+        return {
+            name: survey_spike(
+                one.strike,
+                one.noise,
+                pulse_s=pulse_s,
+                fall_s=fall_s,
+                pretrigger_s=pretrigger_s,
+                trigger_level_v=offsets_v[name] + sign * above_v[name],
+                rising=sign > 0.0,
+            )
+            for name, one in struck.items()
+        }
+
+    # What stands out of the noise is a wave; the level follows from it.
+    found = surveys(SHORTEST_PRETRIGGER_S, {name: LEVEL_OF_NOISE * v for name, v in noises_v.items()})
+    troubles: dict[str, Trouble] = dict.fromkeys(sorted(falling), "inverted")
+    for name, survey in found.items():
+        if survey.wave_v is None:
+            troubles.setdefault(name, "no_wave")
+    waves_v = {
+        name: abs(survey.wave_v)
+        for name, survey in found.items()
+        if survey.wave_v is not None and (sign < 0.0 or name not in falling)
+    }
+    level_v = _level(waves_v, noises_v, sum(offsets_v.values()) / len(struck), sign)
+    pretrigger_s, holdoff_s, ringing_s = SHORTEST_PRETRIGGER_S, None, 0.0
+    if level_v is None:
+        troubles |= dict.fromkeys(waves_v, "noise")
+    else:
+        above_v = {name: sign * (level_v - offsets_v[name]) for name in struck}
+        for name, wave_v in waves_v.items():
+            if above_v[name] <= NOISE_PART * noises_v[name]:
+                troubles.setdefault(name, "noise")
+            elif not FITTING_LEVEL[0] <= above_v[name] / wave_v <= FITTING_LEVEL[1]:
+                troubles.setdefault(name, "level")
+        rises_s = [_rise_s(struck[name], earliest_s, above_v[name], noises_v[name], sign) for name in waves_v]
+        pretrigger_s = max(SHORTEST_PRETRIGGER_S, math.ceil((max(rises_s) + QUIET_S) * 1e5) / 1e5)
+        found = surveys(pretrigger_s, above_v)
+        holdoff_s, ringing_s, loudest = _holdoff(found, fall_s)
+        if holdoff_s is None:
+            troubles.setdefault(loudest, "ringing")
+    listens_s = earliest_s if holdoff_s is None else pulse_s + holdoff_s
+    ranges = {name: _range(one, listens_s) for name, one in struck.items()}
+    for name, (_, again, holds) in ranges.items():
+        if again and not holds:
+            troubles.setdefault(name, "range")
+    return Proposal(
+        rising=sign > 0.0,
+        trigger_level_v=level_v,
+        pretrigger_s=pretrigger_s,
+        holdoff_s=holdoff_s,
+        ringing_s=ringing_s,
+        range_v={name: range_v for name, (range_v, _, _) in ranges.items()},
+        surveys=found,
+        again=tuple(name for name, (_, again, holds) in ranges.items() if again and holds),
+        troubles=troubles,
+    )
+
+
+def shot_within(
+    strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
+) -> Waveform | None:
+    """Cut out the record that the trigger would have started; None where the level is not passed in time.
+
+    Parameters
+    ----------
+    after_s
+        From the record's beginning until the trigger listens.
+    """
+    sign = 1.0 if rising else -1.0
+    first = round(after_s * strike.sample_rate_hz)
+    above = sign * (strike.volts()[first:] - level_v) >= 0.0
+    passed = np.flatnonzero(above[1:] & ~above[:-1])
+    if not passed.size:
+        return None
+    begin = first + 1 + int(passed[0]) - pretrigger_samples
+    if begin < 0 or begin + samples > strike.counts.size:
+        return None
+    return replace(
+        strike, counts=strike.counts[begin : begin + samples], pretrigger_samples=pretrigger_samples
+    )
+
+
+def _means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
+    """Means over blocks in which an electrical spike hardly shows, and the samples of a block."""
+    block = max(1, round(WAVE_BLOCK_S * rate_hz))
+    whole = volts.size // block
+    return volts[: whole * block].reshape(whole, block).mean(axis=1), block
+
+
+def _crest(one: Struck, earliest_s: float) -> float:
+    """Largest departure, with its sign, where a wave can be."""
+    rate_hz = one.strike.sample_rate_hz
+    means, _ = _means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
+    departures = means - median(one.noise.volts())
+    return float(departures[np.abs(departures).argmax()])
+
+
+def _level(
+    waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
+) -> float | None:
+    """Give the one level of all transducers: of the smallest wave and the largest noise."""
+    if not waves_v:
+        return None
+    smallest_v, noise_v = min(waves_v.values()), max(noises_v[name] for name in waves_v)
+    above_v = max(LEVEL_OF_WAVE * smallest_v, LEVEL_OF_NOISE * noise_v)
+    return float(f"{offset_v + sign * above_v:.2g}") if above_v <= FITTING_LEVEL[1] * smallest_v else None
+
+
+def _rise_s(one: Struck, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
+    """Time from where the wave stands out of the noise until the level is passed."""
+    rate_hz = one.strike.sample_rate_hz
+    volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
+    means, block = _means(volts, rate_hz)
+    passed = int((means >= above_v).argmax())
+    quiet = np.flatnonzero(means[:passed] < noise_v)
+    return (passed - int(quiet[-1]) if quiet.size else 0) * block / rate_hz
+
+
+def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
+    """Give the one holdoff and ringing of all transducers, and whose coil rings longest."""
+    loudest = max(surveys, key=lambda name: surveys[name].off.ringing_s)
+    ringing_s = math.ceil(surveys[loudest].off.ringing_s * 1e4) / 1e4
+    room_s = min(survey.latest_holdoff_s for survey in surveys.values()) - ringing_s
+    if room_s < SMALLEST_ROOM * fall_s:
+        return None, 0.0, loudest
+    return round(ringing_s + HOLDOFF_PART * room_s, HOLDOFF_DIGITS), ringing_s, loudest
+
+
+def _range(one: Struck, listens_s: float) -> tuple[float, bool, bool]:
+    """Give the smallest range with headroom, whether the record was clipped, and whether a range holds it."""
+    first = round(listens_s * one.strike.sample_rate_hz)
+    part = replace(one.strike, counts=one.strike.counts[first:])
+    needed_v = HEADROOM * float(np.abs(part.volts()).max())
+    fitting = [range_v for range_v in one.ranges_v if range_v >= needed_v]
+    # Where even the largest has no headroom, that one is what there is.
+    return (fitting[0] if fitting else max(one.ranges_v)), part.clipped, bool(fitting)

@@ -1,0 +1,245 @@
+"""One HDF5 file of a whole test: its records are views of the sets' files, its tables stand in it.
+
+::
+
+    / NXroot                  @default=entry @creator @creator_version @solimon_consolidated_version
+    /entry NXentry            @default=<the first group of strikes>, title, start_time, program_name
+      <position>_waveforms    NXdata: waveform[shot_id, time] in counts, and a column a shot of each table
+      <position>_pulse_echo   NXdata: the same with record[shot_id, time]
+      <position>_sets         NXcollection: a row a set
+      provenance              NXnote: JSON
+
+Records of a position that differ in rate, length or type go to groups of their own (``B_waveforms_2``).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from h5py.h5g import GroupID
+from numpy.typing import NDArray
+
+from daq_service.archive.nexus import (
+    add_field,
+    add_group,
+    image_file,
+    image_of,
+    open_root,
+    read_field,
+    set_attributes,
+)
+from daq_service.archive.reader import RecordGroup, group_names, opened_set
+from daq_service.archive.records import SetReference
+from daq_service.archive.units import unit_of
+from hardware_drivers.measurement import Calibration
+
+CONSOLIDATED_VERSION = "1.0"
+
+Column = NDArray[Any] | list[str]
+Columns = Mapping[str, Column]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampling:
+    """What records of a position share that stand in one array."""
+
+    position: str
+    is_echo: bool
+    dtype: str
+    n_samples: int
+    sample_rate_hz: float
+    pretrigger_samples: int
+
+    @property
+    def signal(self) -> str:
+        """Name of the array."""
+        return "record" if self.is_echo else "waveform"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Block:
+    """Records of one set and one calibration, as they stand in its file.
+
+    Attributes
+    ----------
+    place
+        Path of the array in the file, whose shape is (len(shot_ids), n_samples).
+    """
+
+    set_index: int
+    file: SetReference
+    place: str
+    shot_ids: Sequence[int]
+    calibration: Calibration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Facts:
+    """What a consolidated file says of its test; texts, and JSON-ready provenance.
+
+    Attributes
+    ----------
+    maker_version, version
+        Of solimon: the one that makes the file, and the one that began the test.
+    """
+
+    title: str
+    start_time: str
+    maker_version: str
+    version: str
+    configuration_hash: str
+    provenance: Mapping[str, Any]
+
+
+def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
+    """Look which arrays a set's file has; no record is read.
+
+    Raises
+    ------
+    CorruptArchiveError, SetNotFoundError
+        The file cannot be read, or is not there.
+    """
+    found = []
+    with opened_set(folder / file) as entry:
+        for name in group_names(entry):
+            group = RecordGroup(entry, name)
+            sampling = Sampling(
+                position=group.position,
+                is_echo="gain" in group.data,
+                dtype=group.signal.dtype.str,
+                n_samples=group.signal.shape[1],
+                sample_rate_hz=group.sample_rate_hz,
+                pretrigger_samples=group.pretrigger_samples,
+            )
+            block = Block(
+                set_index=int(read_field(entry.id, "set_index")),
+                file=file,
+                place=str(group.signal.name),
+                shot_ids=group.sequences,
+                calibration=group.calibration,
+            )
+            found.append((sampling, block))
+    return found
+
+
+def consolidated_image(
+    target: Path,
+    folder: Path,
+    facts: Facts,
+    shots: Mapping[Sampling, tuple[Sequence[Block], Columns]],
+    sets: Mapping[str, Columns],
+) -> bytes:
+    """Return the bytes of the file.
+
+    Parameters
+    ----------
+    target, folder
+        Where it will lie, and the data folder: paths to the sets' files are relative to it.
+    shots
+        Blocks in their order, and columns with a value a shot.
+    sets
+        By position: columns with a value a set, the first of them tells the sets apart.
+    """
+    with image_file() as file:
+        root = {
+            "NX_class": "NXroot",
+            "default": "entry",
+            "creator": "solimon",
+            "creator_version": facts.maker_version,
+        }
+        set_attributes(open_root(file), {**root, "solimon_consolidated_version": CONSOLIDATED_VERSION})
+        names = group_names_of(shots)
+        shown = names[min(names, key=lambda sampling: sampling.is_echo)]  # the first of strikes, if any
+        entry = add_group(file, "entry", "NXentry", {"default": shown})
+        add_field(entry, "title", facts.title)
+        add_field(entry, "start_time", facts.start_time)
+        configuration = facts.configuration_hash
+        add_field(entry, "program_name", "solimon", version=facts.version, configuration=configuration)
+        for sampling, (blocks, columns) in shots.items():
+            _add_shots(entry, names[sampling], sampling, blocks, columns, _relative(target, folder))
+        for position, columns in sets.items():
+            _add_columns(
+                add_group(entry, f"{position}_sets", "NXcollection", {"position": position}), columns
+            )
+        note = add_group(entry, "provenance", "NXnote")
+        add_field(note, "type", "application/json")
+        add_field(note, "data", [json.dumps(dict(facts.provenance))], chunk=(1,), is_axis=True)
+        return image_of(file)
+
+
+def _relative(target: Path, folder: Path) -> str:
+    """Path from the file's folder to the data folder; a whole one to another drive of Windows."""
+    here, there = target.parent.resolve(), folder.resolve()
+    return (Path(os.path.relpath(there, here)) if here.drive == there.drive else there).as_posix()
+
+
+def group_names_of(samplings: Iterable[Sampling]) -> dict[Sampling, str]:
+    """Name of the group of each array."""
+    names, taken = dict[Sampling, str](), dict[str, int]()
+    for sampling in samplings:
+        base = f"{sampling.position}_{'pulse_echo' if sampling.is_echo else 'waveforms'}"
+        taken[base] = taken.get(base, 0) + 1
+        names[sampling] = base if taken[base] == 1 else f"{base}_{taken[base]}"
+    return names
+
+
+def _add_shots(
+    entry: GroupID, name: str, sampling: Sampling, blocks: Sequence[Block], columns: Columns, where: str
+) -> None:
+    shot_ids = np.concatenate([np.asarray(block.shot_ids, dtype=np.int64) for block in blocks])
+    signal = sampling.signal
+    group = add_group(
+        entry, name, "NXdata", {"signal": signal, "axes": ["shot_id", "time"], "position": sampling.position}
+    )
+    time_s = (np.arange(sampling.n_samples) - sampling.pretrigger_samples) / sampling.sample_rate_hz
+    time = add_field(group, "time", time_s, is_axis=True, units="s", description="time from trigger")
+    shot = add_field(group, "shot_id", shot_ids, is_axis=True)
+    layout = h5py.VirtualLayout((shot_ids.size, sampling.n_samples), dtype=sampling.dtype)
+    row = 0
+    for block in blocks:
+        shape = len(block.shot_ids), sampling.n_samples
+        # HDF5 takes %b for a number of its own.
+        names = (name.replace("%", "%%") for name in (f"{where}/{block.file}", block.place))
+        source = h5py.VirtualSource(*names, shape, sampling.dtype)
+        layout[row : row + shape[0]] = source
+        row += shape[0]
+    # What a reader shows of a set's file that is gone: no record reaches the lowest count throughout.
+    lowest = np.iinfo(sampling.dtype).min
+    records = h5py.Group(group).create_virtual_dataset(signal, layout, fillvalue=lowest)
+    set_attributes(records.id, {"units": "counts"})
+    for dimension, axis in enumerate((shot, time)):
+        h5py.h5ds.attach_scale(records.id, axis, dimension)
+    _add_scale(group, signal, blocks, shot)
+    _add_columns(group, columns, axis=shot)
+
+
+def _add_scale(group: GroupID, signal: str, blocks: Sequence[Block], shot: h5py.h5d.DatasetID) -> None:
+    """Add each shot's calibration: boards calibrate themselves during a test."""
+    length = max(block.calibration.coefficients_v.size for block in blocks)
+    padded = [
+        np.pad(b.calibration.coefficients_v, (0, length - b.calibration.coefficients_v.size)) for b in blocks
+    ]
+    coefficients = np.repeat(padded, [len(block.shot_ids) for block in blocks], axis=0)
+    power = add_field(group, "power", np.arange(length), is_axis=True)
+    add_field(group, "calibration_coefficients", coefficients, axes=[shot, power], units="V")
+    constant, slope = coefficients[:, 0], coefficients[:, 1]
+    offset = np.divide(constant, slope, out=np.zeros_like(slope), where=slope != 0.0)
+    add_field(group, f"{signal}_scaling_factor", slope, axes=[shot], units="V")
+    add_field(group, f"{signal}_offset", offset, axes=[shot], units="counts")
+
+
+def _add_columns(group: GroupID, columns: Columns, *, axis: h5py.h5d.DatasetID | None = None) -> None:
+    for name, values in columns.items():
+        if axis is None:
+            axis = add_field(group, name, values, is_axis=True)
+            continue
+        field = add_field(group, name, values, axes=[axis])
+        if not isinstance(values, list):
+            set_attributes(field, {"units": unit_of(name)})

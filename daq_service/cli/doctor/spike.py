@@ -1,0 +1,133 @@
+"""What a coil couples into its sensor: one strike without a trigger, and the holdoff that it asks for."""
+
+from __future__ import annotations
+
+import math
+
+from analysis.errors import AnalysisError
+from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, survey_spike
+from daq_service.cli.doctor.check import Check, failure
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.errors import ConfigurationError, InstrumentError
+
+HARDWARE_CURE = (
+    "put a flyback diode across the coil, screen the PZT's cable, lead coil and sensor wires apart, or let "
+    "the ball fall from higher; then look again"
+)
+
+
+def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) -> SpikeSurvey:
+    """Strike once and look at the whole of it.
+
+    Raises
+    ------
+    InstrumentError
+        As for a shot; also where the coil's counter cannot start the acquisition.
+    AnalysisError
+        The record cannot be judged.
+    """
+    from hardware_drivers.daqmx.pulse_record import record_pulse
+
+    record = record_pulse(parameters, position, timeout_s)
+    return survey_spike(
+        record.strike,
+        record.noise,
+        pulse_s=parameters.pulse_s,
+        fall_s=parameters.fall_s,
+        pretrigger_s=parameters.pretrigger_samples / parameters.sample_rate_hz,
+        trigger_level_v=parameters.trigger_level_v,
+        rising=parameters.trigger_slope == "rising",
+    )
+
+
+def spike_check(
+    parameters: DaqmxParameters, position: str, timeout_s: float
+) -> tuple[Check, SpikeSurvey | None]:
+    """Survey the coil of a transducer; an error is a check that failed."""
+    name = f"strike {position}: coil's spike"
+    try:
+        survey = survey_coil(parameters, position, timeout_s)
+    except InstrumentError as error:
+        told = failure(name, error, "mend what failed above, then strike")
+        if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
+            # A board that its counter cannot start takes shots all the same.
+            told = Check(area="rig", name=name, state="warn", found=told.found, remedy=told.remedy)
+        return told, None
+    except AnalysisError as error:
+        found = f"the record of a whole strike cannot be judged: {error}"
+        return Check(area="rig", name=name, state="warn", found=found, remedy="see the log"), None
+    return _judged(name, parameters, survey), survey
+
+
+def _judged(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
+    holdoff_s, off = parameters.holdoff_s, survey.off
+    remedy = _remedy(parameters, survey)
+    armed_over = survey.takes_the_trigger if holdoff_s is None else holdoff_s <= off.ringing_s
+    too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
+    lost = armed_over or too_late
+    wave = (
+        f"the wave came {_time(survey.wave_after_s)} after off with {survey.wave_v:.3g} V"
+        if survey.wave_after_s is not None
+        else "no wave stands out"
+    )
+    held = "no holdoff" if holdoff_s is None else f"held off for {_time(holdoff_s)}"
+    return Check(
+        area="rig",
+        name=name,
+        state="fail" if lost else "warn" if survey.obstacle else "ok",
+        found=f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave} "
+        f"(expected {_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {held}",
+        remedy=remedy,
+        values={
+            "on_height_v": survey.on.height_v,
+            "off_height_v": off.height_v,
+            "off_ringing_s": off.ringing_s,
+            "takes_the_trigger": survey.takes_the_trigger,
+            "holdoff_s": holdoff_s,
+            "latest_holdoff_s": survey.latest_holdoff_s,
+            "proposed_holdoff_s": survey.holdoff_s,
+            "proposed_ringing_s": None if survey.holdoff_s is None else proposed_ringing_s(survey),
+            "proposed_trigger_level_v": survey.trigger_level_v,
+            "wave_v": survey.wave_v,
+            "wave_after_s": survey.wave_after_s,
+            "expected_wave_after_s": parameters.fall_s,
+        },
+    )
+
+
+def proposed_ringing_s(survey: SpikeSurvey) -> float:
+    """Ringing as a file says it: rounded up to 0.1 ms."""
+    return math.ceil(survey.off.ringing_s * 1e4) / 1e4
+
+
+def _remedy(parameters: DaqmxParameters, survey: SpikeSurvey) -> str:
+    if survey.obstacle == "ringing":
+        return (
+            f"it rings for {_time(survey.off.ringing_s)} and a holdoff ends {_time(survey.latest_holdoff_s)} "
+            f"after the pulse at the latest: {HARDWARE_CURE}"
+        )
+    if survey.obstacle == "noise":
+        return (
+            f"the noise of {survey.noise_rms_v:.3g} V rms reaches the trigger level by itself: check cable, "
+            "screen and grounding of the PZT"
+        )
+    if survey.obstacle == "no_wave":
+        return "see whether the striker lifts and falls, then the sensor's cable and trigger_slope"
+    level_v = survey.trigger_level_v
+    level = "" if level_v is None else f", trigger_level_v = {level_v:g}"
+    proposal = f"set holdoff_s = {survey.holdoff_s:g}, ringing_s = {proposed_ringing_s(survey):g}{level}"
+    return f"{proposal} in [rig.daqmx] (the longest ringing of all transducers)"
+
+
+def edge_in_words(edge: EdgeSpike) -> str:
+    """Say what follows an edge of the coil's pulse."""
+    if not edge.height_v:
+        return "no spike"
+    flyback = f", flyback {edge.flyback_v:.3g} V" if edge.flyback_v else ""
+    takes = ", takes the trigger" if edge.triggers else ""
+    spike = f"spike {edge.height_v:.3g} V for {_time(edge.duration_s)}"
+    return f"{spike}, rings {_time(edge.ringing_s)}{flyback}{takes}"
+
+
+def _time(time_s: float) -> str:
+    return f"{time_s * 1e6:.3g} us" if 0.0 < time_s < 1e-3 else f"{time_s * 1e3:.3g} ms"

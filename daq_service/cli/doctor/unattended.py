@@ -1,0 +1,174 @@
+"""What may end a test while nobody looks: a computer that sleeps or restarts, a scanner that holds files."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path, PureWindowsPath
+
+from daq_service.cli.doctor.check import Check, State
+
+LONGEST_ANSWER_S = 10.0
+"""Programs of the system are asked no longer than this."""
+
+Ask = Callable[[Sequence[str]], str | None]
+"""Runs a program of the system and returns what it printed; None where there is none or it failed."""
+
+SLEEP_UNITS = ("sleep.target", "suspend.target", "hibernate.target", "hybrid-sleep.target")
+IDLE_ACTION = (
+    "org.freedesktop.login1",
+    "/org/freedesktop/login1",
+    "org.freedesktop.login1.Manager",
+    "IdleAction",
+)
+UPGRADE, REBOOT = "APT::Periodic::Unattended-Upgrade", "Unattended-Upgrade::Automatic-Reboot"
+UPDATE_POLICY = r"HKLM\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
+UPDATE_WAITS = r"HKLM\SOFTWARE\Microsoft\Windows\CurrentVersion\WindowsUpdate\Auto Update\RebootRequired"
+DEFENDER = "(Get-MpComputerStatus).RealTimeProtectionEnabled; (Get-MpPreference).ExclusionPath"
+SCANNERS = {
+    "clamonacc": "ClamAV",
+    "ds_agent": "Trend Micro",
+    "falcon-sensor": "CrowdStrike",
+    "mfetpd": "Trellix",
+    "savd": "Sophos",
+    "wdavdaemon": "Microsoft Defender",
+}
+"""Programs of Linux that look into files as they are opened, by the name of their process."""
+
+
+def ask_system(command: Sequence[str]) -> str | None:
+    """Run a program without a shell."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=LONGEST_ANSWER_S, check=False, errors="replace"
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        # No such program here, or it does not answer: unknown, and told as that.
+        return None
+    # `systemctl is-enabled` prints "masked" and ends with 1: what was printed counts.
+    return done.stdout.strip() or None
+
+
+def unattended_checks(folder: Path, ask: Ask, system: str) -> list[Check]:
+    """Look at sleep, updates and scanners; what a system does not tell is unknown, and warned of."""
+    return [_sleep(ask, system), _updates(ask, system), _antivirus(folder, ask, system)]
+
+
+def _check(name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None) -> Check:
+    state: State = "ok" if good else "warn"
+    return Check(area="machine", name=name, state=state, found=found, remedy=remedy, values=values)
+
+
+# Sleep ----------------------------------------------------------------------------------------------
+
+
+def _sleep(ask: Ask, system: str) -> Check:
+    idle = None
+    if system == "win32":
+        how, never = "powercfg", _windows_never_sleeps(ask)
+        command = "powercfg /change standby-timeout-ac 0, and the same with hibernate-timeout-ac"
+    elif system == "linux":
+        states = [ask(["systemctl", "is-enabled", unit]) for unit in SLEEP_UNITS]
+        how, never = "systemctl", None if None in states else all(state == "masked" for state in states)
+        idle = (ask(["busctl", "get-property", *IDLE_ACTION]) or "").removeprefix("s ").strip('"') or None
+        command = f"sudo systemctl mask {' '.join(SLEEP_UNITS)}"
+    else:
+        how, never, command = f"not asked on {system}", None, "caffeinate -s solimon run ..."
+    told = {True: "switched off", False: "not switched off", None: "unknown"}
+    # Where it could sleep: who would let it. A desktop has settings of its own.
+    action = "" if never or idle is None else f", IdleAction of logind is {idle}"
+    found = (
+        f"suspend is {told[never]} ({how}{action}); a sleeping computer strikes nothing, its sets are missed"
+    )
+    return _check("sleep", never, found, command, never_sleeps=never, idle_action=idle)
+
+
+def _windows_never_sleeps(ask: Ask) -> bool | None:
+    """Read both timeouts on mains power: the last but one number of each answer, in any language."""
+    timeouts = []
+    for kind in ("STANDBYIDLE", "HIBERNATEIDLE"):
+        text = ask(["powercfg", "/query", "SCHEME_CURRENT", "SUB_SLEEP", kind]) or ""
+        settings = re.findall(r"0x[0-9a-fA-F]{8}", text)
+        if len(settings) < 2:
+            return None
+        timeouts.append(int(settings[-2], 16))
+    return not any(timeouts)
+
+
+# Updates that restart -------------------------------------------------------------------------------
+
+
+def _updates(ask: Ask, system: str) -> Check:
+    waits, restarts, how = None, None, f"not asked on {system}"
+    remedy = "let updates restart this computer only when a person says so"
+    if system == "linux":
+        waits, restarts, how = _linux_updates(ask)
+        remedy = f'set {REBOOT} "false"; in /etc/apt/apt.conf.d, or stop the timers of your updater'
+    elif system == "win32":
+        waits, restarts, how = _windows_updates(ask)
+        remedy = "in gpedit.msc set Configure Automatic Updates to 2 (notify), or pause updates for the test"
+    if waits:
+        remedy = f"restart it before the test begins; then {remedy}"
+    told = {True: "restart", False: "do not restart", None: "may restart (unknown)"}
+    waiting = "; one that is installed waits for a restart" if waits else ""
+    found = f"updates {told[restarts]} this computer by themselves ({how}){waiting}"
+    good = restarts is False and not waits
+    return _check("updates", good, found, remedy, restart_by_themselves=restarts, restart_waits=waits)
+
+
+def _linux_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+    waits = ask(["ls", "/run/reboot-required"]) is not None
+    # It prints what is set, and the root of an empty tree else.
+    text = ask(["apt-config", "dump"])
+    if text is not None:
+        settings = dict(re.findall(r'^(\S+) "(.*)";$', text, re.MULTILINE))
+        on = settings.get(UPGRADE, "0") not in ("", "0")
+        return waits, on and settings.get(REBOOT, "false").lower() in ("true", "1", "yes"), "apt-config"
+    if (timer := ask(["systemctl", "is-enabled", "dnf-automatic.timer"])) is not None:
+        return waits, None if timer == "enabled" else False, f"dnf-automatic.timer is {timer}"
+    return waits, None, "neither apt-config nor dnf-automatic here"
+
+
+def _windows_updates(ask: Ask) -> tuple[bool | None, bool | None, str]:
+    waits = ask(["reg", "query", UPDATE_WAITS]) is not None
+    text = ask(["reg", "query", UPDATE_POLICY]) or ""
+    policy = {name: int(value, 16) for name, value in re.findall(r"(\w+)\s+REG_DWORD\s+(0x\w+)", text)}
+    if policy.get("NoAutoUpdate") == 1 or policy.get("AUOptions") == 2:
+        return waits, False, "policy of Windows Update"
+    return waits, None, "no policy of Windows Update forbids it"
+
+
+# Scanners that hold files ---------------------------------------------------------------------------
+
+
+def _antivirus(folder: Path, ask: Ask, system: str) -> Check:
+    left_alone, told, remedy = None, f"not asked on {system}", f"except {folder} from scanning on access"
+    if system == "linux":
+        processes = ask(["ps", "-e", "-o", "comm="])
+        running = [name for name in (processes or "").split() if name in SCANNERS]
+        if running:
+            told = f"{SCANNERS[running[0]]} ({running[0]}) runs; whether it scans {folder} is unknown"
+        elif processes is not None:
+            left_alone, told = True, "none that is known runs"
+        else:
+            told = "unknown: no ps here"
+    elif system == "win32":
+        left_alone, told = _defender(folder, ask)
+        remedy = f'as administrator in PowerShell: Add-MpPreference -ExclusionPath "{folder}"'
+    return _check(
+        "antivirus", left_alone, f"scanner on access: {told}", remedy, data_folder_left_alone=left_alone
+    )
+
+
+def _defender(folder: Path, ask: Ask) -> tuple[bool | None, str]:
+    text = ask(["powershell", "-NoProfile", "-NonInteractive", "-Command", DEFENDER])
+    if text is None:
+        return None, "unknown: Windows Defender does not answer, maybe another one is installed"
+    on, *excepted = (line.strip() for line in text.splitlines())
+    if on == "False":
+        return True, "Windows Defender is off"
+    if any(line.startswith("N/A") for line in excepted):
+        return None, "Windows Defender; its exceptions are unknown: it tells them to administrators alone"
+    covered = any(PureWindowsPath(folder).is_relative_to(PureWindowsPath(line)) for line in excepted if line)
+    return covered, f"Windows Defender; {folder} is {'an exception' if covered else 'no exception'}"

@@ -1,0 +1,255 @@
+"""The transducers of a set-up: how they are wired, what their inputs showed, what that proposes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
+
+import numpy as np
+
+from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
+from analysis.waves.first_settings import Proposal, Struck, propose
+from daq_service.cli.doctor.storage import held_folder
+from daq_service.errors import BusyError
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, fall_s
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import Waveform
+
+if TYPE_CHECKING:
+    from hardware_drivers.daqmx.pulse_record import FreeInput
+    from hardware_drivers.daqmx.survey import BoardFacts
+
+T = TypeVar("T")
+
+PAPER_RATE_HZ = 10e6
+FIRST_RANGE_V = 10.0
+"""A first look is taken in the largest range up to this one: it clips little, and wastes few codes."""
+READ_TIMEOUT_S = 30.0
+"""Longest wait for a record of a whole strike, which takes tenths of a second, over a slow network too."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Bench:
+    """Wired transducers; the boards are used by one thread of its own, whoever asks.
+
+    Attributes
+    ----------
+    data_folder
+        The test's: nothing strikes while a recorder owns it.
+    transducers
+        Wiring by position.
+    position
+        The transducer that was wired last: the one that the page looks at.
+    strikes
+        Records of a whole strike so far.
+    holds_off
+        False once a coil's counter could not start its acquisition.
+    quiet, struck
+        Newest record at rest, and of a whole strike, by position.
+    """
+
+    boards: Mapping[str, BoardFacts]
+    data_folder: Path
+    transport: Literal["library", "grpc"] = "library"
+    grpc_address: str = ""
+    drop_height_m: float = 5e-3
+    pulse_s: float = 0.1
+    chosen: Mapping[str, Any] = field(default_factory=dict)
+    transducers: dict[str, TransducerWiring] = field(default_factory=dict)
+    position: str | None = None
+    strikes: int = 0
+    holds_off: bool = True
+    quiet: dict[str, Waveform] = field(default_factory=dict)
+    struck: dict[str, Waveform] = field(default_factory=dict)
+    _free: FreeInput | None = None
+    _thread: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(max_workers=1, thread_name_prefix="boards")
+    )
+
+    def wire(self, position: str, wiring: TransducerWiring) -> Waveform:
+        """Take a transducer in with the range of a first look, and record its input at rest.
+
+        Raises
+        ------
+        ValueError
+            It shares something with another one, or is written wrongly.
+        InstrumentError
+            The boards refuse.
+        """
+        ranges_v = self.ranges_v(wiring)
+        wide_v = max((one for one in ranges_v if one <= FIRST_RANGE_V), default=min(ranges_v))
+        before, self.position = dict(self.transducers), None
+        self.transducers[position] = replace(wiring, range_v=wide_v)
+        self.struck.pop(position, None)
+        try:
+            self.parameters()
+            record = self.look(position)
+        except BaseException:
+            self.transducers = before
+            raise
+        self.position = position
+        return record
+
+    def look(self, position: str) -> Waveform:
+        """Record an input at rest."""
+        self.quiet[position] = self._on_boards(position, lambda free: free.quiet())
+        return self.quiet[position]
+
+    def watch(self) -> tuple[str | None, Waveform | None]:
+        """Record at rest what the page looks at; what is judged stays what it was.
+
+        Raises
+        ------
+        InstrumentError
+            As for `wire`.
+        """
+        position = self.position
+        if position is None:
+            return None, None
+        return position, self._on_boards(position, lambda free: free.quiet())
+
+    def strike(self, position: str) -> None:
+        """Strike once and keep the whole record.
+
+        Raises
+        ------
+        BusyError
+            A recorder owns the data folder.
+        ConfigurationError
+            The coil's counter cannot start the acquisition: neither a holdoff nor this look is possible.
+        """
+        with held_folder(self.data_folder) as owner:
+            if owner:
+                raise BusyError(f"a strike is refused: {owner}")
+            try:
+                self.struck[position] = self._on_boards(position, lambda free: free.strike())
+            except ConfigurationError:
+                # It could be looked at, so what the boards refuse is that the coil's counter starts them.
+                self.holds_off = False
+                raise
+            self.strikes += 1
+
+    def take_range(self, position: str, range_v: float) -> None:
+        """Look at a transducer in another range from now on."""
+        self.transducers[position] = replace(self.transducers[position], range_v=range_v)
+        self.look(position)
+
+    def proposal(self) -> Proposal | None:
+        """Judge all strikes so far; None before the first.
+
+        Raises
+        ------
+        RecordError
+            A record ends before a wave could have come.
+        """
+        known = {
+            name: Struck(
+                noise=self.quiet[name],
+                strike=strike,
+                ranges_v=self.ranges_v(self.transducers[name]),
+            )
+            for name, strike in self.struck.items()
+        }
+        return propose(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m)) if known else None
+
+    def ranges_v(self, wiring: TransducerWiring) -> list[float]:
+        """Ranges -r .. +r of the transducer's board, rising."""
+        board = self.boards[wiring.board_serial]
+        return sorted(high for low, high in board.ranges_v if math.isclose(-low, high))
+
+    def parameters(self, position: str | None = None) -> DaqmxParameters:
+        """Return the driver's parameters with what was chosen, of all transducers or to look at one."""
+        wirings = self.transducers if position is None else {position: self.transducers[position]}
+        rate_hz = min(
+            PAPER_RATE_HZ, *(self.boards[wiring.board_serial].max_rate_hz for wiring in wirings.values())
+        )
+        usual = DaqmxParameters(transducers={"": TransducerWiring(board_serial="0")})
+        after = round((usual.record_samples - usual.pretrigger_samples) / PAPER_RATE_HZ * rate_hz)
+        values: dict[str, Any] = {"pretrigger_s": usual.pretrigger_samples / PAPER_RATE_HZ}
+        if position is None:
+            values |= self.chosen or self._not_struck(values["pretrigger_s"])
+        pretrigger = round(values.pop("pretrigger_s") * rate_hz)
+        smallest_v = min(wiring.range_v for wiring in wirings.values())
+        values.setdefault("trigger_level_v", min(usual.trigger_level_v, 0.5 * smallest_v))
+        return DaqmxParameters(
+            transducers=wirings,
+            transport=self.transport,
+            grpc_address=self.grpc_address,
+            sample_rate_hz=rate_hz,
+            record_samples=pretrigger + after,
+            pretrigger_samples=pretrigger,
+            pulse_s=self.pulse_s,
+            drop_height_m=self.drop_height_m,
+            **values,
+        )
+
+    def _not_struck(self, pretrigger_s: float) -> dict[str, float]:
+        """Hold off as for a coil that does not ring, where the boards can."""
+        if not self.holds_off:
+            return {}
+        return {
+            "holdoff_s": round(HOLDOFF_PART * (fall_s(self.drop_height_m) - pretrigger_s), HOLDOFF_DIGITS)
+        }
+
+    def choose(self, proposal: Proposal) -> None:
+        """Take a proposal over, as it is or as a person changed it.
+
+        Raises
+        ------
+        ValueError
+            Its values do not go together; nothing is changed.
+        """
+        before = dict(self.transducers), self.chosen
+        for name, range_v in proposal.range_v.items():
+            self.transducers[name] = replace(self.transducers[name], range_v=range_v)
+        self.chosen = {
+            "trigger_level_v": proposal.trigger_level_v,
+            "trigger_slope": "rising" if proposal.rising else "falling",
+            "pretrigger_s": proposal.pretrigger_s,
+            # One holdoff for all: none where one of them cannot have it.
+            "holdoff_s": proposal.holdoff_s if self.holds_off else None,
+            "ringing_s": proposal.ringing_s if self.holds_off else 0.0,
+        }
+        try:
+            self.parameters()
+        except ValueError:
+            self.transducers, self.chosen = before
+            raise
+
+    def table(self) -> dict[str, Any]:
+        """Return [rig.daqmx] as a file has it."""
+        return {name: value for name, value in asdict(self.parameters()).items() if value is not None}
+
+    def close(self) -> None:
+        """Give the boards free."""
+        self._thread.submit(self._let_go).result()
+        self._thread.shutdown()
+
+    def _on_boards(self, position: str, work: Callable[[FreeInput], T]) -> T:
+        return self._thread.submit(self._work, position, self.parameters(position), work).result()
+
+    def _work(self, position: str, parameters: DaqmxParameters, work: Callable[[FreeInput], T]) -> T:
+        from hardware_drivers.daqmx.pulse_record import FreeInput
+
+        if self._free is None or (self._free.position, self._free.parameters) != (position, parameters):
+            self._let_go()
+            self._free = FreeInput(parameters, position, READ_TIMEOUT_S)
+        try:
+            return work(self._free)
+        except BaseException:
+            self._let_go()
+            raise
+
+    def _let_go(self) -> None:
+        free, self._free = self._free, None
+        if free is not None:
+            free.close()
+
+
+def rms_v(record: Waveform) -> float:
+    """Noise of a record, hum included."""
+    return float(np.std(record.volts()))

@@ -1,0 +1,168 @@
+"""Questions with one answer each, from the terminal or from the page, whichever comes first."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar
+
+import click
+
+from daq_service.errors import UsageError
+
+T = TypeVar("T")
+
+LOOK_S = 0.5
+"""Ctrl-C is seen this late at most: on Windows it wakes no thread that waits for another."""
+KEPT_LINES = 500
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """What is asked.
+
+    Attributes
+    ----------
+    name
+        Of the value, for programs: ``B.input``.
+    default
+        What no answer means.
+    choices
+        What may be answered; empty: anything that is understood.
+    """
+
+    name: str
+    text: str
+    default: str = ""
+    choices: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """Text, None at a terminal's end; the question it is to, None for the next one (a file of answers)."""
+
+    text: str | None
+    number: int | None = None
+    source: Literal["terminal", "page"] = "terminal"
+
+
+@dataclass(slots=True)
+class Dialogue:
+    """One person, at the terminal or at the page.
+
+    Attributes
+    ----------
+    lines
+        All that was told.
+    number
+        Of the question that waits: an answer to an earlier one is none to this.
+    """
+
+    lines: list[str] = field(default_factory=list)
+    number: int = 0
+    _waiting: Question | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _answers: queue.Queue[_Answer] = field(default_factory=queue.Queue)
+    _reads: bool = False
+
+    def tell(self, text: str = "") -> None:
+        """Say something: on standard error, since standard output may be a program's."""
+        click.echo(text, err=True)
+        self.lines = [*self.lines, text][-KEPT_LINES:]
+
+    def ask(self, question: Question, understood: Callable[[str], T]) -> T:
+        """Ask until an answer is understood.
+
+        Parameters
+        ----------
+        understood
+            Makes a value of the answer, or raises ValueError with what is wrong.
+
+        Raises
+        ------
+        UsageError
+            The terminal's answers have ended.
+        """
+        try:
+            while True:
+                with self._lock:
+                    self.number += 1
+                    self._waiting = question
+                self._read_terminal()
+                choices = f" ({', '.join(question.choices)})" if question.choices else ""
+                default = f" [{question.default}]" if question.default else ""
+                click.echo(f"{question.text}{choices}{default}: ", nl=False, err=True)
+                text = self._next(question) or question.default
+                try:
+                    if question.choices and text not in question.choices:
+                        raise ValueError(f"{text!r} is none of {', '.join(question.choices)}")
+                    value = understood(text)
+                except ValueError as error:
+                    self.tell(f"  {error}")
+                    continue
+                self.lines = [*self.lines, f"{question.text}: {text}"]
+                return value
+        finally:
+            with self._lock:
+                self._waiting = None
+
+    def yes(self, name: str, text: str, *, default: str) -> bool:
+        """Ask for a yes or a no."""
+        question = Question(name=name, text=text, default=default, choices=("yes", "no"))
+        return self.ask(question, lambda answer: answer == "yes")
+
+    def answer(self, number: int, text: str) -> bool:
+        """Take the page's answer; False where another question waits by now."""
+        with self._lock:
+            if self._waiting is None or number != self.number:
+                return False
+        self._answers.put(_Answer(text, number, "page"))
+        return True
+
+    def as_row(self) -> Mapping[str, Any]:
+        """Return what the page shows."""
+        with self._lock:
+            waiting, number = self._waiting, self.number
+        asked = None
+        if waiting is not None:
+            asked = {
+                "number": number,
+                "name": waiting.name,
+                "text": waiting.text,
+                "default": waiting.default,
+                "choices": list(waiting.choices),
+            }
+        return {"question": asked, "lines": self.lines}
+
+    def _next(self, question: Question) -> str:
+        while True:
+            try:
+                answer = self._answers.get(timeout=LOOK_S)
+            except queue.Empty:
+                continue
+            if answer.text is None:
+                click.echo(err=True)
+                raise UsageError(
+                    f"nobody answers any more ({question.name}: {question.text}); answer at a terminal, or "
+                    "give flags: solimon setup --help"
+                )
+            if answer.number is not None and answer.number != self.number:
+                continue
+            if answer.source == "page":
+                click.echo(f"{answer.text} (on the page)", err=True)
+            return answer.text.strip()
+
+    def _read_terminal(self) -> None:
+        if not self._reads:
+            self._reads = True
+            threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
+
+    def _lines_of(self, stream: Any) -> None:
+        typed = stream.isatty()
+        for line in stream:
+            # What a person typed to an earlier question, or while the rig was at work, answers no later one.
+            self._answers.put(_Answer(line, self.number if typed else None))
+        self._answers.put(_Answer(None))

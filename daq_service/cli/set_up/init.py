@@ -1,0 +1,212 @@
+"""``solimon init``: write a commented configuration, and its schema beside it for the editor."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from daq_service.catalogue.experiment_file import read_experiment
+from daq_service.clock import format_utc
+from daq_service.errors import UsageError
+from daq_service.settings.commented import commented_toml, switched_on
+from daq_service.settings.file import checked_settings, config_file, placeholders
+from daq_service.settings.schema import settings_schema
+from daq_service.settings.stored import KeyPath, flattened, nested, stored_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.playback.parameters import TdmsMapping
+
+SCHEMA = "settings.schema.json"
+OF_THE_TWIN = ("chain", "plate", "corrosion", "twin")
+HEADS = {
+    "twin": """
+A test on the physics twin: the experiment of "Highly nonlinear solitary waves for the detection of localized
+corrosion". Every key of it stands here; config/simulated.toml gives the sources of its values.
+
+solimon check-config FILE   says what it will do
+solimon run FILE            runs it""",
+    "playback": """
+A recording takes the place of the instruments. Positions, schedule and shots of a set must be those of the
+recording: docs/how-to/play-back-recorded-shots.md.
+
+solimon check-config FILE   says what it will do
+solimon run FILE            plays it""",
+    "rig": """
+The paper's experiment on real instruments: solitary-wave transducers B, C, D on one PXIe-6386, the ultrasonic
+probe A on a PXI(e)-5122, a 10 V supply on a serial line, and the wall clock.
+
+Replace every PLACEHOLDER: `solimon check-config FILE` lists those that are left, and nothing runs before.
+Other values are the paper's, or assumptions: measure yours. In this order: docs/how-to/wire-the-rig.md (other
+boards, too), be-safe.md, install-the-ni-driver.md, day-one.md.
+
+Take out the tables of what you do not have. A line that begins with a `#` right before a key or a table is
+switched off; take the `#` away to switch it on.""",
+}
+"""What a person reads first, by the kind of file."""
+
+
+def write_configuration(
+    *,
+    kind: str,
+    file: Path,
+    source: Path | None,
+    assignments: Sequence[str],
+    switch_on: Sequence[str],
+    switch_off: Sequence[str],
+    as_json: bool,
+) -> None:
+    """Carry out ``init``."""
+    if (source is not None) != (kind == "playback"):
+        raise UsageError("--source names the recording of `init playback`, and belongs to it alone")
+    values, off = laboratory() if kind == "rig" else (_twin() if source is None else _playback(source), set())
+    for name in switch_on:
+        off -= {table for table in off if _is_in(table, [_table(values, name)])}
+    off |= {_table(values, name) for name in switch_off}
+    values = _assigned(values, assignments)
+    missing = placeholders(_without(values, off))
+    if not missing:
+        settings_of(values, off, file)
+    schema = refuse_what_is_there(file)
+    write_file(file, values, head=HEADS[kind].strip(), off=off)
+    keys = [".".join(key) for key in missing]
+    if as_json:
+        click.echo(json.dumps({"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}))
+        return
+    click.echo(f"{file} is written, its schema beside it")
+    for key in keys:
+        click.echo(f"to fill in: {key}")
+    click.echo(f"next: solimon check-config {file}")
+
+
+def schema_text() -> str:
+    """Return what ``config/settings.schema.json`` holds."""
+    return json.dumps(settings_schema(), indent=1) + "\n"
+
+
+# What is written -------------------------------------------------------------------------------------
+
+
+def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
+    """Read the shipped laboratory.toml, which `init rig` gives again; and what it has switched off."""
+    text = config_file("laboratory.toml").read_text(encoding="utf-8")
+    values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
+    tables = {key[:depth] for key in flattened(values) for depth in range(1, len(key))}
+    return values, {table for table in tables if not any(_is_in(key, [table]) for key in active)}
+
+
+def _twin() -> dict[str, Any]:
+    return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
+
+
+def _playback(source: Path) -> dict[str, Any]:
+    """Of a test of solimon the configuration that it was recorded with; of other files the paper's."""
+    if not source.exists():
+        raise UsageError(f"{source} is not there; give the folder or file of the recording")
+    playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
+    kept = read_experiment(source) if source.is_dir() else None
+    values = _twin()
+    if kept is not None:
+        try:
+            recorded = stored_settings(kept.configuration).model_dump(mode="json", exclude_none=True)
+        except ValidationError as error:
+            raise UsageError(f"{source} was recorded by a version with other keys: {error}") from error
+        values = {name: recorded[name] for name in values}
+        values["clock"] = {"kind": "simulated", "epoch": format_utc(kept.epoch_utc_ns, 9)}
+    elif not (source / "sets").is_dir():
+        mapping = asdict(TdmsMapping())
+        playback["format"] = "tdms"
+        playback["tdms"] = {name: value for name, value in mapping.items() if value is not None}
+    values = {name: table for name, table in values.items() if name not in OF_THE_TWIN}
+    for place in values["positions"].values():
+        for name in OF_THE_TWIN:
+            place.pop(name, None)
+    # Not the folder of the recording, which may lie beside the file.
+    values["storage"] = {**values["storage"], "folder": "playback-data"}
+    return {**values, "rig": {"kind": "playback", "playback": playback}}
+
+
+def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
+    """Lay ``KEY=VALUE`` over the values; a ``*`` in a key stands for any part of it."""
+    keys = {".".join(path): path for path in flattened(values)}
+    filled = flattened(values)
+    for assignment in assignments:
+        pattern, equals, text = assignment.partition("=")
+        matching = [path for name, path in keys.items() if fnmatchcase(name, pattern.strip())]
+        if not equals or not matching:
+            raise _no_such(pattern, keys, "--set KEY=VALUE")
+        for path in matching:
+            filled[path] = _read(text.strip(), like=filled[path])
+    return nested(filled)
+
+
+def _read(text: str, *, like: Any) -> Any:
+    if isinstance(like, str):
+        return text
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
+
+
+def _table(values: Mapping[str, Any], name: str) -> KeyPath:
+    tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
+    if name not in tables:
+        raise _no_such(name, tables, "--with or --without TABLE")
+    return tables[name]
+
+
+def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
+
+
+def _without(values: Mapping[str, Any], off: Collection[KeyPath]) -> dict[str, Any]:
+    return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
+
+
+def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
+    return any(key[: len(table)] == table for table in tables)
+
+
+# Files -----------------------------------------------------------------------------------------------
+
+
+def refuse_what_is_there(file: Path) -> Path:
+    """Refuse to write over anything; the schema's path."""
+    if file.suffix != ".toml":
+        raise UsageError(f"{file} will hold TOML: let its name end in .toml")
+    schema = file.absolute().parent / SCHEMA
+    if file.exists():
+        raise UsageError(f"{file} is there already and is not written over; choose another name")
+    if schema.exists() and schema.read_text(encoding="utf-8", errors="replace") != schema_text():
+        raise UsageError(
+            f"{schema} is there already and is another one, maybe of another version of solimon; move it "
+            "away, or write into another folder"
+        )
+    return schema
+
+
+def settings_of(values: Mapping[str, Any], off: Collection[KeyPath], file: Path) -> Settings:
+    """Return the settings that the file will hold; UsageError as of a file that is read."""
+    return checked_settings(_without(values, off), file.absolute())
+
+
+def write_file(file: Path, values: Mapping[str, Any], *, head: str, off: Collection[KeyPath]) -> None:
+    """Write a commented configuration, and its schema beside it."""
+    _write(refuse_what_is_there(file), schema_text())
+    _write(file, commented_toml(values, head=head, switched_off=off))
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise UsageError(f"cannot write {path}: {error.strerror}; choose another place") from error

@@ -1,0 +1,122 @@
+"""What a set-up asks of probes, supply and climate probe: each is reached and tells its own name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from contextlib import closing
+from dataclasses import asdict
+from typing import Any, TypeVar
+
+from daq_service.cli.doctor.other_instruments import stamp_now
+from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.init import laboratory
+from daq_service.settings.stored import KeyPath
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+
+T = TypeVar("T")
+
+
+def ask_for_others(
+    dialogue: Dialogue, probes: Mapping[str, str], supply: str, climate: str, *, asks: bool
+) -> tuple[dict[str, Any], set[KeyPath]]:
+    """Return tables of [rig] for what is there, and the tables of what is not, to be switched off.
+
+    Parameters
+    ----------
+    probes
+        ``RESOURCE[/CHANNEL]`` by position.
+    supply, climate
+        Ports.
+
+    Raises
+    ------
+    InstrumentError
+        What the flags name does not answer.
+    """
+    tables: dict[str, Any] = {}
+    known = _probes(probes)
+    if asks:
+        known |= _asked(
+            dialogue, "probe", "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it", _probes_at_a
+        )
+    if known:
+        usual = laboratory()[0]["rig"]["niscope"]
+        tables["niscope"] = {**usual, "probes": {name: _plain(wiring) for name, wiring in known.items()}}
+    if asks and not (supply and climate):
+        from hardware_drivers.serial_port.port import ports_there
+
+        for port, words in ports_there().items():
+            dialogue.tell(f"found  {port} ({words})")
+    for name, port, text, reach in (
+        ("supply", supply, "Serial port of the supply that drives the corrosion", _supply),
+        ("climate", climate, "Serial port of a thermometer and hygrometer", _climate),
+    ):
+        table = reach(port) if port else {}
+        if asks and not port:
+            table = _asked(dialogue, name, text, reach)
+        if table:
+            tables[name] = table
+            dialogue.tell(f"{name}: {table['identity']}")
+    off: set[KeyPath] = {("rig", name) for name in ("niscope", "supply", "climate") if name not in tables}
+    return tables, off
+
+
+def _asked(dialogue: Dialogue, name: str, text: str, reach: Callable[[str], dict[str, T]]) -> dict[str, T]:
+    """Ask for an address until it answers, or there is none."""
+
+    def understood(address: str) -> dict[str, T]:
+        try:
+            return {} if address == "-" else reach(address)
+        except InstrumentError as error:
+            raise ValueError(str(error)) from error
+
+    return dialogue.ask(Question(name=name, text=f"{text}, - for none", default="-"), understood)
+
+
+def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
+    return _probes({"A": address})
+
+
+def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
+    """Reach each probe's board for its serial number."""
+    found = {}
+    for name, address in addresses.items():
+        from hardware_drivers.niscope.pulse_echo import open_niscope
+
+        resource, _, channel = address.partition("/")
+        wiring = ProbeWiring(resource=resource, channel=channel or "0")
+        with open_niscope(NiscopeParameters(probes={name: wiring})) as unit:
+            found[name] = ProbeWiring(
+                resource=resource, channel=channel or "0", serial_number=unit.serial_number(name)
+            )
+    return found
+
+
+def _supply(port: str) -> dict[str, Any]:
+    """Ask the supply who it is, and nothing else."""
+    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+    line = SerialLineParameters(port=port)
+    with closing(ScpiPowerSupply(SupplyParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
+        return _plain(SupplyParameters(line=line, identity=_expected(there.identity())))
+
+
+def _climate(port: str) -> dict[str, Any]:
+    from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+
+    line = SerialLineParameters(port=port)
+    with closing(ScpiClimateProbe(ClimateParameters(line=line, identity=".+"), stamp=stamp_now)) as there:
+        return _plain(ClimateParameters(line=line, identity=_expected(there.identity())))
+
+
+def _expected(identity: Mapping[str, str]) -> str:
+    """Regular expression of maker, model and serial number: the firmware may change."""
+    parts = [identity[name] for name in ("maker", "model", "serial_number") if identity[name]]
+    return ",".join(re.escape(part) for part in parts)
+
+
+def _plain(parameters: Any) -> dict[str, Any]:
+    return {name: value for name, value in asdict(parameters).items() if value is not None}

@@ -1,0 +1,95 @@
+"""What the strikes propose, in words, and what a person says instead."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from analysis.waves.first_settings import Proposal, Trouble
+from daq_service.cli.doctor.spike import HARDWARE_CURE
+from daq_service.cli.set_up.bench import Bench
+from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.errors import RigError
+
+REMEDIES: Mapping[Trouble, str] = {
+    "noise": "the noise reaches half of the wave: check cable, screen and grounding of the PZT",
+    "ringing": f"its coil rings until the wave comes: {HARDWARE_CURE}",
+    "no_wave": "no wave stands out: see whether the striker lifts and falls, then the sensor's cable",
+    "inverted": "its wave goes down, and such shots are flagged inverted: swap the PZT's leads",
+    "level": "its wave is too high or too low for the one level of all: bring the gains closer together",
+    "range": "no range of its board holds the wave: lower the gain before the input",
+}
+
+
+def judge(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
+    """Tell what the strikes propose, and take it over, or what a person says instead."""
+    proposal = bench.proposal()
+    if proposal is None:
+        dialogue.tell("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")
+        return
+    for position, trouble in proposal.troubles.items():
+        dialogue.tell(f"{position}      {REMEDIES[trouble]}")
+    if proposal.trigger_level_v is None:
+        return
+    for line in in_words(proposal):
+        dialogue.tell(f"take   {line}")
+    taken = not asks or dialogue.yes("accept", "Take these values", default="yes")
+    while True:
+        if not taken:
+            proposal = _own_values(dialogue, bench, proposal)
+        try:
+            bench.choose(proposal)
+        except ValueError as error:
+            if not asks:
+                raise RigError(f"what the strikes propose does not go together: {error}") from error
+            dialogue.tell(f"  {error}")
+            taken = False
+        else:
+            return
+
+
+def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposal:
+    """Ask for each value, the proposed one being what no answer means."""
+
+    def number(name: str, text: str, default: float | None) -> float | None:
+        shown = "-" if default is None else f"{default:g}"
+        question = Question(name=name, text=text, default=shown)
+        return dialogue.ask(question, lambda answer: None if answer == "-" else float(answer))
+
+    ranges = {}
+    for name, range_v in proposal.range_v.items():
+        choices = [f"{one:g}" for one in bench.ranges_v(bench.transducers[name])]
+        text = f"Range of {name}, +-V"
+        question = Question(name=f"{name}.range_v", text=text, default=f"{range_v:g}", choices=choices)
+        ranges[name] = dialogue.ask(question, float)
+    level_v = number("trigger_level_v", "Trigger level, V", proposal.trigger_level_v)
+    slope = Question(
+        name="trigger_slope",
+        text="Direction in which it is passed",
+        default="rising" if proposal.rising else "falling",
+        choices=("rising", "falling"),
+    )
+    rising = dialogue.ask(slope, lambda answer: answer == "rising")
+    pretrigger_s = number("pretrigger_s", "Time recorded before it, s", proposal.pretrigger_s)
+    holdoff_s = number("holdoff_s", "Holdoff after the coil's pulse, s (- for none)", proposal.holdoff_s)
+    return replace(
+        proposal,
+        range_v=ranges,
+        trigger_level_v=proposal.trigger_level_v if level_v is None else level_v,
+        rising=rising,
+        pretrigger_s=pretrigger_s or proposal.pretrigger_s,
+        holdoff_s=holdoff_s,
+        ringing_s=0.0 if holdoff_s is None else proposal.ringing_s,
+    )
+
+
+def in_words(proposal: Proposal) -> list[str]:
+    """Proposed values, one a line."""
+    ranges = ", ".join(f"{name} +-{range_v:g} V" for name, range_v in proposal.range_v.items())
+    holdoff = "none" if proposal.holdoff_s is None else f"{proposal.holdoff_s * 1e3:.3g} ms"
+    return [
+        f"ranges {ranges}",
+        f"trigger at {proposal.trigger_level_v:g} V, {'rising' if proposal.rising else 'falling'}",
+        f"pre-trigger {proposal.pretrigger_s * 1e6:.3g} us",
+        f"holdoff {holdoff} (ringing {proposal.ringing_s * 1e3:.3g} ms)",
+    ]

@@ -1,0 +1,67 @@
+"""How a transducer is connected, as people write it, and what a board offers for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from hardware_drivers.daqmx.parameters import TransducerWiring
+
+if TYPE_CHECKING:
+    from hardware_drivers.daqmx.survey import BoardFacts
+
+
+def board_in_words(board: BoardFacts) -> str:
+    """Say what a board offers."""
+    ranges = ", ".join(
+        f"{high:g}" for low, high in sorted(board.ranges_v, key=lambda ends: ends[1]) if high == -low
+    )
+    trigger = "" if board.analog_trigger else "; no analog trigger: it can drive a coil, not record a wave"
+    return (
+        f"{board.product} {board.serial} ({board.name}): {len(board.inputs)} inputs up to "
+        f"{board.max_rate_hz / 1e6:.4g} MS/s, +-{ranges} V, {len(coil_counters(board))} counters{trigger}"
+    )
+
+
+def coil_counters(board: BoardFacts) -> list[str]:
+    """Counters of a board that can time a pulse."""
+    return [name for name in (path.rpartition("/")[2] for path in board.counters) if name.startswith("ctr")]
+
+
+def home_terminal(board: BoardFacts, counter: str) -> str:
+    """Terminal that a counter's pulse leaves a board at, by its family's habit."""
+    number = int(counter[3:])
+    own = f"Ctr{number}Out"
+    return own if f"/{board.name}/{own}" in board.terminals else f"PFI{12 + number}"
+
+
+def wiring_of(boards: Mapping[str, BoardFacts], text: str) -> TransducerWiring:
+    """Read ``BOARD/INPUT/COUNTER[/TERMINAL]`` or ``BOARD/INPUT/COIL_BOARD/COUNTER[/TERMINAL]``."""
+    board, *ends = text.split("/")
+    serial = board.upper().zfill(8)
+    coil_serial = ends.pop(1).upper().zfill(8) if len(ends) > 2 and ends[2].startswith("ctr") else serial
+    if len(ends) not in (2, 3):
+        raise ValueError("write BOARD/INPUT/COUNTER, for example 01E16086/ai0/ctr0")
+    for one in (serial, coil_serial):
+        if one not in boards:
+            raise ValueError(f"there is no board {one}; there are: {', '.join(boards)}")
+    if not boards[serial].analog_trigger:
+        raise ValueError(
+            f"{boards[serial].product} {serial} has no analog trigger, which starts every record"
+        )
+    channel, counter = ends[:2]
+    for name, known in ((channel, inputs_of(boards[serial])), (counter, coil_counters(boards[coil_serial]))):
+        if name not in known:
+            raise ValueError(f"there is no {name}; there are: {', '.join(known)}")
+    return TransducerWiring(
+        board_serial=serial,
+        striker_serial="" if coil_serial == serial else coil_serial,
+        input=channel,
+        counter=counter,
+        output_terminal=ends[2] if len(ends) == 3 else home_terminal(boards[coil_serial], counter),
+    )
+
+
+def inputs_of(board: BoardFacts) -> list[str]:
+    """Return the analog inputs of a board."""
+    return [path.rpartition("/")[2] for path in board.inputs]

@@ -1,0 +1,1 @@
+"""``solimon status``: how a test stands, as facts, as a table, and watched."""

@@ -1,0 +1,85 @@
+"""Carry out ``status``: once for a person or a program, or again and again for whoever watches."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from daq_service.cli.status.facts import describe_status
+from daq_service.cli.terminal import console_on
+from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, SolimonError, UsageError
+from daq_service.processes.child import stop_on_signals
+from daq_service.processes.data_folder import refuse_other_folders, settings_of_folder
+
+if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
+
+WATCH_EVERY_S = 1.0
+PIPE_COLUMNS = 1000
+"""What a program reads is not broken into lines for a screen."""
+
+
+def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, watch: bool) -> int:
+    """Tell how a test stands; the exit code.
+
+    Raises
+    ------
+    UsageError
+        The folder is not there or none of ours, or nobody could watch.
+    """
+    folder, facts = _look(config, data_dir)
+    if as_json and not watch:
+        click.echo(json.dumps(facts))
+        return EXIT_OK
+    from daq_service.cli.status.table import picture
+
+    console = console_on("stdout")
+    if watch:
+        if as_json or not console.is_terminal:
+            raise UsageError(
+                "--watch draws on a terminal, and this is none; ask again and again without it, or take the "
+                "stream of `solimon serve`"
+            )
+        return _watched(console, config, data_dir)
+    if console.is_terminal:
+        console.print(picture(facts, str(folder)))
+        return EXIT_OK
+    console.width = PIPE_COLUMNS
+    with console.capture() as captured:
+        console.print(picture(facts, str(folder)))
+    click.echo("\n".join(line.rstrip() for line in captured.get().rstrip().splitlines()))
+    return EXIT_OK
+
+
+def _look(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, Any]]:
+    settings, folder = settings_of_folder(config, data_dir)
+    refuse_other_folders(folder)
+    return folder, describe_status(folder, settings)
+
+
+def _watched(console: Console, config: Path | None, data_dir: Path | None) -> int:
+    """Draw it until Ctrl-C; what cannot be read now may be read the next time."""
+    from rich.live import Live
+
+    last: RenderableType = ""
+    # Not as an exception: one that comes within a callback of a library is lost.
+    with stop_on_signals() as stop, Live(console=console, screen=True, auto_refresh=False) as live:
+        while not stop.is_set():
+            last = _seen(config, data_dir)
+            live.update(last, refresh=True)
+            stop.wait(WATCH_EVERY_S)
+    console.print(last)
+    return EXIT_INTERRUPTED
+
+
+def _seen(config: Path | None, data_dir: Path | None) -> RenderableType:
+    from daq_service.cli.status.table import picture
+
+    try:
+        folder, facts = _look(config, data_dir)
+    except SolimonError as error:
+        return f"cannot be read now, and is looked at again: {error}"
+    return picture(facts, str(folder))

@@ -1,0 +1,141 @@
+"""How a test stands: read from its folder, each value with what it is judged by, its quality and its age."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from daq_service.acquisition.schedule import due_hours
+from daq_service.archive import FolderSetReader
+from daq_service.archive.errors import ArchiveError
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.rows import AlarmRow, CommandRow, SetRow, values
+from daq_service.corrosion_drive.kept import described, look_at_drive
+from daq_service.judgement.restored import thickness_interval_m
+from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
+from daq_service.orders.deadline import as_it_stands, left_now_s
+from daq_service.processes.disk_policy import outlook
+from daq_service.processes.freshness import Freshness
+from daq_service.processes.heartbeat import time_now_ns
+from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.recorder_state import look_at_recorder
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_S
+
+log = logging.getLogger(__name__)
+
+SIZED = 1000
+"""So many of the newest sets are looked at whether they are empty; ``doctor`` and a recorder look at all."""
+GAPS_A_POSITION = 5
+"""So many of the newest gaps of a position are named."""
+
+
+def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
+    """Read recorder, counts, gaps, orders, disk, supply, and the last word on each position."""
+    drive = look_at_drive(folder)
+    supply = None if drive is None else {**asdict(drive), "description": described(drive)}
+    try:
+        with open_catalogue(folder, writer=False) as catalogue:
+            fresh = Freshness(folder, catalogue, settings.clock.kind)
+            counts = catalogue.counts()
+            return {
+                "recorder": fresh.recorder.description,
+                "recorder_state": fresh.recorder.word,
+                "now_h": fresh.now_h,
+                "wall_age_s": fresh.wall_age_s,
+                "system_ahead_s": fresh.system_ahead_s,
+                "supply": supply,
+                "held": catalogue.held(),
+                "orders": _open_orders(catalogue),
+                "counts": counts,
+                "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
+                "gaps": _gaps(settings, catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
+                "lost": lost_sets(folder, catalogue, newest=SIZED),
+                "disk": asdict(outlook(folder, settings, catalogue)),
+                "positions": {
+                    name: {**asdict(word), **_standing(folder, settings, catalogue, fresh, word)}
+                    for name, word in catalogue.positions_state().items()
+                },
+                "alarms": [
+                    {**values(row), "age_h": fresh.age_h(row.raised_h)}
+                    for row in catalogue.rows(AlarmRow, active=True)
+                ],
+            }
+    except NoDataYetError:
+        recorder = look_at_recorder(folder, [])
+        told_ns = time_now_ns(recorder.beat)
+        nothing = dict.fromkeys(("now_h", "wall_age_s", "held", "counts", "next_due_h", "disk"))
+        return {
+            "recorder": recorder.description,
+            "recorder_state": recorder.word,
+            "system_ahead_s": None if told_ns is None else (time.time_ns() - told_ns) / NS_PER_S,
+            "supply": supply,
+            **nothing,
+            "orders": [],
+            "gaps": [],
+            "lost": {},
+            "positions": {},
+            "alarms": [],
+        }
+
+
+def _standing(
+    folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LastWord
+) -> dict[str, Any]:
+    """Add to a position's last word what it says now: state, age, limit, a thickness's interval."""
+    data_h, interval_m = data_hour(last), None
+    if last.last_thickness is not None:
+        try:
+            reader = FolderSetReader(folder)
+            interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, reader)
+        except (
+            ArchiveError
+        ) as error:  # `lost` and `verify` tell of it; the reading itself is in the catalogue
+            log.debug("no interval of position %s: %s", last.position, error)
+    age_h = None if data_h is None else fresh.age_h(data_h)
+    return {
+        "state": state_word(last),
+        "age_h": age_h,
+        "stale": is_stale(settings.schedule, fresh, age_h),
+        "limit": limit_of(last, settings),
+        "thickness_interval_m": interval_m,
+    }
+
+
+def _next_due_h(settings: Settings, done: int) -> float | None:
+    """Hour of the first set without rows; None: every planned one has its own."""
+    hours = list(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))[done:]
+    return hours[0] if hours else None
+
+
+def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
+    """Orders that wait for the recorder, or that it is carrying out; expired ones are waited for no more."""
+    waiting = catalogue.rows(CommandRow, states={"pending", "started"})
+    told = [(row, left_now_s(row)) for row in waiting]
+    names = ("id", "kind", "author", "arguments", "state")
+    return [
+        {**{name: getattr(row, name) for name in names}, "expires_in_s": left_s}
+        for row, left_s in told
+        if as_it_stands(row, left_s).state in ("pending", "started")
+    ]
+
+
+def _gaps(settings: Settings, catalogue: Catalogue) -> list[dict[str, Any]]:
+    """Newest sets that lack something: which, at which positions, and why."""
+    found: dict[tuple[int, str | None], dict[str, Any]] = {}
+    for position in settings.positions:
+        # One state after the other: the index leads to the newest ones, both together would be sorted.
+        for row in [
+            *catalogue.last_rows(SetRow, position, GAPS_A_POSITION, state="missed"),
+            *catalogue.last_rows(SetRow, position, GAPS_A_POSITION, state="partial"),
+        ]:
+            gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
+            found.setdefault((row.set_index, row.cause), {**gap, "positions": []})["positions"].append(
+                position
+            )
+    return [found[key] for key in sorted(found, key=lambda key: key[0])][-GAPS_A_POSITION:]

@@ -1,0 +1,174 @@
+"""The facts of ``solimon status`` as a person reads them: no number without its quality and its age."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from typing import Any
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from daq_service.cli.terminal import duration
+from daq_service.processes.disk_policy import LEVELS
+
+STYLES = {
+    "alarm": "bold red",
+    "retired": "bold red",
+    "outlier": "yellow",
+    "learning": "cyan",
+    "normal": "green",
+    "running": "green",
+    "finished": "green",
+    "stopped": "yellow",
+    "silent": "bold red",
+    "absent": "yellow",
+    "unacknowledged": "bold red",
+    "returned_unacknowledged": "yellow",
+    "acknowledged": "yellow",
+    "suspect": "yellow",
+    "bad": "bold red",
+}
+"""Colours are never alone: the word stands beside each."""
+DISK_STYLES = dict(zip(LEVELS, ("", "yellow", "bold red", "bold red"), strict=True))
+LARGEST_IN_FULL = 1e4
+"""A longer distance is told in powers of ten."""
+
+
+def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
+    """Compose everything that `facts.describe_status` tells."""
+    head = Table.grid(padding=(0, 2, 0, 0))
+    for name, told, style in _head(facts, folder):
+        head.add_row(f"{name:<8}", Text(told, style=style))
+    parts: list[RenderableType] = [head]
+    if facts["positions"]:
+        parts.append(_positions(facts["positions"]))
+    if facts["alarms"]:
+        parts.append(_alarms(facts["alarms"]))
+    return Group(*parts)
+
+
+def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str]]:
+    """Give name, words and style of each line."""
+    yield "data", folder, ""
+    yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
+    if facts["now_h"] is not None:
+        written = facts["wall_age_s"]
+        ago = "" if written is None else f", last written {duration(written)} ago"
+        yield "now", f"hour {facts['now_h']:.2f} of the test{ago}", ""
+    ahead_s = facts["system_ahead_s"]
+    if ahead_s is not None and abs(ahead_s) > 1.0:
+        side = "ahead of" if ahead_s > 0.0 else "behind"
+        yield "clock", f"this computer's is {abs(ahead_s):.0f} s {side} the test's time", "yellow"
+    if facts["supply"] is not None:
+        good = facts["supply"]["quality"] == "good" and facts["supply"]["tripped"] is None
+        yield "supply", facts["supply"]["description"], "" if good else "bold red"
+    if facts["held"]:
+        yield "on hold", f"{facts['held']}; nothing strikes until it is released", "yellow"
+    for order in facts["orders"]:
+        wanted = f"{order['kind']} by {order['author']}"
+        left = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
+        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{left})", "yellow"
+    counts = facts["counts"]
+    if counts is None:
+        yield "", "no data yet", ""
+        return
+    if facts["next_due_h"] is not None:
+        wait_s = 3600.0 * (facts["next_due_h"] - facts["now_h"])
+        when = f"in {duration(wait_s)}" if wait_s >= 0.0 else f"{duration(-wait_s)} ago"
+        number = counts["sets"] + counts["missed_sets"]
+        yield "awaited", f"set {number}, due at hour {facts['next_due_h']:g}, {when}", ""
+    missed = counts["missed_sets"]
+    partial = f", {counts['partial_sets']} partial" if counts["partial_sets"] else ""
+    yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
+    for told in _gaps(facts["gaps"]):
+        yield "gap", told, "yellow"
+    for file, what in facts["lost"].items():
+        yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
+    yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
+    yield "alarms", str(len(facts["alarms"])) if facts["alarms"] else "none", ""
+
+
+def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Tell neighbours of one cause in one line."""
+    for (state, cause, where), some in groupby(
+        gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
+    ):
+        alike = list(some)
+        first, last = alike[0], alike[-1]
+        sets = f"set {first['set_index']}" if first is last else f"{len(alike)} sets to {last['set_index']}"
+        yield f"{sets} {state} at {where}, hour {last['due_h']:g}: {cause}"
+
+
+def told_of_the_disk(disk: Mapping[str, Any]) -> str:
+    """Tell what is free, what is needed, and until when it lasts."""
+    level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
+    needed = disk["needed_bytes"]
+    rest = "" if needed is None else f", about {needed / 1e9:.2f} GB still to come"
+    full = "" if disk["full_at_h"] is None else f": full at hour {disk['full_at_h']:g}"
+    return f"{disk['free_bytes'] / 1e9:.2f} GB free{level}{rest}{full}"
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    for column in columns:
+        table.add_column(column)
+    return table
+
+
+def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
+    table = _table("position", "state", "result", "limit", "quality", "age", "last set")
+    for name, row in positions.items():
+        result, limit, quality = _result(row)
+        age = "-" if row["age_h"] is None else duration(3600.0 * row["age_h"])
+        its_set = row["last_set"]
+        table.add_row(
+            name,
+            Text(row["state"].replace("_", " "), style=STYLES.get(row["state"], "")),
+            result,
+            limit,
+            Text(quality, style=STYLES.get(quality.partition(",")[0], "")),
+            Text(f"{age} STALE" if row["stale"] else age, style="yellow" if row["stale"] else ""),
+            f"{its_set['set_index']} {its_set['state']}",
+        )
+    return table
+
+
+def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Tell result, limit and quality of a position's newest data, by its method."""
+    echo, feature, verdict = row["last_thickness"], row["last_feature"], row["last_verdict"]
+    if echo is not None:
+        wall_m, ends_m = echo["thickness_m"], row["thickness_interval_m"]
+        between = "" if ends_m is None else f" ({1e3 * ends_m[0]:.2f} to {1e3 * ends_m[1]:.2f})"
+        result = "no echo" if wall_m is None else f"{1e3 * wall_m:.2f} mm{between}"
+        return result, f"{1e3 * row['limit']:.2f} mm", echo["quality"]
+    if feature is None:
+        return "-", "-", "-"
+    # A verdict on another set than these features would have another age.
+    judged = verdict if verdict is not None and verdict["set_index"] == feature["set_index"] else None
+    distance = None if judged is None else judged["distance_squared"]
+    limit = "none yet" if row["limit"] is None else f"{row['limit']:.1f}"
+    told = []
+    if distance is not None:
+        told.append(f"D² {distance:.1f}" if distance < LARGEST_IN_FULL else f"D² {distance:.1e}")
+    if feature["tof_pp_s"] is not None:
+        told.append(f"ToF {1e6 * feature['tof_pp_s']:.1f} us")
+    if feature["amplitude_ratio"] is not None:
+        told.append(f"AR {feature['amplitude_ratio']:.3f}")
+    return ", ".join(told) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
+
+
+def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
+    table = _table("alarm", "severity", "where", "state", "age", "what")
+    for row in alarms:
+        table.add_row(
+            f"{row['id']}",
+            row["severity"],
+            row["position"] or "-",
+            Text(row["state"].replace("_", " "), style=STYLES.get(row["state"], "")),
+            duration(3600.0 * row["age_h"]),
+            f"{row['kind']}: {row['message']}",
+        )
+    return table

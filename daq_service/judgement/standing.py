@@ -1,0 +1,66 @@
+"""How a position stands, in one word, and whether its data is older than it should be."""
+
+from __future__ import annotations
+
+from daq_service.alarms.states import retired_positions
+from daq_service.catalogue.reader import LastWord
+from daq_service.judgement.methods import METHODS
+from daq_service.processes.freshness import Freshness
+from daq_service.settings.tree import ScheduleSettings, Settings
+
+STALE_INTERVALS = 1.5
+"""A set may be late by half an interval before its position counts as stale."""
+
+
+def state_word(last: LastWord) -> str:
+    """One word for a position, the gravest first."""
+    verdict = last.last_verdict
+    if retired_positions(last.active_alarms):
+        return "retired"
+    if last.last_set is None:
+        return "no_data"
+    if last.active_alarms:
+        return "alarm"
+    if verdict is not None and verdict.outlier:
+        return "outlier"
+    if not METHODS[last.method].has_baseline or (verdict is not None and verdict.outlier is not None):
+        return "normal"
+    return "learning"
+
+
+def limit_of(last: LastWord, settings: Settings) -> float | None:
+    """Return the limit that decides: thickness in m of a probe, squared distance of a transducer.
+
+    None: there is none yet.
+    """
+    if not METHODS[last.method].has_baseline:
+        return settings.thinnest_m
+    verdict = last.last_verdict
+    if verdict is None:
+        return None
+    return verdict.limit_f if verdict.limit_name == "f_predictive" else verdict.limit_paper
+
+
+def data_hour(last: LastWord) -> float | None:
+    """Return the hour of the newest set with data; None before it.
+
+    A set that was missed, or planned for a retired transducer, brings none: the data age on.
+    """
+    return max(
+        (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None
+    )
+
+
+def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
+    """Tell that the newest set is older than the cadence explains, or nobody records any more."""
+    if age_h is None or fresh.recorder.word in {"silent", "absent", "stopped"}:
+        return True
+    return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
+
+
+def interval_at(schedule: ScheduleSettings, hour: float) -> float:
+    """Hours between two sets at an hour of the test; after the end, the last phase's."""
+    for phase in schedule.phases:
+        if hour <= phase.until_h:
+            return phase.interval_h
+    return schedule.phases[-1].interval_h

@@ -1,0 +1,98 @@
+"""What each key of the configuration is: its JSON Schema, and its description in words."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import pairwise
+from types import ModuleType
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema
+
+from daq_service.settings.tree import Settings
+
+
+@cache
+def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+    tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
+    return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
+
+
+def _texts_below_attributes(kind: type) -> dict[str, str]:
+    """Return the string literal that follows each annotated attribute of a class."""
+    texts = {}
+    for attribute, text in pairwise(_classes(inspect.getmodule(kind))[kind.__name__].body):
+        match attribute, text:
+            case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                texts[name] = inspect.cleandoc(words)
+    return texts
+
+
+class _Described(GenerateJsonSchema):
+    """Describes each key by the text below its attribute.
+
+    pydantic's ``use_attribute_docstrings`` would read the sources anew at each start of each process.
+    """
+
+    def _described(self, table: dict[str, Any], kind: type) -> dict[str, Any]:
+        keys = table["properties"]
+        for base in kind.__mro__[:-1]:
+            for name, words in _texts_below_attributes(base).items():
+                keys.get(name, {}).setdefault("description", words)
+        return table
+
+    def model_schema(self, schema: Any) -> dict[str, Any]:
+        return self._described(super().model_schema(schema), schema["cls"])
+
+    def dataclass_schema(self, schema: Any) -> dict[str, Any]:
+        return self._described(super().dataclass_schema(schema), schema["cls"])
+
+
+def settings_schema() -> dict[str, Any]:
+    """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
+    schema = Settings.model_json_schema(schema_generator=_Described)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def describe(path: Sequence[str]) -> str:
+    """Describe a key or table in words: by the text below it, else by the first paragraph of its class."""
+    schema = _schema()
+    node: Mapping[str, Any] = schema
+    for name in path:
+        node = _meant(schema, node)
+        below = node.get("properties", {}).get(name, node.get("additionalProperties"))
+        node = below if isinstance(below, dict) else {}
+    words = node.get("description") or _meant(schema, node).get("description", "")
+    return " ".join(words.partition("\n\n")[0].split())
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return settings_schema()
+
+
+def _meant(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Follow a reference, also of a key that may be absent."""
+    options = [node, *node.get("anyOf", [])]
+    names = [option["$ref"].rpartition("/")[2] for option in options if "$ref" in option]
+    return schema["$defs"][names[0]] if names else node
+
+
+def known_keys() -> list[str]:
+    """Name every key, wherever it stands."""
+    keys: set[str] = set()
+
+    def walk(node: Any) -> None:
+        if isinstance(node, dict):
+            keys.update(node.get("properties", {}))
+            for below in node.values():
+                walk(below)
+        elif isinstance(node, list):
+            for below in node:
+                walk(below)
+
+    walk(_schema())
+    return sorted(keys)

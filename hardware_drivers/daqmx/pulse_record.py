@@ -1,0 +1,85 @@
+"""One strike as the input sees it, from the coil's switching on to the end of the wave, whatever triggers."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from dataclasses import dataclass
+
+from hardware_drivers.daqmx.chassis import Chassis
+from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import Waveform
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PulseRecord:
+    """What is at a sensor's input during one strike.
+
+    Attributes
+    ----------
+    noise
+        Record of the usual length before it, with the coil at rest.
+    strike
+        Its first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
+    """
+
+    position: str
+    noise: Waveform
+    strike: Waveform
+
+
+class FreeInput:
+    """One sensor's input without a reference trigger: at rest, or over a whole strike.
+
+    The thread that makes it is the only one that may call it.
+
+    Parameters
+    ----------
+    parameters
+        Not those of a rehearsal. A holdoff is left out: what it hides is what is looked for.
+    timeout_s
+        Longest wait for each record.
+
+    Raises
+    ------
+    ConfigurationError
+        A dry run, or a board that cannot do what is asked.
+    InstrumentError
+        As for a shot; from each call.
+    """
+
+    def __init__(self, parameters: DaqmxParameters, position: str, timeout_s: float) -> None:
+        if parameters.dry_run:
+            raise ConfigurationError("dry_run is true: no coil is ever energised; set it to false")
+        self.position, self.parameters = position, parameters
+        self._timeout_s = timeout_s
+        self._chassis = Chassis(parameters)
+
+    def quiet(self) -> Waveform:
+        """Record as long as a shot's, at once, with the coil at rest."""
+        with self._chassis.attempt():
+            acquisition = self._chassis.turn(self.position, "noise").acquisition
+            acquisition.start()
+            record = acquisition.read(self._timeout_s)
+            acquisition.stop()
+        return record
+
+    def strike(self) -> Waveform:
+        """Record one strike from the coil's switching on; on return the coil is off."""
+        with self._chassis.attempt():
+            turn = self._chassis.turn(self.position, "pulse")
+            turn.acquisition.start()
+            turn.coil.pulse()
+            record = turn.acquisition.read(self._timeout_s)
+            self._chassis.end_turn()
+        return record
+
+    def close(self) -> None:
+        """Coil off and every task cleared; harmless when done before."""
+        self._chassis.close()
+
+
+def record_pulse(parameters: DaqmxParameters, position: str, timeout_s: float) -> PulseRecord:
+    """Strike once, as `FreeInput` does; the coil is off and every task cleared on return."""
+    with closing(FreeInput(parameters, position, timeout_s)) as free:
+        return PulseRecord(position=position, noise=free.quiet(), strike=free.strike())

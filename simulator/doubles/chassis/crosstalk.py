@@ -1,0 +1,101 @@
+"""What reaches a sensor's input without a wave: the coil's switching, and the mains."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import bounded
+from hardware_drivers.nanoseconds import NS_PER_S
+from simulator.numerics.arrays import FloatArray
+
+FADED_V = 1e-5
+"""A spike is drawn until it is smaller than this: a fifteenth of a 16-bit code of +-5 V."""
+
+
+@bounded
+class Crosstalk:
+    """Voltage that a coil couples into the sensor beside it, and hum; nothing unless told.
+
+    Each edge of the pulse starts ``height exp(-t / decay_s) cos(2 pi ringing_hz t)``.
+    """
+
+    on_v: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    """Height of the spike where the coil goes on, with its sign."""
+    off_v: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    """Height of the spike where it goes off."""
+    decay_s: Annotated[float, Gt(0.0), Le(1.0)] = 2e-6
+    """Time in which a spike falls to 1/e."""
+    ringing_hz: Annotated[float, Ge(0.0), Le(1e7)] = 0.0
+    """Frequency it rings at; 0: it only decays."""
+    flyback_v: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
+    """Voltage at off that falls to nothing, evenly, with the coil's current in its diode."""
+    flyback_s: Annotated[float, Gt(0.0), Le(1.0)] = 1e-3
+    """Time that takes."""
+    bounces: Annotated[int, Ge(0), Le(100)] = 0
+    """Contact bounces of a relay after each edge; each repeats the spike at half the height before it."""
+    bounce_s: Annotated[float, Gt(0.0), Le(0.1)] = 0.5e-3
+    """Time from one bounce to the next."""
+    hum_v: Annotated[float, Ge(0.0), Le(100.0)] = 0.0
+    """Amplitude of the mains hum."""
+    hum_hz: Annotated[float, Gt(0.0), Le(1e6)] = 50.0
+    """Its frequency."""
+
+    @property
+    def silent(self) -> bool:
+        """Tell whether nothing is coupled at all."""
+        return not (self.on_v or self.off_v or self.flyback_v or self.hum_v)
+
+    @property
+    def reach_s(self) -> float:
+        """Longest time after an edge at which it is still seen."""
+        tallest_v = max(abs(self.on_v), abs(self.off_v))
+        fading_s = self.decay_s * math.log(max(tallest_v / FADED_V, 1.0))
+        return max(self.bounces * self.bounce_s + fading_s, self.flyback_s if self.flyback_v else 0.0)
+
+    def volts(
+        self, pulses: Iterable[tuple[int, int]], first_ns: float, rate_hz: float, samples: int
+    ) -> FloatArray:
+        """Voltage at the input, shape (samples,).
+
+        Parameters
+        ----------
+        pulses
+            When the coil went on and off, ns.
+        first_ns
+            Time of the first sample on the same clock.
+        """
+        volts = np.zeros(samples)
+        if self.hum_v:
+            # Whole periods taken off first: a clock of ns since boot has few digits left for a phase.
+            phase = math.fmod(first_ns / NS_PER_S * self.hum_hz, 1.0)
+            t = np.arange(samples) / rate_hz
+            volts += self.hum_v * np.sin(2.0 * math.pi * (phase + self.hum_hz * t))
+        for on_ns, off_ns in pulses:
+            for edge_ns, height_v in ((on_ns, self.on_v), (off_ns, self.off_v)):
+                for bounce in range(self.bounces + 1 if height_v else 0):
+                    since_s = (edge_ns - first_ns) / NS_PER_S + bounce * self.bounce_s
+                    self._add(volts, since_s, rate_hz, height_v * 0.5**bounce)
+            if self.flyback_v:
+                after, t = _after(volts, (off_ns - first_ns) / NS_PER_S, self.flyback_s, rate_hz)
+                after += self.flyback_v * np.maximum(1.0 - t / self.flyback_s, 0.0)
+        return volts
+
+    def _add(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
+        fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
+        after, t = _after(volts, since_s, fading_s, rate_hz)
+        spike = height_v * np.exp(-t / self.decay_s)
+        after += spike * np.cos(2.0 * math.pi * self.ringing_hz * t) if self.ringing_hz else spike
+
+
+def _after(
+    volts: FloatArray, since_s: float, length_s: float, rate_hz: float
+) -> tuple[FloatArray, FloatArray]:
+    """Give the part of the samples that lies within a time from an edge on, and that time of each."""
+    first = min(max(math.ceil(since_s * rate_hz), 0), volts.size)
+    last = min(max(math.ceil((since_s + length_s) * rate_hz), first), volts.size)
+    return volts[first:last], np.arange(first, last) / rate_hz - since_s

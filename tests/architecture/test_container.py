@@ -1,0 +1,90 @@
+"""The container file without a container: what it copies, runs, asks and starts is there and works."""
+
+import json
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
+
+import pytest
+
+from daq_service.cli.main import cli
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "examples" / "container" / "Dockerfile").read_text(encoding="utf-8")
+LINES = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", TEXT, flags=re.MULTILINE)).splitlines()
+STEPS = [tuple(line.split(maxsplit=1)) for line in LINES if line.strip()]
+"""Each instruction and what it is told, in order."""
+
+
+def told(instruction: str) -> list[str]:
+    return [words for name, words in STEPS if name == instruction]
+
+
+def test_every_instruction_is_one() -> None:
+    known = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "VOLUME", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
+    assert {name for name, _ in STEPS} <= known
+    assert [words.partition(" ")[0] for words in told("FROM")] == ["python:3.11-slim"] * 2, (
+        "no registry's host"
+    )
+
+
+def test_what_it_copies_from_here_is_here() -> None:
+    here = [words.split()[:-1] for words in told("COPY") if not words.startswith("--from")]
+    assert [name for names in here for name in names if not (ROOT / name).exists()] == []
+
+
+def test_it_runs_as_nobody_special_on_a_folder_of_its_own() -> None:
+    last = STEPS[max(index for index, step in enumerate(STEPS) if step[0] == "FROM") :]
+    order = [step for step in last if step[0] in ("RUN", "USER", "VOLUME", "ENTRYPOINT")]
+    assert [name for name, _ in order] == ["RUN", "USER", "VOLUME", "ENTRYPOINT"]
+    assert "useradd --create-home solimon" in order[0][1]
+    assert "install -d -o solimon -g solimon /data" in order[0][1]
+    assert (order[1][1], order[2][1]) == ("solimon", "/data")
+
+
+def test_what_it_starts_is_a_command_of_ours_on_the_port_it_asks() -> None:
+    program, *_ = json.loads(told("ENTRYPOINT")[0])
+    word, *arguments = json.loads(told("CMD")[0])
+    options = cli.commands[word].make_context(word, arguments).params
+    assert (program, str(options["port"])) == ("solimon", told("EXPOSE")[0])
+    assert options["data_dir"].is_relative_to(told("VOLUME")[0])
+
+
+@contextmanager
+def page(status: int) -> Iterator[int]:
+    """Serve a page that is well, or is not; its port."""
+
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(status if self.path == "/healthz" else 404)
+            self.end_headers()
+
+        def log_message(self, *words: object) -> None:
+            """Say nothing."""
+
+    with HTTPServer(("127.0.0.1", 0), Page) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield server.server_port
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False), (None, False)])
+def test_its_health_check_asks_the_page(status: int | None, healthy: bool) -> None:
+    python, dash_c, program = json.loads(told("HEALTHCHECK")[0].partition("CMD ")[2])
+    assert (python, dash_c) == ("python", "-c")
+    with page(status or 200) as port:
+        asked = program.replace("8750", str(port))
+        if status is not None:
+            done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
+    if status is None:  # nobody is there any more
+        done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
+    assert (done.returncode == 0) == healthy

@@ -1,0 +1,210 @@
+"""What a person sees: whole commands on a pseudo-terminal, beside pictures that are kept in `terminal/`."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import sys
+import urllib.request
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from support.command_line import solimon_here
+from support.waiting import WAIT_S, until
+
+from daq_service.archive import FolderSetReader
+from daq_service.processes.data_folder import LOCK_FILE, lock_text
+from simulator.doubles.serial.link import pseudo_terminals_missing
+
+if missing := pseudo_terminals_missing():
+    pytest.skip(missing, allow_module_level=True)
+
+from support.pseudo_terminal import PseudoTerminal, on_terminal
+
+PICTURES = Path(__file__).with_name("terminal")
+SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+# A coarse mesh and half of the strikes: what is shown counts.
+QUICK = {
+    "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
+    "SOLIMON_SCHEDULE__SHOTS_PER_SET": "5",
+    "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
+    "SOLIMON_ALARMS__HOLE_SHOTS": "4",
+}
+MASKS = (
+    (r"http://127\.0\.0\.1:\d+/", "<address>"),
+    (r"\d+ (s|min) ago", "<time> ago"),
+    (r"done in \d+\.\d s", "done in <time>"),
+    (r"(seconds of the recorder's last run:).*", r"\1 <cost>"),
+    (r"\d+\.\d\d GB free", "<size> free"),
+    # How long they take is the machine's; they are told only where it is long.
+    (r"(?m)^(compiling|building) the twin's .*: took .*\n", ""),
+)
+
+
+def masked(text: str, folder: Path) -> str:
+    text = text.replace(str(folder), "<folder>")
+    for pattern, word in MASKS:
+        text = re.sub(pattern, word, text)
+    return text
+
+
+def check(name: str, terminal: PseudoTerminal, folder: Path, *, at_any_time: str = "\0") -> None:
+    """Compare the screen with the kept picture; `SOLIMON_TEST_PICTURES=keep` keeps the new one.
+
+    A line that begins with ``at_any_time`` comes from another process than the others: it is put first.
+    """
+    lines = sorted(terminal.shown(), key=lambda line: not line.startswith(at_any_time))
+    seen = masked("\n".join(lines).strip() + "\n", folder)
+    picture = PICTURES / f"{name}.txt"
+    if os.environ.get("SOLIMON_TEST_PICTURES") == "keep":
+        picture.write_text(seen, encoding="utf-8")
+    assert seen == picture.read_text(encoding="utf-8")
+
+
+def arguments(*words: str, folder: Path) -> list[str]:
+    return [*SOLIMON, *words, "--data-dir", str(folder)]
+
+
+def quick(end_h: float) -> Mapping[str, str]:
+    return {**QUICK, "SOLIMON_SCHEDULE__END_H": str(end_h)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("terminal") / "data"
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path) -> Iterator[PseudoTerminal]:
+    """One set by `record`."""
+    with on_terminal(arguments("record", folder=folder), quick(0.5)) as terminal:
+        assert terminal.end() == 0
+        yield terminal
+
+
+@pytest.fixture(scope="module")
+def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
+    """Another one by `run` on the folder beside its configuration; its recorder is killed after that."""
+    del recorded
+    config = folder.parent / "test.toml"
+    config.write_text(f"[storage]\nfolder = '{folder.name}'\n", encoding="utf-8")
+    with on_terminal([*SOLIMON, "run", str(config), "--port", "0"], quick(1.0)) as terminal:
+        terminal.until("the schedule is done")
+        terminal.until(r"http://\S+/")
+        url = re.findall(r"http://\S+/", terminal.written)[0]
+        with urllib.request.urlopen(f"{url}api/v1/health", timeout=WAIT_S) as answer:
+            assert json.load(answer)["as_of"]["recorder"] == "finished"
+        os.kill(int(lock_text(folder, LOCK_FILE).removeprefix("process ")), signal.SIGKILL)
+        terminal.until("the schedule is done", times=2)
+        terminal.process.send_signal(signal.SIGTERM)
+        assert terminal.end() == 130
+        yield terminal
+
+
+def test_record_shows_how_far_it_is_and_leaves_it_standing(recorded: PseudoTerminal, folder: Path) -> None:
+    check("record", recorded, folder)
+    # Which of its first steps are seen is a matter of time.
+    assert re.search("opening the rig|building the twin|waiting for set 0", recorded.written)
+    assert "\x1b[2K" in recorded.written, "one line, written again"
+
+
+def test_run_tells_the_page_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
+    check("run", ran, folder, at_any_time="dashboard")
+    assert len(FolderSetReader(folder).sets()) == 2, "the folder of the configuration, beside its file"
+
+
+def test_status_is_a_table_with_colour(ran: PseudoTerminal, folder: Path) -> None:
+    del ran
+    with on_terminal(arguments("status", folder=folder), QUICK) as terminal:
+        assert terminal.end() == 0
+    check("status", terminal, folder)
+    assert "\x1b[32mfinished: " in terminal.written
+    assert "\x1b[36mlearning" in terminal.written
+
+
+def test_status_in_a_pipe_has_the_same_words_and_no_colour(ran: PseudoTerminal, folder: Path) -> None:
+    del ran
+    done = solimon_here("status", "--data-dir", str(folder), env=QUICK)
+    kept = (PICTURES / "status.txt").read_text(encoding="utf-8")
+    assert masked(done.stdout, folder) == kept
+
+
+def test_serve_says_where_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
+    del ran
+    with on_terminal(arguments("serve", "--port", "0", folder=folder), QUICK) as terminal:
+        terminal.until("http://")
+        assert terminal.interrupt() == 130
+    check("serve", terminal, folder)
+
+
+def test_whoever_watches_sees_what_changes_and_keeps_the_last_picture(
+    ran: PseudoTerminal, folder: Path, tmp_path: Path
+) -> None:
+    del ran
+    watched = tmp_path / "watched"
+    watched.mkdir()
+    with on_terminal(arguments("status", "--watch", folder=watched), quick(1.5)) as terminal:
+        terminal.until("no data yet")
+        shutil.copytree(folder, watched, dirs_exist_ok=True)
+        terminal.until("awaited +set 2, due at hour 1.5")
+        shutil.rmtree(watched)
+        terminal.until("cannot be read now")
+        shutil.copytree(folder, watched)
+        seen = len(re.findall("awaited", terminal.written))
+        terminal.until("awaited", times=seen + 1)
+        assert terminal.interrupt() == 130
+    check("watch", terminal, watched)
+
+
+def test_demo_says_first_words_its_folder_how_far_it_is_and_its_summary(tmp_path: Path) -> None:
+    folder = tmp_path / "data"
+    command = arguments("demo", "--exit", "--no-web", "--hours", "0.5", folder=folder)
+    with on_terminal(command, QUICK) as terminal:
+        assert terminal.end() == 0
+    assert terminal.written.startswith("solimon demo: ")
+    check("demo", terminal, folder)
+
+
+@pytest.mark.slow
+def test_the_first_compilation_is_told_while_it_goes_on(tmp_path: Path) -> None:
+    command = arguments("record", folder=tmp_path / "data")
+    with on_terminal(command, {**quick(0.5), "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
+        assert terminal.end() == 0
+    assert re.search(r"compiling the twin's loops, once on this computer; \d+ s so far", terminal.written)
+    took = [line for line in terminal.shown() if line.startswith("compiling")]
+    assert took, "what it took stands there afterwards"
+    assert all(
+        re.fullmatch(r"compiling the twin's loops, once on this computer: took \d+ s", line) for line in took
+    )
+
+
+@pytest.mark.slow
+def test_the_compilation_of_a_twin_with_a_process_of_its_own_is_told(tmp_path: Path) -> None:
+    command = arguments("demo", "--exit", "--no-web", folder=tmp_path / "data")
+    with on_terminal(command, {**QUICK, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
+        # Some seconds of it are the recorder's own; the long part comes with the first strikes.
+        terminal.until(r"compiling the twin's loops, once on this computer; [4-9] s so far")
+        terminal.until(r"compiling the twin's loops, once on this computer: took \d+ s")
+        terminal.until(r"hour \d+\.\d, set \d+ of 425")
+        assert terminal.interrupt() == 130
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", ["", "--no-browser"])
+def test_demo_opens_its_page_where_somebody_sits_at_a_screen(tmp_path: Path, option: str) -> None:
+    opened, browser = tmp_path / "opened", tmp_path / "browser"
+    browser.write_text(f'#!/bin/sh\necho "$1" >> "{opened}"\n', encoding="utf-8")
+    browser.chmod(0o755)
+    screen = {"DISPLAY": ":0", "BROWSER": f"{browser} %s"}
+    words = filter(None, ("demo", "--pace", "1", option))
+    with on_terminal(arguments(*words, folder=tmp_path / "data"), {**QUICK, **screen}) as terminal:
+        terminal.until(r"dashboard: \S+ .*\)")
+        (url,) = re.findall(r"dashboard: (\S+)", terminal.written)
+        if not option:
+            until(opened.exists, "the browser's start")
+        assert terminal.interrupt() == 130
+    assert ("opened in your browser" in terminal.written) == (not option)
+    assert opened.exists() == (not option)
+    assert option or opened.read_text(encoding="utf-8").split() == [url]

@@ -1,0 +1,74 @@
+"""Packages that solimon installs, who needs them, and their licences by what each says of itself.
+
+``python -m support.licences`` in ``tests/`` prints the table of docs/reference/licences.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib.metadata import Distribution, distributions, metadata
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+BROUGHT_BY_PYTHON = {"pip", "setuptools"}
+OURS = "solimon"
+EXTRAS = ("grpc", "niscope", "tdms", "parquet", "visa", "test", "dev")
+_LONGEST = 60
+
+Need = tuple[str, Requirement]
+"""A package, and what it needs."""
+
+
+def installed() -> dict[str, Distribution]:
+    """Every package that somebody installed, by its normalised name; without Python's own."""
+    found = {canonicalize_name(one.metadata["Name"]): one for one in distributions()}
+    return {name: one for name, one in sorted(found.items()) if name not in BROUGHT_BY_PYTHON}
+
+
+def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
+    """Whatever solimon with an extra ("": without any) needs on a system, as far as packages are here."""
+    here, left, seen = installed(), [(OURS, extra), (OURS, "")], set[tuple[str, str]]()
+    while left:
+        name, its_extra = left.pop()
+        if (name, its_extra) in seen or name not in here:
+            continue
+        seen.add((name, its_extra))
+        for wanted in map(Requirement, here[name].requires or []):
+            if wanted.marker is None or wanted.marker.evaluate({**system, "extra": its_extra}):
+                yield name, wanted
+                left += [(canonicalize_name(wanted.name), also) for also in ("", *wanted.extras)]
+
+
+def licence_of(package: Distribution) -> str:
+    """SPDX expression, else classifiers, else the first line of the licence's text, else where it lies."""
+    told = metadata(package.metadata["Name"])
+    if expression := told["License-Expression"]:
+        return str(expression)
+    classified = [text for text in told.get_all("Classifier") or [] if text.startswith("License :: OSI")]
+    if classified:
+        return "; ".join(sorted(text.rpartition(" :: ")[2] for text in classified))
+    first_line = str(told["License"] or "").strip().partition("\n")[0][:_LONGEST]
+    return first_line or f"in its {', '.join(told.get_all('License-File') or [])}"
+
+
+def brought() -> dict[str, str]:
+    """Each installed package that solimon needs, and the extra that brings it ("": none of them)."""
+    found: dict[str, str] = {}
+    for extra in ("", *EXTRAS):
+        for _, wanted in needs(extra, {}):
+            found.setdefault(canonicalize_name(wanted.name), extra)
+    return {name: found[name] for name in installed() if name in found and name != OURS}
+
+
+def rows() -> dict[str, str]:
+    """Row of the table by the name of the package."""
+    here = installed()
+    return {
+        name: f"| {name} | {licence_of(here[name])} | {f'`{extra}`' if extra else 'solimon'} |"
+        for name, extra in brought().items()
+    }
+
+
+if __name__ == "__main__":
+    print("\n".join(rows().values()))

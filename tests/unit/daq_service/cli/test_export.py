@@ -1,0 +1,216 @@
+"""One file of a whole test: its records are those of the sets' files, its columns those of the catalogue."""
+
+import json
+import shutil
+from contextlib import closing
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from support.filled_folder import FilledFolder
+from support.stored_files import read_set, set_files
+
+from daq_service import shared_file
+from daq_service.archive import FolderArchive
+from daq_service.archive.layout import build_image
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import FeatureRow, SetRow, ThicknessRow
+from daq_service.cli.keeping.export import export_hdf5
+from daq_service.cli.main import cli
+from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.settings.tree import Settings
+
+SETS = 3
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    """A folder whose recorder runs; its name is one that HDF5 could misunderstand."""
+    folder = tmp_path_factory.mktemp("data") / "50%b Ø"
+    folder.mkdir()
+    filled = FilledFolder(folder, Settings(), shots_per_set=2)
+    for index in range(SETS):
+        filled.add_set(index)
+    yield folder
+    filled.close()
+
+
+@pytest.fixture
+def folder(running, tmp_path):
+    """A copy of it in which no recorder runs."""
+    return shutil.copytree(running, tmp_path / "data")
+
+
+def solimon(*words):
+    """Exit code, and standard output or the error."""
+    done = CliRunner().invoke(cli, [*map(str, words), "--json"])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        return done.exception.exit_code, str(done.exception)
+    return done.exit_code, json.loads(done.stdout)
+
+
+def records_of(folder, position):
+    """Records of all sets that have a file, in their order."""
+    return [
+        record
+        for path in set_files(folder).values()
+        for record in read_set(path).records
+        if record.key.position == position
+    ]
+
+
+def test_a_running_test_gives_every_record_with_its_volts_and_times(running, tmp_path):
+    told = export_hdf5(running, tmp_path / "all.h5")
+    assert (told.sets, told.waiting, told.left_out) == (SETS, 0, {})
+    with h5py.File(tmp_path / "all.h5") as file:
+        assert told.arrays["B_waveforms"] == file["entry/B_waveforms/waveform"].shape
+        assert file["entry/B_waveforms/waveform"].is_virtual
+        for name, signal in (
+            ("A_pulse_echo", "record"),
+            ("B_waveforms", "waveform"),
+            ("D_waveforms", "waveform"),
+        ):
+            group, records = file["entry"][name], records_of(running, name[0])
+            assert len(records) >= SETS
+            assert group["shot_id"][()].tolist() == [record.sequence for record in records]
+            np.testing.assert_array_equal(group["time"], records[0].waveform.time_s())
+            volts = (group[signal][()] + group[f"{signal}_offset"][()][:, None]) * group[
+                f"{signal}_scaling_factor"
+            ][()][:, None]
+            for row, record in enumerate(records):
+                np.testing.assert_array_equal(group[signal][row], record.waveform.counts)
+                # A few roundings of numbers up to 10 V; the calibration is linear.
+                np.testing.assert_allclose(volts[row], record.waveform.volts(), rtol=0, atol=80 * 2.0**-53)
+                assert group["utc_ns"][row] == record.stamp.utc_ns
+                assert (group["set_index"][row], group["shot_index"][row]) == (
+                    record.key.set_index,
+                    record.key.shot_index,
+                )
+
+
+def test_columns_are_the_catalogue_s_with_their_units(running, tmp_path):
+    export_hdf5(running, tmp_path / "all.h5")
+    with open_catalogue(running) as catalogue, h5py.File(tmp_path / "all.h5") as file:
+        entry = file["entry"]
+        shots = catalogue.rows(FeatureRow, position="C", scope="shot")
+        of_sets = catalogue.rows(FeatureRow, position="C", scope="set")
+        walls = catalogue.rows(ThicknessRow, position="A")
+        sets = catalogue.rows(SetRow, position="C")
+        assert entry["C_waveforms/tof_pp_s"][()].tolist() == [row.tof_pp_s for row in shots]
+        assert entry["C_waveforms/due_h"][()].tolist() == [row.due_h for row in shots]
+        assert np.isnan(entry["C_waveforms/ssw_time_s"]).all(), "the catalogue has none"
+        assert entry["C_sets/amplitude_ratio"][()].tolist() == [row.amplitude_ratio for row in of_sets]
+        assert entry["C_sets/set_index"][()].tolist() == [row.set_index for row in sets]
+        assert entry["C_sets/state"].asstr()[()].tolist() == ["done"] * SETS
+        assert entry["A_sets/thickness_m"][()].tolist() == [row.thickness_m for row in walls]
+        assert entry["A_pulse_echo/thickness_m"].attrs["units"] == "m"
+        units = {
+            name: entry["C_waveforms"][name].attrs["units"] for name in ("waveform", "tof_pp_s", "due_h")
+        }
+        assert units == {"waveform": "counts", "tof_pp_s": "s", "due_h": "h"}
+        configuration = json.loads(entry["provenance/data"].asstr()[0])["configuration"]
+        assert configuration == catalogue.experiment_row().configuration
+
+
+def test_records_of_another_length_stand_in_an_array_of_their_own(folder, tmp_path):
+    path = set_files(folder)[1]
+    record = read_set(path)
+    shorter = [
+        replace(shot, waveform=replace(shot.waveform, counts=shot.waveform.counts[:-100]))
+        if shot.key.position == "B"
+        else shot
+        for shot in record.shots
+    ]
+    path.write_bytes(build_image(replace(record, shots=shorter)))
+    told = export_hdf5(folder, tmp_path / "all.h5")
+    n_samples = shorter[0].waveform.counts.size
+    assert told.arrays["B_waveforms"] == (4, n_samples + 100)
+    assert told.arrays["B_waveforms_2"] == (2, n_samples)
+    assert told.arrays["C_waveforms"] == (6, n_samples + 100)
+    with h5py.File(tmp_path / "all.h5") as file:
+        assert file["entry/B_waveforms/set_index"][()].tolist() == [0, 0, 2, 2]
+        assert file["entry/B_waveforms_2/set_index"][()].tolist() == [1, 1]
+        np.testing.assert_array_equal(
+            file["entry/B_waveforms_2/waveform"][1],
+            [shot for shot in shorter if shot.key.position == "B"][1].waveform.counts,
+        )
+
+
+def test_missing_and_damaged_files_are_left_out_and_told(folder, tmp_path):
+    files = set_files(folder)
+    files[0].unlink()
+    files[2].write_bytes(files[2].read_bytes()[:3000])
+    code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, told["sets"], told["waiting"], told["ok"]) == (4, 1, 0, False)
+    assert sorted(told["left_out"]) == sorted(f"sets/{files[index].name}" for index in (0, 2))
+    with h5py.File(tmp_path / "all.h5") as file:
+        assert set(file["entry/B_waveforms/set_index"][()]) == {1}
+        assert file["entry/B_sets/set_index"][()].tolist() == [0, 1, 2], "its rows are there all the same"
+
+
+def test_a_set_that_waits_in_the_journal_is_no_damage(folder, tmp_path):
+    path = set_files(folder)[2]
+    record = read_set(path)
+    path.unlink()
+    with closing(FolderArchive(folder, journal=True)) as archive:
+        archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+        for item in record.records:
+            archive.append(item, item.stamp.utc_ns)
+        archive.store_set(record)
+        code, told = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
+    assert (code, told["sets"], told["waiting"], told["left_out"]) == (0, 2, 1, {})
+
+
+def test_file_and_folder_may_move_together_and_a_set_that_is_gone_is_seen(folder, tmp_path):
+    export_hdf5(folder, tmp_path / "all.h5")
+    expected = records_of(folder, "B")[0].waveform.counts
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    for name in ("data", "all.h5"):
+        (tmp_path / name).rename(elsewhere / name)
+    with h5py.File(elsewhere / "all.h5") as file:
+        np.testing.assert_array_equal(file["entry/B_waveforms/waveform"][0], expected)
+    set_files(elsewhere / "data")[0].unlink()
+    with h5py.File(elsewhere / "all.h5") as file:
+        records = file["entry/B_waveforms/waveform"]
+        assert set(records[0]) == {np.iinfo(records.dtype).min}
+        assert np.ptp(records[2]) > 0
+
+
+@pytest.mark.parametrize("place", ["nowhere", "empty", "sets/all.h5", "catalogue.sqlite", "no/such/all.h5"])
+def test_what_cannot_be_meant_is_refused_with_code_2(folder, tmp_path, place):
+    (tmp_path / "empty").mkdir()
+    source, target = folder, folder / place
+    if place in ("nowhere", "empty"):
+        source, target = tmp_path / place, tmp_path / "all.h5"
+    before = sorted(path.name for path in tmp_path.rglob("*"))
+    code, told = solimon("export", "--data-dir", source, "--hdf5", target, "--overwrite")
+    assert code == 2, told
+    assert sorted(path.name for path in tmp_path.rglob("*")) == before
+
+
+def test_a_file_is_replaced_only_when_told_and_only_as_a_whole(folder, tmp_path, monkeypatch):
+    target = tmp_path / "all.h5"
+    target.write_bytes(b"kept")
+    with pytest.raises(UsageError, match="--overwrite"):
+        export_hdf5(folder, target)
+
+    def refuse(*names):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(shared_file.os, "fsync", refuse)
+        with pytest.raises(StorageUnavailableError, match="No space left"):
+            export_hdf5(folder, target, overwrite=True)
+    assert target.read_bytes() == b"kept"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["all.h5", "data"]
+    export_hdf5(folder, target, overwrite=True)
+    assert h5py.is_hdf5(target)
+
+
+def test_progress_counts_the_sets(running, tmp_path):
+    told = []
+    export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: told.append((done, planned)))
+    assert told == [(done, SETS) for done in range(SETS + 1)]

@@ -1,0 +1,197 @@
+"""`solimon service`: what the system's own programs and our command line say of what it writes."""
+
+import configparser
+import json
+import math
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner
+from support.command_line import solimon_here
+from support.notify_socket import notify_socket
+
+from daq_service.cli.main import cli
+from daq_service.errors import EXIT_INTERRUPTED, UsageError
+from daq_service.recording.session import longest_call_s
+from daq_service.settings.file import load_settings
+
+SUPPLY = '[rig.supply]\nidentity = "MAKER"\n[rig.supply.line]\nport = "COM4"\n'
+WITH_SUPPLY = 'name = "50 % \\"wall\\""\n[rig]\nstall_timeout_s = 180.0\n' + SUPPLY
+TASKS = "{http://schemas.microsoft.com/windows/2004/02/mit/task}"
+
+
+def written(config: Path, manager: str, *options: str) -> dict[str, Any]:
+    arguments = [
+        "service",
+        manager,
+        str(config),
+        "--out",
+        str(config.parent / "services"),
+        "--json",
+        *options,
+    ]
+    result = CliRunner().invoke(cli, arguments)
+    assert result.exception is None, result.exception
+    return json.loads(result.stdout)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A configuration with a supply, where no path is plain."""
+    folder = tmp_path / "my $HOME, 5 % 'and' \"more\""
+    folder.mkdir()
+    file = folder / "lab.toml"
+    file.write_text(WITH_SUPPLY, encoding="utf-8")
+    return file
+
+
+def unit(path: str) -> configparser.ConfigParser:
+    parser = configparser.ConfigParser(interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    parser.read(path, encoding="utf-8")
+    return parser
+
+
+def units(config: Path) -> dict[str, configparser.ConfigParser]:
+    files = written(config, "systemd", "--user", "ada")["files"]
+    return {Path(file).stem.removeprefix("solimon-"): unit(file) for file in files}
+
+
+def verify(*files: str) -> str:
+    """Ask systemd itself; empty where it has nothing to say."""
+    if shutil.which("systemd-analyze") is None:
+        pytest.skip("no systemd-analyze here: it comes with the package systemd")
+    command = ["systemd-analyze", "verify", "--man=no", *files]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return (done.stdout + done.stderr).strip() or ("" if done.returncode == 0 else "refused without a word")
+
+
+def test_systemd_verifies_the_units(config: Path) -> None:
+    assert verify(*written(config, "systemd", "--user", "root")["files"]) == ""
+
+
+def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> None:
+    """The check above can fail."""
+    recorder = written(config, "systemd", "--user", "root")["files"][0]
+    text = Path(recorder).read_text(encoding="utf-8")
+    Path(recorder).write_text(text.replace("WatchdogSec=", "WatchdogSeconds="), encoding="utf-8")
+    assert "WatchdogSeconds" in verify(recorder)
+
+
+def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) -> None:
+    recorder = units(config)["record"]["Service"]
+    rig = load_settings(config).rig
+    deadline_s = longest_call_s(rig) + rig.stall_timeout_s
+    assert recorder["Type"] == "notify"
+    assert int(recorder["WatchdogSec"]) == math.ceil(deadline_s)
+    assert int(recorder["TimeoutStartSec"]) > deadline_s
+    assert int(recorder["TimeoutStopSec"]) > deadline_s
+
+
+def test_what_ends_is_started_again_as_its_exit_code_says(config: Path) -> None:
+    for word, parsed in units(config).items():
+        service = parsed["Service"]
+        assert service["Restart"] == ("always" if word == "drive" else "on-failure")
+        assert service["RestartPreventExitStatus"] == str(UsageError.exit_code), "nothing mends it"
+        assert service["SuccessExitStatus"] == str(EXIT_INTERRUPTED), "told to stop is no failure"
+        assert parsed["Unit"]["StartLimitIntervalSec"] == "0"
+        assert service["User"] == "ada"
+
+
+def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
+    """Else it would end with the recorder, which it is there to outlive."""
+    made = units(config)
+    assert made["record"]["Unit"]["Wants"] == made["record"]["Unit"]["After"] == "solimon-drive.service"
+    assert made["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
+    assert made["drive"]["Service"]["Type"] == "notify"
+    config.write_text("", encoding="utf-8")
+    assert list(units(config)) == ["record", "serve"]
+
+
+def test_devices_are_left_to_those_who_use_them(config: Path) -> None:
+    made = units(config)
+    assert [word for word, parsed in made.items() if "PrivateDevices" in parsed["Service"]] == ["serve"]
+    assert {parsed["Service"]["NoNewPrivileges"] for parsed in made.values()} == {"yes"}
+
+
+@pytest.mark.parametrize("manager", ["systemd", "windows"])
+def test_the_command_lines_are_ours(manager: str, config: Path) -> None:
+    files = written(config, manager)["files"]
+    if manager == "systemd":
+        lines = [unit(file)["Service"]["ExecStart"].replace("%%", "%").replace("$$", "$") for file in files]
+        commands = [shlex.split(line) for line in lines]
+    else:
+        actions = [ElementTree.parse(file).find(f".//{TASKS}Exec") for file in files]
+        assert all(action is not None for action in actions)
+        # What Windows' rules quote with backslashes, a shell's do alike.
+        commands = [
+            [action.findtext(f"{TASKS}Command"), *shlex.split(action.findtext(f"{TASKS}Arguments"))]
+            for action in actions
+        ]
+    words = []
+    for program, safe, dash_m, module, word, *arguments in commands:
+        assert (program, dash_m, module) == (sys.executable, "-m", "daq_service.cli")
+        assert safe == "-P", "no file beside the configuration is taken for a module"
+        options = cli.commands[word].make_context(word, arguments).params
+        assert (options["config"], options["data_dir"]) == (config, config.parent / "solimon-data")
+        words.append(word)
+    assert words == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
+
+
+def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
+    told = written(config, "windows", "--user", "LAB\\ada", "--name", "wall")
+    assert [Path(file).name for file in told["files"]] == ["wall.xml", "wall-drive.xml"]
+    assert told["install"][0] == f'schtasks /create /f /tn "wall" /xml "{told["files"][0]}"'
+    task = ElementTree.fromstring(Path(told["files"][0]).read_bytes())
+    found = {element.tag.removeprefix(TASKS): element.text for element in task.iter()}
+    assert found["Description"] == 'solimon run: 50 % "wall"'
+    assert task.find(f".//{TASKS}BootTrigger/{TASKS}Repetition/{TASKS}Interval") is not None
+    assert (found["UserId"], found["LogonType"]) == ("LAB\\ada", "S4U"), "whoever is logged on"
+    assert (found["ExecutionTimeLimit"], found["MultipleInstancesPolicy"]) == ("PT0S", "IgnoreNew")
+    assert int(found["Count"] or 0) <= 255, "the schema's unsigned byte"
+
+
+def test_one_command_installs_and_starts_the_units(config: Path) -> None:
+    told = written(config, "systemd")
+    (line,) = told["install"]
+    names = [Path(file).name for file in told["files"]]
+    copy = [
+        "sudo",
+        "cp",
+        *told["files"],
+        "/etc/systemd/system/",
+        "&&",
+        "sudo",
+        "systemctl",
+        "daemon-reload",
+        "&&",
+    ]
+    assert shlex.split(line) == [*copy, "sudo", "systemctl", "enable", "--now", *names]
+
+
+@pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
+def test_a_recorder_tells_its_manager_from_its_start_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log of later tests, too
+    config = tmp_path / "test.toml"
+    config.write_text(
+        "[schedule]\nend_h = 0.5\nshots_per_set = 1\n[baseline]\nminimum_valid_shots = 1\n"
+        "[plate]\nelements_per_edge = 16\n[storage]\njournal = false\n",
+        encoding="utf-8",
+    )
+    with notify_socket(tmp_path) as (environment, heard):
+        done = solimon_here("record", str(config), env=environment)
+    assert done.returncode == 0, done.stderr
+    opening, begun, *_, stopping = heard
+    assert opening[0] == "WATCHDOG=1", "not ready yet"
+    assert opening[-1] == "STATUS=opening the rig"
+    assert begun == ["READY=1"]
+    assert stopping == ["STOPPING=1", "STATUS=stopping"]

@@ -1,0 +1,256 @@
+"""The parts of `solimon setup`: questions with two mouths, the page's guards, what answers for itself."""
+
+import io
+import os
+import queue
+import threading
+from types import SimpleNamespace
+
+import httpx
+import numpy as np
+import pytest
+import support.niscope_rig as probes
+from support.serial_rig import NO_TERMINALS
+from support.synthetic_records import waveform_of
+from support.waiting import until
+
+from daq_service.cli.set_up.bench import Bench
+from daq_service.cli.set_up.dialogue import Dialogue, Question, _Answer
+from daq_service.cli.set_up.other_instruments import ask_for_others
+from daq_service.cli.set_up.page import COLUMNS, envelope, served_page
+from daq_service.cli.set_up.wiring import coil_counters, home_terminal
+from daq_service.errors import UsageError
+from hardware_drivers.daqmx.parameters import TransducerWiring
+from hardware_drivers.daqmx.survey import BoardFacts
+from hardware_drivers.errors import ConfigurationError, InstrumentError
+from simulator.doubles.serial.instruments import SerialInstruments
+
+HEIGHT = Question(name="height", text="Height, m", default="0.005")
+LEAVE = Question(name="B.strike", text="Strike B", default="go on", choices=("strike", "go on"))
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """A terminal at which nobody says anything until a test does; hung up at the end."""
+    reading, writing = os.pipe()
+    with os.fdopen(reading, encoding="utf-8") as ours, os.fdopen(writing, "w", encoding="utf-8") as theirs:
+        monkeypatch.setattr("sys.stdin", ours)
+        yield theirs
+        theirs.close()
+        until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "the terminal's end")
+
+
+def bench(**values):
+    return SimpleNamespace(position=None, strikes=0, struck={}, watch=lambda: (None, None), **values)
+
+
+def asked_aside(dialogue, question, understood=str):
+    """The question waits in another thread; where its value will come."""
+    value = queue.Queue()
+    before = dialogue.number
+    threading.Thread(target=lambda: value.put(dialogue.ask(question, understood))).start()
+    until(lambda: dialogue.number > before, "the question")
+    return value
+
+
+# Questions -------------------------------------------------------------------------------------------
+
+
+def test_an_answer_is_asked_for_until_it_is_understood(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO("high\n0.01\n"))
+    assert Dialogue().ask(HEIGHT, float) == 0.01
+    assert "could not convert string to float: 'high'" in capsys.readouterr().err
+
+
+def test_no_answer_is_the_default_and_the_default_strikes_nothing(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO("\nyes\nst\nstrike\n"))
+    dialogue = Dialogue()
+    assert dialogue.ask(LEAVE, str) == "go on"
+    assert dialogue.ask(LEAVE, str) == "strike", "only the word itself"
+    assert [line for line in dialogue.lines if "none of" in line] == [
+        "  'yes' is none of strike, go on",
+        "  'st' is none of strike, go on",
+    ]
+
+
+def test_the_end_of_a_terminal_is_told_with_the_question(monkeypatch):
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    with pytest.raises(UsageError, match=r"B\.strike: Strike B.*solimon setup --help"):
+        Dialogue().ask(LEAVE, str)
+
+
+def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
+    dialogue = Dialogue()
+    assert not dialogue.answer(0, "strike"), "nothing is asked"
+    value = asked_aside(dialogue, HEIGHT, float)
+    shown = dialogue.as_row()["question"]
+    assert (shown["name"], shown["default"], shown["choices"]) == ("height", "0.005", [])
+    assert dialogue.answer(shown["number"], "0.004")
+    assert value.get() == 0.004
+    assert dialogue.as_row()["question"] is None
+    value = asked_aside(dialogue, LEAVE)
+    assert not dialogue.answer(shown["number"], "strike"), "that was an answer to the height"
+    assert dialogue.answer(dialogue.number, "go on")
+    assert value.get() == "go on"
+
+
+def test_a_second_answer_to_one_question_is_none_to_the_next(terminal):
+    """Page and terminal answer at once: what comes second must not strike."""
+    dialogue = Dialogue()
+    value = asked_aside(dialogue, HEIGHT, float)
+    number = dialogue.number
+    with dialogue._lock:  # it cannot end before both are under way
+        dialogue._answers.put(_Answer("0.004", number))
+        dialogue._answers.put(_Answer("strike", number))
+    assert value.get() == 0.004
+    value = asked_aside(dialogue, LEAVE)
+    terminal.write("go on\n")
+    terminal.flush()
+    assert value.get() == "go on"
+
+
+class Typed(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_what_was_typed_ahead_strikes_nothing(monkeypatch):
+    typed = Typed("0.004\nstrike\n")
+    monkeypatch.setattr("sys.stdin", typed)
+    dialogue = Dialogue()
+    assert dialogue.ask(HEIGHT, float) == 0.004
+    until(lambda: "terminal" not in {one.name for one in threading.enumerate()}, "both lines were typed")
+    with pytest.raises(UsageError, match="nobody answers any more"):
+        dialogue.ask(LEAVE, str)
+
+
+# The page --------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_guarded_as_the_dashboard(terminal):
+    dialogue = Dialogue()
+    with served_page(dialogue, bench(), 0) as address, httpx.Client(base_url=address) as api:
+        assert address.startswith("http://127.0.0.1:")
+        page = api.get("/")
+        assert "solimon setup" in page.text
+        assert "script-src 'self'" in page.headers["Content-Security-Policy"]
+        assert api.get("/static/setup.js").status_code == 200
+        assert api.get("/static/../server.py").status_code == 404
+        value = asked_aside(dialogue, LEAVE)
+        body = {"number": dialogue.number, "text": "strike"}
+        foreign = {"Origin": "http://elsewhere.example"}
+        assert api.post("/api/answer", json=body, headers=foreign).status_code == 403
+        assert api.post("/api/record", headers=foreign).status_code == 403
+        assert api.get("/api/state", headers={"Host": "elsewhere.example"}).status_code == 400
+        assert value.empty()
+        assert api.post("/api/answer", json={**body, "number": 0}).status_code == 409
+        assert api.post("/api/answer", json=body).json() == {"taken": True}
+        assert value.get() == "strike"
+        assert api.post("/api/record").json() == {"position": None, "record": None}
+        assert api.get("/api/strike").json() == {"strike": None, "shot": None}
+
+
+def test_a_page_that_is_open_hears_that_all_is_done():
+    with served_page(Dialogue(), bench(), 0) as address:
+        assert not httpx.get(f"{address}api/state").json()["done"]
+        heard = queue.Queue()
+
+        def follow():
+            with httpx.Client(base_url=address) as api:
+                while not api.get("/api/state").json()["done"]:
+                    pass
+            heard.put(True)
+
+        threading.Thread(target=follow).start()
+    assert heard.get()
+
+
+def test_what_the_boards_refuse_is_told_on_the_page():
+    def refused():
+        raise InstrumentError("LabVIEW holds the board; end it")
+
+    watched = bench()
+    watched.watch = refused
+    with served_page(Dialogue(), watched, 0) as address:
+        assert httpx.post(f"{address}api/record").json() == {
+            "position": None,
+            "error": "LabVIEW holds the board; end it",
+        }
+
+
+def test_an_envelope_keeps_every_crest():
+    volts = np.zeros(13_600)
+    volts[4321], volts[9876] = 4.0, -3.0
+    drawn = envelope(waveform_of(volts), first_s=-1e-4)
+    assert len(drawn["highest_v"]) == len(drawn["lowest_v"]) == COLUMNS
+    # Half a code of the converter.
+    assert max(drawn["highest_v"]) == pytest.approx(4.0, abs=2e-4)
+    assert int(np.argmin(drawn["lowest_v"])) == 9876 * COLUMNS // 13_600
+    assert drawn["column_s"] * COLUMNS == pytest.approx(1.36e-3)
+
+
+# What is there ---------------------------------------------------------------------------------------
+
+
+def test_a_counter_s_home_is_its_family_s():
+    facts = {
+        "serial": "1", "product": "", "simulated": False, "ours": False, "max_rate_hz": 1e7, "ranges_v": (),
+        "inputs": (), "analog_trigger": True, "calibrates_itself": True, "calibration_date": "",
+        "calibration_temperature_c": 0.0, "temperature_c": 0.0, "name": "Dev1",
+        "counters": ("Dev1/ctr0", "Dev1/ctr1", "Dev1/freqout"),
+    }  # fmt: skip
+    x_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/PFI13"), **facts)
+    s_series = BoardFacts(terminals=("/Dev1/PFI12", "/Dev1/Ctr0Out", "/Dev1/Ctr1Out"), **facts)
+    assert coil_counters(x_series) == ["ctr0", "ctr1"]
+    assert [home_terminal(x_series, one) for one in ("ctr0", "ctr1")] == ["PFI12", "PFI13"]
+    assert [home_terminal(s_series, one) for one in ("ctr0", "ctr1")] == ["Ctr0Out", "Ctr1Out"]
+
+
+def test_a_counter_that_starts_nothing_leaves_a_rig_without_holdoff(monkeypatch, tmp_path):
+    class Refusing:
+        def __init__(self, parameters, position, timeout_s):
+            self.parameters, self.position = parameters, position
+
+        def quiet(self):
+            return waveform_of(np.zeros(100), pretrigger_samples=0)
+
+        def strike(self):
+            raise ConfigurationError("its counter cannot start it")
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr("hardware_drivers.daqmx.pulse_record.FreeInput", Refusing)
+    board = SimpleNamespace(ranges_v=((-5.0, 5.0), (-42.0, 42.0)), max_rate_hz=10e6)
+    bench = Bench(boards={"00F12015": board}, data_folder=tmp_path)
+    try:
+        bench.wire("C", TransducerWiring(board_serial="00F12015", counter="ctr1", output_terminal="Ctr1Out"))
+        assert bench.parameters().holdoff_s == 0.0106
+        assert bench.parameters().transducers["C"].range_v == 5.0, "the largest up to 10 V"
+        with pytest.raises(ConfigurationError, match="cannot start it"):
+            bench.strike("C")
+        assert (bench.strikes, bench.proposal(), bench.parameters().holdoff_s) == (0, None, None)
+    finally:
+        bench.close()
+
+
+@pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are")
+def test_instruments_on_serial_lines_tell_their_names_and_nothing_is_switched(tmp_path):
+    with SerialInstruments(tmp_path) as there:
+        ports = [str(link.path) for link in (there.supply_link, there.climate_link)]
+        tables, off = ask_for_others(Dialogue(), {}, *ports, asks=False)
+        assert {text for _, text in there.supply_link.heard()} == {"*IDN?"}
+        assert there.output_changes() == []
+    assert tables["supply"]["identity"] == r"SOLIMON,DC\ SUPPLY\ DOUBLE,SD0001"
+    assert tables["climate"]["line"]["port"] == ports[1]
+    assert off == {("rig", "niscope")}
+    with pytest.raises(InstrumentError, match="no-such-port"):
+        ask_for_others(Dialogue(), {}, "/dev/no-such-port", "", asks=False)
+
+
+@probes.needs_niscope
+def test_a_probe_s_board_is_known_by_its_serial_number():
+    with probes.met_brain(probes.description()):
+        tables, off = ask_for_others(Dialogue(), {"A": f"{probes.RESOURCE}/0"}, "", "", asks=False)
+    assert tables["niscope"]["probes"]["A"]["serial_number"] == f"{probes.SERIAL:08X}"
+    assert ("rig", "niscope") not in off

@@ -1,0 +1,226 @@
+"""How a test stands, as a person reads it."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.command_line import solimon_here
+from support.filled_folder import LIMIT_F, N_BASELINE, FilledFolder
+from support.kept_folder import lay_out
+
+from daq_service.archive import FolderSetReader
+from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.catalogue.rows import SetRow, ThicknessRow
+from daq_service.cli.status.command import PIPE_COLUMNS
+from daq_service.cli.status.facts import GAPS_A_POSITION, describe_status
+from daq_service.cli.status.table import picture
+from daq_service.cli.terminal import console_on
+from daq_service.processes.disk_policy import LEVELS
+from daq_service.settings.tree import Settings
+
+SETS = N_BASELINE + 2
+
+
+@pytest.fixture
+def filled(tmp_path: Path) -> Iterator[FilledFolder]:
+    """A test that is being recorded, one set behind its baseline."""
+    folder = FilledFolder(tmp_path, Settings())
+    for index in (0, N_BASELINE - 1, N_BASELINE, SETS - 1):
+        folder.add_set(index, stored=False)
+    yield folder
+    folder.close()
+
+
+def missed(filled: FilledFolder, index: int, cause: str, *positions: str) -> None:
+    """Rows of a set that was not taken."""
+    due = filled.due[index]
+    commit = SetCommit()
+    for name in positions or filled.settings.positions:
+        commit.sets.append(
+            SetRow(
+                set_index=index,
+                position=name,
+                method=filled.settings.positions[name].method,
+                due_utc_ns=due.due_utc_ns,
+                due_h=due.due_h,
+                state="missed",
+                cause=cause,
+                n_planned=1,
+            )
+        )
+    filled.catalogue.commit_set(commit)
+
+
+def told(facts: dict[str, Any]) -> list[str]:
+    console = console_on("stdout")
+    console.width = PIPE_COLUMNS
+    with console.capture() as captured:
+        console.print(picture(facts, "here"))
+    return [line.rstrip() for line in captured.get().splitlines()]
+
+
+def status_of(filled: FilledFolder) -> list[str]:
+    return told(describe_status(filled.folder, filled.settings))
+
+
+def line_of(lines: list[str], word: str) -> str:
+    (found,) = [line for line in lines if line.startswith(word)]
+    return re.sub(r"  +", "  ", found)
+
+
+def test_each_result_stands_beside_its_limit_its_quality_and_its_age(filled: FilledFolder) -> None:
+    facts = describe_status(filled.folder, filled.settings)
+    lines = told(facts)
+    word = facts["positions"]["B"]
+    assert word["state"] == "normal"
+    assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
+    feature, distance = word["last_feature"], word["last_verdict"]["distance_squared"]
+    assert line_of(lines, " B") == (
+        f" B  normal  D² {distance:.1f}, ToF {1e6 * feature['tof_pp_s']:.1f} us, "
+        f"AR {feature['amplitude_ratio']:.3f}  {LIMIT_F}  good, n = 1  0 s  {SETS - 1} done"
+    )
+    wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
+    assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  good  0 s")
+
+
+def test_a_distance_of_another_set_is_not_told_beside_these_features(filled: FilledFolder) -> None:
+    filled.add_set(SETS, stored=False, judged=False)
+    row = line_of(status_of(filled), " B")
+    assert "D²" not in row
+    assert "ToF" in row
+
+
+def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledFolder) -> None:
+    filled.say("hold", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
+    lines = status_of(filled)
+    assert "  90 min STALE  " in line_of(lines, " B")
+    assert (
+        line_of(lines, "on hold") == "on hold  held by ann: door open; nothing strikes until it is released"
+    )
+    assert line_of(lines, "now").startswith(
+        f"now  hour {filled.due[SETS + 2].due_h:.2f} of the test, last written"
+    )
+
+
+def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
+    filled.add_alarm("B", N_BASELINE, message="3 of the last 5 sets")
+    filled.add_alarm("C", SETS - 1, kind="hole", severity="critical", state="acknowledged", message="a hole")
+    lines = status_of(filled)
+    assert line_of(lines, "alarms") == "alarms  2"
+    assert line_of(lines, " 1") == " 1  high  B  unacknowledged  30 min  wall_change: 3 of the last 5 sets"
+    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  hole: a hole"
+    assert line_of(lines, " B").startswith(" B  alarm")
+    assert line_of(lines, " C").startswith(" C  retired")
+
+
+def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:
+    for index in range(SETS, SETS + 3):
+        missed(filled, index, "held by ann")
+    missed(filled, SETS + 3, "no trigger", "D")
+    lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
+    assert lines == [
+        f"gap  3 sets to {SETS + 2} missed at A, B, C, D, hour {filled.due[SETS + 2].due_h:g}: held by ann",
+        f"gap  set {SETS + 3} missed at D, hour {filled.due[SETS + 3].due_h:g}: no trigger",
+    ]
+    for index in range(SETS + 4, SETS + 14):
+        missed(filled, index, f"cause {index}", "D")
+    facts = describe_status(filled.folder, filled.settings)
+    assert [gap["set_index"] for gap in facts["gaps"]] == list(range(SETS + 14 - GAPS_A_POSITION, SETS + 14))
+
+
+def test_what_is_awaited_is_told(filled: FilledFolder) -> None:
+    order = filled.catalogue.add_command("ann", "retire", {"position": "C", "note": ""}, within_s=3600.0)
+    expired = filled.catalogue.add_command("bob", "hold", {"note": ""}, within_s=0.0)
+    facts = describe_status(filled.folder, filled.settings)
+    assert [row["id"] for row in facts["orders"]] == [order], f"order {expired} has expired"
+    awaited = [line for line in told(facts) if line.startswith("awaited")]
+    assert re.fullmatch(
+        r"awaited +the recorder's answer to retire by ann \(pending, expires in 60 min\)", awaited[0]
+    )
+    # By the count of sets, of which four have rows here.
+    assert re.fullmatch(r"awaited +set 4, due at hour 2\.5, 22\.5 h ago", awaited[1])
+
+
+@pytest.mark.parametrize(
+    ("level", "words"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
+)
+def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, words: str) -> None:
+    facts = describe_status(filled.folder, filled.settings)
+    disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
+    assert level in LEVELS
+    line = line_of(told({**facts, "disk": disk}), "disk")
+    assert line.startswith("disk  5.00 GB free")
+    assert words in line
+    assert line.endswith("about 7.00 GB still to come: full at hour 200")
+
+
+def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:
+    facts = describe_status(filled.folder, filled.settings)
+    supply = {"quality": "good", "tripped": "a hole", "description": "off; switched off and kept off: a hole"}
+    lines = told({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
+    assert line_of(lines, "LOST").startswith(
+        "LOST  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
+    )
+    assert line_of(lines, "supply") == "supply  off; switched off and kept off: a hole"
+
+
+def test_a_wall_is_told_with_its_interval_from_the_two_records_again(tmp_path: Path) -> None:
+    folder = lay_out(tmp_path / "data")
+    settings = Settings()
+    facts = describe_status(folder, settings)
+    low_m, high_m = facts["positions"]["A"]["thickness_interval_m"]
+    wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
+    assert low_m < wall_m < high_m
+    row = line_of(told(facts), " A")
+    assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  good" in row
+    with open_catalogue(folder) as catalogue:
+        first, *_, last = catalogue.rows(ThicknessRow, position="A")
+        (its_set,) = catalogue.rows(SetRow, position="A", set_index=last.set_index)
+    assert first.set_index != last.set_index, "the reference is another record"
+    assert its_set.file in FolderSetReader(folder).sets().values()
+    (folder / str(its_set.file)).unlink()
+    facts = describe_status(folder, settings)
+    assert facts["positions"]["A"]["thickness_interval_m"] is None
+    assert f" {1e3 * wall_m:.2f} mm  " in line_of(told(facts), " A")
+    assert its_set.file in facts["lost"]
+
+
+def test_colour_is_for_terminals_without_no_color(
+    filled: FilledFolder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    facts = describe_status(filled.folder, filled.settings)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    for variable, coloured in (("FORCE_COLOR", True), ("NO_COLOR", False)):
+        monkeypatch.setenv(variable, "1")
+        console = console_on("stdout")
+        with console.capture() as captured:
+            console.print(picture(facts, "here"))
+        assert ("\x1b[32m" in captured.get()) == coloured
+
+
+def test_watching_needs_a_terminal(filled: FilledFolder) -> None:
+    for words in (["--watch"], ["--watch", "--json"]):
+        done = solimon_here("status", *words, "--data-dir", str(filled.folder), env={})
+        assert (done.returncode, done.stdout) == (2, "")
+        assert "--watch draws on a terminal" in done.stderr
+
+
+def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
+    lines = told(describe_status(tmp_path, Settings()))
+    assert lines == ["data      here", "recorder  never started here", "          no data yet"]
+
+
+def test_a_position_that_learns_has_no_limit_yet(tmp_path: Path) -> None:
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False, judged=False)
+    row = line_of(status_of(filled), " D")
+    assert row.startswith(" D  learning  ToF ")
+    assert "  none yet  good, n = 1  " in row
+    filled.catalogue.commit_set(
+        SetCommit(verdicts=[replace(filled.verdict("D", 0, 0.5), limit_f=None, distance_squared=12_345.0)])
+    )
+    assert " D² 1.2e+04, ToF " in line_of(status_of(filled), " D")
+    filled.close()

@@ -1,0 +1,242 @@
+"""What a running test tells in a log, and when a page is opened."""
+
+import io
+import logging
+import sys
+import threading
+import webbrowser
+from typing import Any
+
+import pytest
+from support.waiting import happened
+
+from daq_service.cli import terminal
+from daq_service.cli.terminal import Telling, duration, open_page, why_no_screen
+
+ALARM = {"change": "alarm_raised", "hour": 12.5, "severity": "high", "message": "hole at C: inspect"}
+GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door open"}
+
+
+class Log:
+    """A log of a test in which time passes as a test says."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.tell = Telling(mono_s=lambda: self.now_s)
+
+    def after(self, seconds: float, event: str, **values: Any) -> None:
+        self.now_s += seconds
+        self.tell(event, **values)
+
+    def progress(self, seconds: float, done: int) -> None:
+        self.after(seconds, "progress", done=done, planned=100, due_h=done / 2.0)
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    said = capsys.readouterr()
+    assert said.out == "", "standard output belongs to whoever asked for something"
+    return said.err.splitlines()
+
+
+def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    with log.tell:
+        for done, pause_s in enumerate((0.0, 1800.0, 1800.0, 1.0, 1.0, 60.0), start=1):
+            log.progress(pause_s, done)
+        log.progress(1.0, 100)
+    assert [line.partition(", ")[2] for line in lines(capsys)] == [
+        f"set {done} of 100" for done in (1, 2, 3, 6, 100)
+    ]
+
+
+def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    with log.tell:
+        for change in ("alarm_raised", "alarm_worsened", "alarm_returned", "alarm_cleared", "alarm_reset"):
+            log.after(0.0, "alarm", **{**ALARM, "change": change})
+    stands = "hour 12.5, ALARM, high: hole at C: inspect"
+    assert lines(capsys) == [
+        *(stands,) * 3,
+        "hour 12.5, alarm cleared: hole at C: inspect",
+        "hour 12.5, alarm reset: hole at C: inspect",
+    ]
+
+
+def test_of_gaps_for_one_reason_the_first_is_told_at_once_and_then_the_last(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    log = Log()
+    with log.tell:
+        for index in (3, 4, 5):
+            log.after(0.0, "gap", set_index=index, **GAP)
+            log.progress(1.0, index + 1)
+        log.progress(1.0, 7)
+        log.after(0.0, "gap", set_index=9, **GAP)
+        log.after(0.0, "gap", set_index=10, **{**GAP, "cause": "the computer slept"})
+    assert lines(capsys) == [
+        "set 3 missed at A, B: held by ann: door open",
+        "hour 2.0, set 4 of 100",
+        "sets 4 to 5 too missed at A, B: held by ann: door open",
+        "set 9 missed at A, B: held by ann: door open",
+        "set 10 missed at A, B: the computer slept",
+    ]
+
+
+def test_what_took_long_once_is_told_with_its_time(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    with log.tell:
+        log.after(0.0, "preparing", what="building the plates")
+        log.after(1.0, "preparing", what="compiling the loops")
+        log.after(40.0, "prepared", what="compiling the loops")
+        log.after(0.0, "prepared", what="building the plates")
+        log.after(0.0, "preparing", what="compiling the loops")
+        log.after(1.9, "prepared", what="compiling the loops")
+        log.after(9.0, "prepared", what="that of which nobody heard")
+    assert lines(capsys) == ["compiling the loops: took 40 s", "building the plates: took 41 s"]
+
+
+def test_the_line_that_is_rewritten_says_what_takes_long(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    text = log.tell._text
+    log.after(1.0, "beat", doing="opening the rig", process=1)
+    assert text().plain == "opening the rig"
+    log.after(0.0, "preparing", what="compiling the loops")
+    log.now_s += 40.0
+    assert text().plain == "compiling the loops; 40 s so far"
+    log.after(1.0, "beat", doing="opening the rig", process=1)
+    log.after(0.0, "prepared", what="compiling the loops")
+    assert text().plain == "opening the rig; 41 s so far", "it began before"
+    log.progress(0.0, 5)
+    log.after(0.0, "beat", doing="waiting for set 5", process=1)
+    assert text().plain == "hour 2.5, set 5 of 100"
+    log.now_s += 600.0
+    assert text().plain == "hour 2.5, set 5 of 100; waiting for set 5; 10 min so far"
+    capsys.readouterr()
+
+
+def test_a_restart_is_told_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    with log.tell:
+        log.tell.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
+        log.tell.hear("web", {"event": "progress", "done": "of no recorder"})
+        log.tell.hear("recorder", {"event": "nobody knows this one"})
+        log.tell.hear("recorder", {"event": "alarm", **ALARM})
+    assert lines(capsys) == [
+        "web was killed by signal 9; started again in 0.2 s",
+        "hour 12.5, ALARM, high: hole at C: inspect",
+    ]
+
+
+class GoneTerminal(io.StringIO):
+    def write(self, text: str) -> int:
+        raise OSError(5, "Input/output error")
+
+
+def test_a_terminal_that_is_gone_ends_no_test(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(sys, "stderr", GoneTerminal())
+    log = Log()
+    with caplog.at_level(logging.DEBUG), log.tell:
+        log.progress(0.0, 1)
+    assert "nobody reads 'hour 0.5, set 1 of 100'" in caplog.text
+
+
+class HeldTerminal(io.StringIO):
+    """Takes nothing before it is released, as after Ctrl-S."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.released = threading.Event()
+
+    def write(self, text: str) -> int:
+        happened(self.released.wait, "the release of the terminal")
+        return super().write(text)
+
+
+def test_a_terminal_that_is_held_keeps_nobody_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    held = HeldTerminal()
+    monkeypatch.setattr(sys, "stderr", held)
+    log = Log()
+    with log.tell:
+        log.progress(0.0, 1)
+        log.tell.hear("recorder", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
+        log.after(0.0, "alarm", **ALARM)
+        assert held.getvalue() == ""
+        held.released.set()
+    assert len(held.getvalue().splitlines()) == 3, "everything is told when it is released"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"),
+    [(0.4, "0 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2.0 h"), (172_800.0, "2.0 d")],
+)
+def test_a_duration_has_its_unit(seconds: float, told: str) -> None:
+    assert duration(seconds) == told
+
+
+# A page on a screen ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+
+
+@pytest.mark.usefixtures("at_a_terminal")
+@pytest.mark.parametrize(
+    ("environment", "platform", "why"),
+    [
+        ({"DISPLAY": ":0"}, "linux", ""),
+        ({"WAYLAND_DISPLAY": "wayland-0"}, "linux", ""),
+        ({}, "linux", "no DISPLAY"),
+        ({}, "win32", ""),
+        ({}, "darwin", ""),
+        ({"DISPLAY": ":0", "CI": "true"}, "linux", "CI"),
+        ({"DISPLAY": ":10", "SSH_CONNECTION": "10.0.0.2 1 10.0.0.3 22"}, "linux", "SSH"),
+        ({"SSH_TTY": "/dev/pts/1"}, "darwin", "SSH"),
+    ],
+)
+def test_a_page_is_opened_where_somebody_sits(environment: dict[str, str], platform: str, why: str) -> None:
+    assert why_no_screen(environment, platform) == why
+
+
+def test_no_page_is_opened_for_a_program() -> None:
+    assert why_no_screen({"DISPLAY": ":0"}, "linux") == "no terminal"
+
+
+class Browser(webbrowser.BackgroundBrowser):
+    def __init__(self) -> None:
+        super().__init__("firefox")
+        self.opened = threading.Event()
+        self.urls: list[str] = []
+
+    def open(self, url: str, new: int = 0, autoraise: bool = True) -> bool:
+        self.urls.append(url)
+        self.opened.set()
+        return True
+
+
+@pytest.mark.usefixtures("at_a_terminal")
+def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+    browser = Browser()
+    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
+    monkeypatch.setattr(webbrowser, "get", lambda: browser)
+    assert open_page("http://127.0.0.1:8000/")
+    assert browser.opened.wait(60.0)
+    assert browser.urls == ["http://127.0.0.1:8000/"]
+    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "SSH")
+    assert not open_page("http://127.0.0.1:8000/")
+
+
+def test_no_browser_takes_the_terminal_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
+    monkeypatch.delenv("BROWSER", raising=False)
+    monkeypatch.setattr(webbrowser, "get", lambda: webbrowser.GenericBrowser("w3m"))
+    assert not open_page("http://127.0.0.1:8000/")
+
+    def none() -> None:
+        raise webbrowser.Error("could not locate runnable browser")
+
+    monkeypatch.setattr(webbrowser, "get", none)
+    assert not open_page("http://127.0.0.1:8000/")

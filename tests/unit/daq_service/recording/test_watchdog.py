@@ -1,0 +1,149 @@
+"""The service manager's watchdog is fed by the recording line, and starves when the line hangs."""
+
+import os
+import socket
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from support.machine import NS_PER_S, Machine
+from support.memory_line import Line, healthy, memory_settings
+
+from daq_service.clock import parse_utc, wall
+from daq_service.processes.heartbeat import Heartbeat
+from daq_service.processes.service_manager import notify, telling_service_manager
+from hardware_drivers.measurement import ShotKey
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(socket, "AF_UNIX"), reason="no service manager of this system speaks over a Unix socket"
+)
+
+DEADLINE_S = 60.0
+HANGS_S = 10 * DEADLINE_S
+
+
+class Manager:
+    """A service manager's end of the notify socket; notes what comes and when, on the machine's time."""
+
+    def __init__(self, channel: socket.socket, machine: Machine) -> None:
+        self.channel, self.machine = channel, machine
+        self.heard: list[tuple[float, list[str]]] = []
+
+    def hear(self) -> None:
+        while True:
+            try:
+                datagram = self.channel.recv(4096)
+            except BlockingIOError:
+                return
+            self.heard.append((self.machine.elapsed_ns / NS_PER_S, datagram.decode().split("\n")))
+
+    def times_s(self, assignment: str) -> list[float]:
+        return [at_s for at_s, lines in self.heard if assignment in lines]
+
+
+class HeardMachine(Machine):
+    """A machine whose service manager listens whenever somebody sleeps."""
+
+    manager: Manager
+
+    def sleep(self, seconds: float) -> None:
+        self.manager.hear()
+        super().sleep(seconds)
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
+    """Listen at a path, or at an abstract address (Linux)."""
+    address = str(tmp_path / "notify") if request.param == "path" else f"@solimon-{os.getpid()}-{id(request)}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+        try:
+            channel.bind(address.replace("@", "\0", 1))
+        except OSError as error:
+            pytest.skip(f"no abstract sockets here: {error}")
+        channel.setblocking(False)
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        monkeypatch.setattr(wall, "IDLE_INTERVAL_S", DEADLINE_S / 2)
+        machine = HeardMachine(parse_utc("2024-01-01T00:00:00Z"))
+        machine.manager = Manager(channel, machine)
+        yield machine.manager
+
+
+def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tuple[str, str]]:
+    """Run a line in real time on the manager's machine; every event that it told, with what it did."""
+    machine, told, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
+
+    def script(key: ShotKey):
+        manager.hear()
+        if key == hang and not hung:
+            hung.append(key)
+            machine.elapsed_ns += round(HANGS_S * NS_PER_S)
+            machine.utc_ns += round(HANGS_S * NS_PER_S)
+            manager.hear()  # whatever was sent meanwhile counts as sent now
+        return healthy(key)
+
+    def tell(event: str, **values: object) -> None:
+        told.append((event, str(values.get("doing", ""))))
+
+    settings = memory_settings(
+        clock={"kind": "wall"}, schedule={"phases": [{"until_h": 1.0, "interval_h": 0.5}]}
+    )
+    clock = machine.clock()
+    with telling_service_manager(tell) as told_too:
+        heartbeat = Heartbeat(
+            folder,
+            deadline_s=DEADLINE_S,
+            tell=told_too,
+            mono_ns=lambda: machine.elapsed_ns,
+            boot=lambda: "it",
+        )
+        line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
+        heartbeat.beat("opening the rig")
+        assert line.run(clock=clock, tell=told_too)
+        manager.hear()
+    manager.hear()
+    return told
+
+
+def test_each_beat_of_the_line_feeds_it(manager: Manager, tmp_path: Path) -> None:
+    told = run(manager, tmp_path)
+    beats = [doing for event, doing in told if event == "beat"]
+    (_, opening), (_, begun), *later, (_, stopping) = manager.heard
+    lasts = f"EXTEND_TIMEOUT_USEC={DEADLINE_S * 1e6:.0f}"
+    assert opening == ["WATCHDOG=1", lasts, "STATUS=opening the rig"], (
+        "not ready yet, and it may take its time"
+    )
+    assert begun == ["READY=1"]
+    assert [lines for _, lines in later] == [
+        ["READY=1", "WATCHDOG=1", lasts, f"STATUS={doing}"] for doing in beats[1:]
+    ]
+    assert stopping[0] == "STOPPING=1"
+    times_s = manager.times_s("WATCHDOG=1")
+    assert times_s[-1] - times_s[0] >= 1800.0, "it waited for a set"
+    assert max(after - before for before, after in pairwise(times_s)) <= DEADLINE_S
+
+
+def test_it_starves_while_the_line_hangs(manager: Manager, tmp_path: Path) -> None:
+    run(manager, tmp_path, hang=ShotKey(position="C", set_index=1, shot_index=2))
+    gaps_s = [after - before for before, after in pairwise(manager.times_s("WATCHDOG=1"))]
+    assert max(gaps_s) >= HANGS_S
+    assert sum(gap_s > DEADLINE_S for gap_s in gaps_s) == 1
+
+
+def test_nobody_is_told_where_no_manager_listens(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
+    notify("WATCHDOG=1")
+    monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
+    notify("WATCHDOG=1")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_done_is_told_in_one_line() -> None:
+    sent: list[tuple[str, ...]] = []
+    with telling_service_manager(lambda event, **values: None, lambda *lines: sent.append(lines)) as tell:
+        tell("beat", deadline_s=1.5, doing="waiting for the rig:\nWATCHDOG=trigger")
+    assert sent[0] == (
+        "WATCHDOG=1",
+        "EXTEND_TIMEOUT_USEC=1500000",
+        "STATUS=waiting for the rig: WATCHDOG=trigger",
+    )

@@ -1,0 +1,23 @@
+"""What is compiled is told, once, and not what others of it need."""
+
+import numba
+
+from simulator.numerics.machine_code import compilation_told
+
+
+def test_a_compilation_is_told_when_it_begins_and_ends_and_only_then() -> None:
+    @numba.njit  # nothing is kept on disk: a second run of the tests compiles again
+    def inner(x):
+        return x + 1.0
+
+    @numba.njit
+    def outer(x):
+        return 2.0 * inner(x)
+
+    told: list[bool] = []
+    with compilation_told(told.append):
+        assert outer(1.0) == 4.0
+        assert told == [True, False], "the inner loop is compiled for the outer one"
+        assert outer(2.0) == 6.0
+    assert outer(1) == 4.0
+    assert told == [True, False], "nothing new, or nobody listens"
