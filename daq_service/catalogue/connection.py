@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,12 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
         connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
+
+
+@lru_cache(maxsize=8)
+def reading_engine(path: Path) -> Engine:
+    """Engine that only reads; who opens the file again finds the statements compiled."""
+    return make_engine(path, writable=False)
 
 
 def _is_held(error: Exception) -> bool:
