@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
+from starlette.middleware.gzip import GZipMiddleware
 
 from daq_service.settings.tree import Settings
 from daq_service.web import assets
@@ -51,6 +52,8 @@ RESOURCES = (
     orders,
     stream,
 )
+SMALL_BYTES = 2048
+"""Two packets: less is sent as it is."""
 
 
 @asynccontextmanager
@@ -103,6 +106,7 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         lifespan=_lifespan,
     )
     app.state.context = Context(settings, data_folder)
+    app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
     app.add_middleware(RequestGuard)
     problem.install(app)
     app.include_router(health.probes)

@@ -12,6 +12,7 @@ from starlette.responses import Response
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.problem import not_found
+from daq_service.web.answers.unchanged import unchanged
 
 router = APIRouter(include_in_schema=False)
 FOLDER = Path(__file__).parent / "dashboard"
@@ -65,7 +66,5 @@ def answer_asset(name: str, request: Request) -> Response:
         raise not_found(
             f"The dashboard has no file {name!r}.", "The dashboard is at /, the API at /api/v1/openapi.json."
         )
-    headers = {"ETag": asset.etag, "Cache-Control": "no-cache"}
-    if request.headers.get("if-none-match") == asset.etag:
-        return Response(status_code=304, headers=headers)
-    return Response(asset.content, headers=headers, media_type=asset.media_type)
+    headers, known = unchanged(request, asset.etag)
+    return known or Response(asset.content, headers=headers, media_type=asset.media_type)

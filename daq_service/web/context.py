@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,7 +64,7 @@ class CatalogueEvents:
         except NoDataYetError:
             return None
 
-    def after(self, event_id: int, topics: Collection[str] | None, limit: int) -> Sequence[Mapping[str, Any]]:
+    def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
         """Events behind an id, with RFC 3339 times."""
         try:
             catalogue = self._access.get()
@@ -72,8 +72,7 @@ class CatalogueEvents:
             return []
         if self._epoch_utc_ns is None:
             self._epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
-        chosen = None if topics is None else sorted(topics)
-        rows = catalogue.events_after(event_id, chosen, limit)
+        rows = catalogue.events_after(event_id, limit=limit)
         epoch_utc_ns = self._epoch_utc_ns
         return [
             {**with_utc(values(row), epoch_utc_ns), "payload": with_utc(row.payload, epoch_utc_ns)}

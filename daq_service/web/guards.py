@@ -5,6 +5,7 @@ Plain ASGI, because Starlette's `BaseHTTPMiddleware` would buffer the streams.
 
 from __future__ import annotations
 
+import asyncio
 import uuid
 from collections.abc import Mapping
 from typing import Any
@@ -14,8 +15,10 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daq_service.web.answers.problem import Problem, problem_response
+from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 LARGEST_BODY_BYTES = 64 * 1024
+BODY_WITHIN_S = 10.0
 ALLOWED_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
@@ -63,11 +66,16 @@ class RequestGuard:
             await send(message)
 
         if problem is None and scope["type"] == "http" and scope["method"] not in SAFE_METHODS:
-            body = await _read_body(receive)
-            if body is None:
-                problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
+            try:
+                async with asyncio.timeout(BODY_WITHIN_S):
+                    body = await _read_body(receive)
+            except TimeoutError:
+                problem = _too_slow()
             else:
-                receive = _replayed(body, receive)
+                if body is None:
+                    problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
+                else:
+                    receive = _replayed(body, receive)
         answering = self._app if problem is None else problem_response(scope, problem)
         await answering(scope, receive, send_with_headers)
 
@@ -107,7 +115,25 @@ def _too_large(size: str) -> Problem:
     )
 
 
+def _too_slow() -> Problem:
+    return Problem(
+        408,
+        "body-too-slow",
+        "The request body did not come",
+        f"The body was not whole within {BODY_WITHIN_S:g} s.",
+        "Send it again at once.",
+    )
+
+
 def _refusal(scope: Scope, headers: Headers) -> Problem | None:
+    if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
+        return Problem(
+            431,
+            "headers-too-large",
+            "The request headers are too large",
+            f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
+            "Clear the cookies of this address.",
+        )
     host = headers.get("host", "")
     hostname = _hostname(host)
     if hostname not in ALLOWED_HOSTS:

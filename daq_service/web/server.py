@@ -13,11 +13,14 @@ import uvicorn
 from fastapi import FastAPI
 
 from daq_service.errors import BusyError, UsageError
+from daq_service.web.bounded_http import BoundedHttp
 from daq_service.web.context import context_of
 
 LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this bounds a request that hangs in a thread."""
+MOST_CONNECTIONS = 2500
+"""Some hundreds more than streams: whoever asks for something else is still served."""
 
 
 class _Server(uvicorn.Server):
@@ -67,7 +70,9 @@ def bind(host: str, port: int) -> socket.socket:
             "tokens, so it serves this machine only. Use an SSH tunnel to look at it from another one"
         )
     address = LOOPBACK[host]
-    listener = socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET, socket.SOCK_STREAM)
+    family = socket.AF_INET6 if ":" in address else socket.AF_INET
+    # Only where the protocol is named asyncio switches Nagle's algorithm off, which holds small answers back.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         if hasattr(socket, "SO_EXCLUSIVEADDRUSE"):
             # On Windows SO_REUSEADDR would let a second service steal the port.
@@ -115,11 +120,12 @@ def serve(
         config = uvicorn.Config(
             app,
             loop="asyncio",
-            http="httptools",
+            http=BoundedHttp,
             ws="websockets-sansio",
             ws_ping_interval=20.0,
             log_config=None,
             access_log=False,
+            limit_concurrency=MOST_CONNECTIONS,
             server_header=False,
             timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
             lifespan="on",

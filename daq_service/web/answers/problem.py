@@ -115,6 +115,8 @@ def problem_response(
     }
     if problem.status == 503:
         headers["Retry-After"] = "1"
+    if problem.status == 408:
+        headers["Connection"] = "close"
     return Response(orjson.dumps(body), problem.status, headers, MEDIA_TYPE)
 
 

@@ -18,12 +18,13 @@ from starlette.responses import StreamingResponse
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.streams.hub import EventHub, encode_event
+from daq_service.web.streams.hub import EventHub
 
 router = APIRouter(tags=["stream"])
 TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
-REPLAY_PAGE_EVENTS = 500
-LARGEST_CHUNK_EVENTS = 256
+LARGEST_CHUNK_EVENTS = 32
+"""About 20 kB: what waits for a client that does not read stays small."""
+MOST_CLIENTS = 2000
 RETRY_MS = 1000
 
 
@@ -32,7 +33,7 @@ RETRY_MS = 1000
     operation_id="stream_events",
     summary="Events as they are committed (server-sent events)",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(422)},
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(422, 503)},
 )
 async def stream_events(
     context: ContextOf,
@@ -46,6 +47,14 @@ async def stream_events(
 ) -> StreamingResponse:
     """Resume behind `Last-Event-ID` (or `after`), or begin with the next event."""
     chosen = _topics(topics)
+    if context.hub.clients >= MOST_CLIENTS:
+        raise Problem(
+            503,
+            "too-many-streams",
+            "Too many streams are open",
+            f"{MOST_CLIENTS} streams are open, and no more are served.",
+            "Close some, or share one between the tabs and programs of a computer.",
+        )
     begin = after if last_event_id in (None, "") else _event_id(last_event_id or "")
     if begin is None and context.hub.complete_after is not None:
         # Now, before the client hears that it is connected: what follows is new to it.
@@ -100,21 +109,21 @@ async def frames(
         yield b"retry: %d\n\n" % RETRY_MS
         while hub.complete_after is None and not hub.closed:
             await hub.changed()
-        begin_at = hub.last_id if begin is None else begin
-        cursor = begin_at
-        async for reached, chunk in _replay(context, hub, topics, begin_at):
-            cursor = reached
-            if chunk:
-                yield chunk
+        cursor = hub.last_id if begin is None else begin
+        if cursor > hub.last_id and cursor > (await asyncio.to_thread(context.events.last_id) or 0):
+            # Not one that REST told and the hub will see in a moment: it is of another data folder.
+            yield gap_frame(cursor, hub.last_id, "this event id is not known here")
+            cursor = hub.last_id
+        reason = "it is too long ago"
         loop = asyncio.get_running_loop()
         sent_at = loop.time()
         while not hub.closed:
             chunk = b""
             start = hub.complete_after or 0
             if cursor < start:
-                chunk = gap_frame(cursor, start, "the client was too slow")
+                chunk = gap_frame(cursor, start, reason)
                 cursor = start
-            events = hub.after(cursor)[:LARGEST_CHUNK_EVENTS]
+            events = hub.after(cursor, LARGEST_CHUNK_EVENTS)
             if events:
                 cursor = events[-1].id
                 chunk += b"".join(event.frame for event in events if topics is None or event.topic in topics)
@@ -124,33 +133,11 @@ async def frames(
             if chunk:
                 sent_at = loop.time()
                 yield chunk
+            if cursor < hub.last_id:
+                await hub.turn()
             elif not events:
                 await hub.changed()
+            reason = "the client was too slow"
         yield b"event: bye\ndata: {}\n\n"
     finally:
         hub.clients -= 1
-
-
-async def _replay(
-    context: Context, hub: EventHub, topics: frozenset[str] | None, cursor: int
-) -> AsyncIterator[tuple[int, bytes]]:
-    """From the catalogue, what is older than the ring."""
-    last = hub.last_id
-    if cursor > last:
-        # REST told an id that the hub will see in a moment; or it is of another data folder.
-        stored = await asyncio.to_thread(context.events.last_id) or 0
-        if cursor > stored:
-            yield last, gap_frame(cursor, last, "this event id is not known here")
-        return
-    if last - cursor > hub.longest_replay_events:
-        until = last - hub.longest_replay_events
-        yield until, gap_frame(cursor, until, f"more than {hub.longest_replay_events} events ago")
-        cursor = until
-    while cursor < (hub.complete_after or 0) and not hub.closed:
-        rows = await asyncio.to_thread(context.events.after, cursor, topics, REPLAY_PAGE_EVENTS)
-        if not rows:
-            # Only other topics are left before the ring.
-            yield hub.complete_after or 0, b""
-            return
-        cursor = rows[-1]["id"]
-        yield cursor, b"".join(encode_event(row).frame for row in rows)

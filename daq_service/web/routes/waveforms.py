@@ -8,7 +8,7 @@ import itertools
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Path, Query, Request, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
@@ -20,6 +20,7 @@ from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
+from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf, SocketContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX
 from daq_service.web.streams.live_pictures import Picture, decode_header, unreadable_picture
@@ -29,6 +30,7 @@ OCTET_STREAM = "application/octet-stream"
 NPY = "application/x-npy"
 MOST_POINTS = 100_000
 ERRORS = problems(404, 422, 503)
+UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
@@ -64,9 +66,10 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
     "/waveforms/{position}/{set_index}/{shot_index}",
     operation_id="get_waveform",
     response_model=WaveformAnswer,
-    responses={200: {"content": {NPY: _BINARY, OCTET_STREAM: _BINARY}}, **ERRORS},
+    responses={200: {"content": {NPY: _BINARY, OCTET_STREAM: _BINARY}}, 304: UNCHANGED, **ERRORS},
 )
 def get_waveform(
+    request: Request,
     context: ContextOf,
     position: str,
     set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
@@ -98,6 +101,12 @@ def get_waveform(
             f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
             f"/api/v1/sets/{position}/{set_index}/shots lists the shots of a set.",
         )
+    headers: dict[str, str] = {}
+    if form != "json" and its_set.file_sha256 is not None:  # JSON tells the age, too
+        etag = f'"{its_set.file_sha256[:20]}-{position}-{shot_index}-{form}-{points}"'
+        headers, known = unchanged(request, etag)
+        if known is not None:
+            return known
     try:
         waveform = context.archive.read_waveform(SetReference(its_set.file), position, shot_index)
     except SetNotFoundError as error:
@@ -109,6 +118,7 @@ def get_waveform(
             counts.tobytes(),
             media_type=OCTET_STREAM,
             headers={
+                **headers,
                 "Content-Disposition": disposition + '.bin"',
                 "X-Dtype": waveform.counts.dtype.name,
                 "X-Sample-Rate-Hz": repr(waveform.sample_rate_hz),
@@ -123,9 +133,8 @@ def get_waveform(
     if form == "npy":
         buffer = io.BytesIO()
         np.save(buffer, np.stack([time_s, voltage_v]))
-        return Response(
-            buffer.getvalue(), media_type=NPY, headers={"Content-Disposition": disposition + '.npy"'}
-        )
+        headers["Content-Disposition"] = disposition + '.npy"'
+        return Response(buffer.getvalue(), media_type=NPY, headers=headers)
     fresh = context.freshness()
     quality = _quality(context, position, set_index, row.sequence)
     place = with_utc({"due_h": its_set.due_h}, fresh.epoch_utc_ns)

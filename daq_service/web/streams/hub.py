@@ -1,7 +1,8 @@
 """Tails the catalogue's events in a thread and hands each, encoded once, to every stream.
 
 A client is only a cursor: the id of the last event it got. It never owns a queue, so a slow one
-costs nothing; when the ring has moved past its cursor it is told so by a `gap` and skips.
+costs nothing; when the ring has moved past its cursor it is told so by a `gap` and skips. The ring is filled
+from the catalogue at the start, so that many clients who come back together read it once.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import bisect
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -20,10 +21,12 @@ from daq_service.web.streams.followed import Followed
 
 log = logging.getLogger(__name__)
 POLL_INTERVAL_S = 0.03
-RING_EVENTS = 4096
+RING_EVENTS = 5000
+"""So many of the newest are kept for clients that come back, twice as many at most."""
 HEARTBEAT_INTERVAL_S = 15.0
-LONGEST_REPLAY_EVENTS = 5000
 PAGE_EVENTS = 500
+TURNS = 8
+"""So many clients behind the newest event get a chunk before everybody else has been looked at."""
 UNREADABLE_INTERVAL_S = 0.5
 """Pause after the catalogue could not be read: absent before the first record, or in trouble."""
 
@@ -44,7 +47,7 @@ class EventSource(Protocol):
         """Id of the newest event; None while there is no catalogue."""
         ...
 
-    def after(self, event_id: int, topics: Collection[str] | None, limit: int) -> Sequence[Mapping[str, Any]]:
+    def after(self, event_id: int, limit: int) -> Sequence[Mapping[str, Any]]:
         """Events behind an id in order, as rows of the API."""
         ...
 
@@ -66,14 +69,13 @@ class EventHub(Followed):
         poll_interval_s: float = POLL_INTERVAL_S,
         ring_events: int = RING_EVENTS,
         heartbeat_interval_s: float = HEARTBEAT_INTERVAL_S,
-        longest_replay_events: int = LONGEST_REPLAY_EVENTS,
     ) -> None:
         super().__init__("event-tail")
         self._source = source
         self._poll_interval_s = poll_interval_s
         self._ring_events = ring_events
         self.heartbeat_interval_s = heartbeat_interval_s
-        self.longest_replay_events = longest_replay_events
+        self._turns = asyncio.Semaphore(TURNS)
         self._events: list[EncodedEvent] = []
         self._complete_after: int | None = None
         self._heartbeat: asyncio.TimerHandle | None = None
@@ -99,16 +101,22 @@ class EventHub(Followed):
         """Id of the newest event known here."""
         return self._events[-1].id if self._events else (self._complete_after or 0)
 
-    def after(self, event_id: int) -> list[EncodedEvent]:
-        """Events of the ring behind an id."""
-        return self._events[bisect.bisect_right(self._events, event_id, key=lambda event: event.id) :]
+    def after(self, event_id: int, limit: int | None = None) -> list[EncodedEvent]:
+        """Events of the ring behind an id, the oldest ``limit`` of them."""
+        first = bisect.bisect_right(self._events, event_id, key=lambda event: event.id)
+        return self._events[first : None if limit is None else first + limit]
+
+    async def turn(self) -> None:
+        """Let live events and other requests come first for a moment."""
+        async with self._turns:
+            await asyncio.sleep(0)
 
     def _beat(self) -> None:
         self._wake()
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._beat)
 
-    def _begin(self, event_id: int) -> None:
-        self._complete_after = event_id
+    def _begin(self, event_id: int, events: list[EncodedEvent]) -> None:
+        self._complete_after, self._events = event_id, events
         self._wake()
 
     def _append(self, events: list[EncodedEvent]) -> None:
@@ -118,6 +126,14 @@ class EventHub(Followed):
             self._complete_after = self._events[-self._ring_events - 1].id
             del self._events[: -self._ring_events]
         self._wake()
+
+    def _stored(self, event_id: int, last: int) -> list[EncodedEvent]:
+        """Events of the catalogue behind an id, at least until the last one."""
+        found: list[EncodedEvent] = []
+        while event_id < last and (rows := self._source.after(event_id, PAGE_EVENTS)):
+            found += map(encode_event, rows)
+            event_id = rows[-1]["id"]
+        return found
 
     def _follow(self) -> None:
         """Body of the thread: poll, encode, pass to the loop."""
@@ -131,14 +147,17 @@ class EventHub(Followed):
                     last = self._source.last_id()
                     if last is None:
                         # No catalogue yet: whoever waits now sees the experiment from its first event.
-                        self._pass_on(self._begin, 0) if not began else None
+                        self._pass_on(self._begin, 0, []) if not began else None
                         began, pause_s = True, UNREADABLE_INTERVAL_S
                     elif began:
                         last = 0
                     else:
-                        self._pass_on(self._begin, last)
+                        first = max(0, last - self._ring_events)
+                        kept = self._stored(first, last)
+                        self._pass_on(self._begin, first, kept)
+                        last = kept[-1].id if kept else last
                 else:
-                    rows = self._source.after(last, None, PAGE_EVENTS)
+                    rows = self._source.after(last, PAGE_EVENTS)
                     if rows:
                         last = rows[-1]["id"]
                         self._pass_on(self._append, [encode_event(row) for row in rows])

@@ -1,20 +1,24 @@
 """The server itself: its port, its end, and how light it is to import."""
 
+import asyncio
 import queue
 import socket
 import subprocess
 import sys
 import threading
+from contextlib import contextmanager
 
 import httpx
 import pytest
 from support.filled_folder import FilledFolder
 from support.served_web import DEADLINE_S, served
+from support.waiting import until
 from websockets.sync.client import connect
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
+from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 from daq_service.web.server import bind, serve
 
 
@@ -100,3 +104,98 @@ def test_importing_the_application_is_light():
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
+
+
+# What nobody may keep open, fill or hold back
+
+
+@contextmanager
+def connection_to(service):
+    host, _, port = service.netloc.partition(":")
+    with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
+        yield client
+
+
+def everything_from(client):
+    """Read until the service closes."""
+    return b"".join(iter(lambda: client.recv(65536), b""))
+
+
+@pytest.mark.parametrize("begun", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Slow: a"])
+def test_headers_that_do_not_come_end_the_connection(filled, monkeypatch, begun):
+    monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
+    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+        client.sendall(begun)
+        assert everything_from(client).startswith(b"HTTP/1.1 408 ")
+
+
+def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, monkeypatch):
+    monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
+    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+        client.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
+        answers = everything_from(client)
+    assert answers.count(b"HTTP/1.1 200 ") == 1
+    assert b"HTTP/1.1 408 " in answers
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_headers_without_end_are_refused(filled, ended):
+    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+        client.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n")
+        client.sendall(b"X-Large: " + b"a" * LARGEST_HEADERS_BYTES + (b"\r\n\r\n" if ended else b""))
+        answer = everything_from(client)
+    assert answer.startswith(b"HTTP/1.1 431 ")
+    assert b"%d" % LARGEST_HEADERS_BYTES in answer
+
+
+def test_a_body_that_does_not_come_is_not_waited_for(filled, monkeypatch):
+    monkeypatch.setattr("daq_service.web.guards.BODY_WITHIN_S", 0.05)
+    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+        client.sendall(b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{")
+        answer = everything_from(client)
+    assert answer.startswith(b"HTTP/1.1 408 ")
+    assert b"urn:solimon:problem:body-too-slow" in answer
+
+
+def test_more_connections_than_are_served_get_a_503(filled, monkeypatch):
+    monkeypatch.setattr("daq_service.web.server.MOST_CONNECTIONS", 2)
+    with served(filled.settings, filled.folder) as service, connection_to(service) as idle:
+        idle.sendall(b"GET /healthz HT")
+        with service.client() as first, connection_to(service):
+            assert first.get("healthz").status_code == 503
+        with service.client() as later:
+            until(lambda: later.get("healthz").status_code == 200, "a place")
+
+
+def test_small_answers_are_not_held_back():
+    """Nagle's algorithm is off on each connection that asyncio accepts here."""
+
+    async def accepted_with(listener):
+        found = asyncio.get_running_loop().create_future()
+
+        def answer(_, writer):
+            found.set_result(
+                writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            )
+            writer.close()
+
+        server = await asyncio.start_server(answer, sock=listener)
+        async with server:
+            _, writer = await asyncio.open_connection(*listener.getsockname()[:2])
+            writer.close()
+            return await found
+
+    assert asyncio.run(accepted_with(bind("127.0.0.1", 0))) != 0
+
+
+def test_large_answers_are_compressed_and_streams_are_not(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        page = client.get("/")
+        assert page.headers["content-encoding"] == "gzip"
+        assert "Accept-Encoding" in page.headers["vary"]
+        plain = client.get("/", headers={"Accept-Encoding": "identity"})
+        assert "content-encoding" not in plain.headers
+        assert plain.content == page.content
+        assert "content-encoding" not in client.get("healthz").headers
+        with client.stream("GET", "api/v1/stream") as stream:
+            assert "content-encoding" not in stream.headers

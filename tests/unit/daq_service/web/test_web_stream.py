@@ -97,7 +97,7 @@ def test_too_long_an_absence_is_a_gap(filled):
     ids = stored_ids(filled)
     assert len(ids) > 6
     app = create_app(filled.settings, filled.folder)
-    app.state.context.hub.longest_replay_events = 5
+    app.state.context.hub._ring_events = 5
     with served_app(app) as service, connected(service, "?after=1") as events:
         gap, *rest = take(events, 6)
     assert gap.event == "gap"
@@ -139,6 +139,7 @@ class InventedEvents:
 
     def __init__(self):
         self.rows = []
+        self.asked = 0
 
     def add(self, count, topic="sets"):
         first = len(self.rows) + 1
@@ -147,11 +148,9 @@ class InventedEvents:
     def last_id(self):
         return len(self.rows)
 
-    def after(self, event_id, topics, limit):
-        rows = [
-            row for row in self.rows if row["id"] > event_id and (topics is None or row["topic"] in topics)
-        ]
-        return rows[:limit]
+    def after(self, event_id, limit):
+        self.asked += 1
+        return [row for row in self.rows if row["id"] > event_id][:limit]
 
 
 async def hub_reached(hub, event_id):
@@ -160,10 +159,10 @@ async def hub_reached(hub, event_id):
             await hub.changed()
 
 
-def run_with_hub(tmp_path, body, *, poll_interval_s=0.001, **options):
+def run_with_hub(tmp_path, body, *, poll_interval_s=0.001, stored=1, **options):
     async def run():
         source = InventedEvents()
-        source.add(1)
+        source.add(stored)
         context = Context(Settings(), tmp_path)
         context.events = source
         hub = EventHub(source, poll_interval_s=poll_interval_s, **options)
@@ -255,3 +254,55 @@ def test_each_event_is_encoded_once_for_all_clients(tmp_path):
         assert hub.clients == 0
 
     run_with_hub(tmp_path, body)
+
+
+def test_many_who_come_back_together_read_the_catalogue_once(tmp_path):
+    async def body(source, context, hub):
+        while hub.complete_after is None:
+            await hub.changed()
+        asked = source.asked
+        clients = [frames(context, hub, None, 0) for _ in range(50)]
+        for client in clients:
+            chunks = [await anext(client)]
+            while b"id: 1200\n" not in chunks[-1]:
+                chunks.append(await anext(client))
+            ids = [
+                int(line[4:]) for chunk in chunks for line in chunk.splitlines() if line.startswith(b"id: ")
+            ]
+            assert ids == list(range(1, 1201))
+            assert max(map(len, chunks)) < 20_000
+        assert source.asked == asked == 3  # pages of 500
+        for client in clients:
+            await client.aclose()
+
+    run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
+
+
+def test_a_client_far_behind_lets_others_go_first(tmp_path):
+    async def body(source, context, hub):
+        behind, other = frames(context, hub, None, 0), []
+
+        async def ask():
+            other.append(len(got))
+
+        got = []
+        await anext(behind)
+        while not (got and b"id: 1200\n" in got[-1]):
+            asking = asyncio.create_task(ask())
+            got.append(await anext(behind))
+            if len(got) > 1:
+                assert asking.done(), "a whole chunk was made before anybody else was looked at"
+        assert len(got) > 30
+        await behind.aclose()
+
+    run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
+
+
+def test_more_streams_than_are_served_are_told_so(filled, service, monkeypatch):
+    monkeypatch.setattr("daq_service.web.routes.stream.MOST_CLIENTS", 1)
+    with connected(service, "?after=0") as events:
+        take(events, 1)
+        answer = httpx.get(f"{service.url}api/v1/stream")
+        assert answer.status_code == 503
+        assert answer.json()["type"] == "urn:solimon:problem:too-many-streams"
+        assert answer.headers["retry-after"] == "1"

@@ -15,6 +15,7 @@ from support.stored_files import read_waveform, set_files
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from daq_service.catalogue.rows import SetRow
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin
@@ -71,6 +72,19 @@ def test_npy_is_time_and_volts(api, filled):
     np.testing.assert_array_equal(
         np.load(io.BytesIO(answer.content)), np.stack([waveform.time_s(), waveform.volts()])
     )
+
+
+@pytest.mark.parametrize("form", ["npy", "octets"])
+def test_a_record_that_the_client_has_is_not_read_again(service, api, filled, form, monkeypatch):
+    url = f"/api/v1/waveforms/B/0/0?format={form}"
+    (row,) = filled.catalogue.rows(SetRow, position="B", set_index=0)
+    filled.catalogue.set_digest(0, row.file, "ab" * 32)
+    etag = api.get(url).headers["etag"]
+    assert etag != api.get(f"{url}&points=8").headers["etag"]
+    monkeypatch.setattr(service.app.state.context, "archive", None)
+    known = api.get(url, headers={"If-None-Match": f'"other", W/{etag}'})
+    assert known.status_code == 304
+    assert known.content == b""
 
 
 def test_octets_are_the_counts_with_what_makes_them_volts(api, filled):
