@@ -171,6 +171,10 @@ def _no_longer(parameters: Any) -> float:
     return 0.0
 
 
+def _serves_anything(parameters: Any, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    """Refuse nothing: the parameters name no positions."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Kind(Generic[P]):
     """One kind of instrument: its parameters, how it is opened, what `solimon doctor` looks at.
@@ -192,6 +196,9 @@ class Kind(Generic[P]):
     reached_by
         Parameters that say how the instrument is reached, not what is measured: they may differ when a test
         is gone on with. Dots lead into tables (``"line.port"``).
+    require
+        Raises ValueError where these parameters cannot serve the positions that the configuration gives them
+        (`Opening.serves`): a position that they do not wire. Asked when a configuration is read.
     """
 
     parameters: type[P]
@@ -200,3 +207,4 @@ class Kind(Generic[P]):
     packages: Callable[[P], Iterable[str]] = _no_packages
     longest_call_s: Callable[[P], float] = _no_longer
     reached_by: frozenset[str] = frozenset()
+    require: Callable[[P, Mapping[Role, tuple[str, ...]]], None] = _serves_anything
