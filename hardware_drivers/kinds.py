@@ -43,6 +43,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeVar
 
+from hardware_drivers.errors import BusyError, InstrumentError
 from hardware_drivers.instruments import (
     ClimateProbe,
     Clock,
@@ -52,6 +53,7 @@ from hardware_drivers.instruments import (
     SelfCalibrating,
     Striker,
 )
+from hardware_drivers.measurement import Stamp
 
 P = TypeVar("P")
 
@@ -89,6 +91,8 @@ class Opening:
         Between two strikes of a transducer.
     epoch_utc_ns
         Hour 0 of the experiment.
+    boot_id
+        Boot of this computer, that `stamp` tells.
     experiment
         The whole configuration as nested tables, for kinds that must know the specimen: simulators,
         recordings.
@@ -101,6 +105,7 @@ class Opening:
     ask: Callable[[str], None] = _asks_nobody
     shot_interval_s: float = 4.0
     epoch_utc_ns: int = 0
+    boot_id: str = ""
     experiment: Mapping[str, Any] = field(default_factory=dict)
     preparing: Callable[[str, bool], None] = _tells_nobody
 
@@ -108,6 +113,10 @@ class Opening:
     def positions(self) -> tuple[str, ...]:
         """Every position it serves in any role, once, in order."""
         return tuple(dict.fromkeys(name for names in self.serves.values() for name in names))
+
+    def stamp(self) -> Stamp:
+        """Now, as readings of supply and climate are stamped."""
+        return Stamp(utc_ns=self.clock.utc_ns(), mono_ns=self.clock.mono_ns(), boot_id=self.boot_id)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,7 +126,8 @@ class Opened:
     Attributes
     ----------
     self_calibrating
-        Calibrated between sets, at least every `self_calibration_interval_h`; 0: never.
+        Calibrated between sets, at least every `self_calibration_interval_h`; 0: never; None: together with
+        the others of the rig, each 24 h where there are none.
     clock
         Takes the place of the experiment's clock: a recording knows when its shots were taken.
     identity
@@ -132,7 +142,7 @@ class Opened:
     supply: PowerSupply | None = None
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
-    self_calibration_interval_h: float = 24.0
+    self_calibration_interval_h: float | None = None
     clock: Clock | None = None
     identity: Mapping[str, str] = field(default_factory=dict)
     dry_run: bool = False
@@ -161,6 +171,25 @@ class Finding:
     remedy: str = ""
     held: bool = False
     values: Mapping[str, float | str | bool | None] = field(default_factory=dict)
+
+
+def failed(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
+    """Give the finding that an error means; a message of this project ends in its remedy.
+
+    Parameters
+    ----------
+    otherwise
+        Remedy where the message has none.
+    """
+    problem, _, remedy = str(error).rpartition("; ")
+    return Finding(
+        subject=subject,
+        check=check,
+        state="fail",
+        detail=problem or str(error),
+        remedy=remedy if problem else otherwise,
+        held=isinstance(error, BusyError),
+    )
 
 
 def _no_packages(parameters: Any) -> Iterable[str]:

@@ -231,7 +231,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     def open_owned(parameters: SupplyParameters) -> AbstractContextManager[PowerSupply]:
         if not for_recorder:
             notify("READY=1")  # the lock is held: no recorder starts another process
-        return open_supply(parameters, clock=WallClock())
+        return open_supply(settings, clock=WallClock())
 
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"

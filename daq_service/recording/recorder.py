@@ -366,13 +366,13 @@ class Recorder:
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
-        boards, self_calibrating = self._settings.rig.daqmx, self._rig.self_calibrating
-        if boards is None or self_calibrating is None or not boards.self_calibration_interval_h:
+        self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
+        if self_calibrating is None or not interval_h:
             return
         now_ns = self._rig.clock.utc_ns()
         age_h = math.inf if self._calibrated_ns is None else (now_ns - self._calibrated_ns) / NS_PER_H
         has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
-        if age_h < boards.self_calibration_interval_h or not has_time:
+        if age_h < interval_h or not has_time:
             return
         self._begin(f"self-calibration before set {due.set_index}")
         try:

@@ -18,10 +18,14 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
+from daq_service.settings.mixed import MixedRig
+from hardware_drivers.daqmx import parameters as daqmx
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
+from hardware_drivers.niscope import parameters as niscope
 from hardware_drivers.niscope.parameters import NiscopeParameters
 from hardware_drivers.playback.parameters import PlaybackParameters
+from hardware_drivers.serial_port import parameters as serial_port
 from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import TwinParameters
@@ -36,26 +40,10 @@ HASHED_OUT: Mapping[str, Any] = {
     "rig": {
         "read_timeout_s": True,
         "stall_timeout_s": True,
-        "daqmx": {"grpc_address", "grpc_client_name", "grpc_tls", "call_timeout_s", "ringing_s"},
-        "niscope": {"call_timeout_s"},
-        "supply": {
-            "line",
-            "log_interval_s",
-            "read_timeout_s",
-            "setup_commands",
-            "channel",
-            "protection_queries",
-            "over_voltage_v",
-            "over_current_a",
-            "readback_tolerance_v",
-            "readback_tolerance_a",
-            "interlock_current_a",
-            "interlock_readings",
-            "interlock_lost_after_s",
-            "off_at_end",
-            "unwatched_s",
-        },
-        "climate": {"line", "log_interval_s", "read_timeout_s"},
+        "daqmx": set(daqmx.REACHED_BY),
+        "niscope": set(niscope.REACHED_BY),
+        "supply": set(serial_port.SUPPLY_REACHED_BY),
+        "climate": set(serial_port.CLIMATE_REACHED_BY),
     },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
@@ -276,12 +264,13 @@ class WebSettings(Section):
     """TCP port; 0 takes a free one."""
 
 
-class RigSettings(Section):
+class RigSettings(Section, MixedRig):
     """Which instruments."""
 
-    kind: Literal["simulated", "daqmx", "playback"] = "simulated"
+    kind: Literal["simulated", "daqmx", "playback", "mixed"] = "simulated"
     """`simulated`: the physics twin; `daqmx`: NI boards as in `[rig.daqmx]` (ultrasound: `[rig.niscope]`);
-    `playback`: a recording as in `[rig.playback]`."""
+    `playback`: a recording as in `[rig.playback]`; `mixed`: instruments of any kind, as in
+    `[rig.instruments]`, each where `[rig.positions]` says."""
     read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
     """Longest wait for a record."""
     stall_timeout_s: float = Field(default=120.0, ge=2.0, le=3600.0)
@@ -307,9 +296,28 @@ class RigSettings(Section):
             raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:
             raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
+        self._is_mixed_or_not()
         if self.on_doubles and self.kind != "daqmx":
             raise ValueError(f"on_doubles is true; it belongs to kind = 'daqmx', not to {self.kind!r}")
         return self
+
+    def _is_mixed_or_not(self) -> None:
+        """Refuse tables that this kind of rig would not look at."""
+        if self.kind != "mixed":
+            if self.instruments or self.positions:
+                table = "instruments" if self.instruments else "positions"
+                raise ValueError(
+                    f"kind is {self.kind!r}, which has no [rig.{table}]; set kind = 'mixed', or take it out"
+                )
+            return
+        if not self.instruments:
+            raise ValueError("kind is 'mixed', which needs [rig.instruments.NAME] with kind and parameters")
+        for table in ("daqmx", "niscope", "playback"):
+            if getattr(self, table) is not None:
+                raise ValueError(
+                    f"kind is 'mixed', which has no [rig.{table}]; make it [rig.instruments.NAME] with "
+                    f"kind = {table!r}"
+                )
 
     @property
     def on_twin(self) -> bool:
@@ -406,6 +414,8 @@ class Settings(BaseSettings):
             )
         if self.rig.kind == "daqmx":
             self._is_wired()
+        if self.rig.kind == "mixed":
+            self.rig.require_places({name: place.method for name, place in self.positions.items()})
         self._sets_do_not_overlap()
         return self
 
@@ -447,10 +457,15 @@ class Settings(BaseSettings):
     def measured(self) -> dict[str, Any]:
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
-        daqmx = values["rig"].get("daqmx")
-        if daqmx is not None and daqmx["holdoff_s"] is None:
-            # The key came later: absent, what was hashed before is hashed still.
-            del daqmx["holdoff_s"]
+        rig = values["rig"]
+        # Keys that came later: absent, what was hashed before is hashed still.
+        for key in ("holdoff_s", "watchdogs"):
+            if rig["daqmx"] is not None and rig["daqmx"][key] is None:
+                del rig["daqmx"][key]
+        if self.rig.kind == "mixed":
+            rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
+        else:
+            del rig["instruments"], rig["positions"]
         return values
 
     def configuration_hash(self) -> str:

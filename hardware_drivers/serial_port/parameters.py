@@ -13,6 +13,23 @@ from hardware_drivers.serial_port.dialects import DIALECTS
 TCP_PREFIX, VISA_PREFIX = "tcp:", "visa:"
 _TCP_ADDRESS = re.compile(r"([^:\s]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})")
 USB_SERIAL_PREFIX = "serial:"
+CLIMATE_REACHED_BY = frozenset({"line", "log_interval_s", "read_timeout_s"})
+"""Not what is measured: a replugged cable is no other test."""
+SUPPLY_REACHED_BY = CLIMATE_REACHED_BY | {
+    "setup_commands",
+    "channel",
+    "protection_queries",
+    "over_voltage_v",
+    "over_current_a",
+    "readback_tolerance_v",
+    "readback_tolerance_a",
+    "interlock_current_a",
+    "interlock_readings",
+    "interlock_lost_after_s",
+    "off_at_end",
+    "unwatched_s",
+}
+"""Nor how the drive is watched."""
 ORDER_REPLIES = 12
 """An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
 

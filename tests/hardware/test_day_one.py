@@ -11,10 +11,10 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
+from daq_service.cli.doctor.boards import digital_name
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.boards import digital_name
 from daq_service.cli.doctor.spike import spike_check
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition

@@ -144,10 +144,9 @@ def _this_transducer_only(settings: Settings, position: str) -> Settings:
 
 
 def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
-    wiring, watchdog = boards.transducers[position], boards.watchdog
-    if watchdog is not None and int(watchdog.board_serial, 16) != int(wiring.coil_serial, 16):
-        watchdog = None
-    return replace(boards, transducers={position: wiring}, watchdog=watchdog)
+    wiring = boards.transducers[position]
+    watchdog = boards.watchdog_of(wiring.coil_serial)
+    return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
 def _missed(missed: MissedShot) -> Check:

@@ -71,5 +71,7 @@ def test_it_pulls_the_wired_lines_low():
         watchdog=WatchdogWiring(board_serial="01E18096", lines=("port2/line4", "port2/line5")),
     )
     connection = SimpleNamespace(watchdog=lambda device, role, timeout_s: Watchdog())
-    _commit_watchdog(connection, wired, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
+    watchdog = wired.watchdog_of("1E18096")
+    assert watchdog is not None
+    _commit_watchdog(connection, watchdog, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
     assert guarded == [("Dev1/port2/line4", "LOW"), ("Dev1/port2/line5", "LOW")]

@@ -1,0 +1,154 @@
+"""The instruments that a configuration names: their kinds, their parameters, what each serves.
+
+Every kind of rig comes to the same list, and whoever opens or checks instruments goes by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from daq_service.settings.mixed import InstrumentSettings
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import Kind, Role
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.plug_ins import Offer, find_kind
+
+TEXT: Mapping[Role, str] = {"supply": "text-supply", "climate": "text-climate"}
+"""Kinds of `[rig.supply]` and `[rig.climate]`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instrument:
+    """One instrument of a rig, not opened.
+
+    Attributes
+    ----------
+    table
+        Where its parameters stand in the configuration.
+    serves
+        Positions of each role that it has; none of supply and climate.
+    parameters
+        As its kind validated them.
+    """
+
+    name: str
+    table: str
+    kind: Kind[Any]
+    offer: Offer
+    parameters: Any
+    serves: Mapping[Role, tuple[str, ...]]
+
+
+class ParametersError(ValueError):
+    """Parameters that a kind refuses.
+
+    Attributes
+    ----------
+    problems
+        As `pydantic.ValidationError.errors` gives them, each with its place in the whole configuration.
+    keys
+        What the kind knows.
+    """
+
+    def __init__(self, table: str, error: ValidationError, keys: list[str]) -> None:
+        super().__init__(f"[{table}] is refused: {error}")
+        where = tuple(table.split("."))
+        self.problems = [{**problem, "loc": (*where, *problem["loc"])} for problem in error.errors()]
+        self.keys = keys
+
+
+def instruments_of(settings: Settings) -> list[Instrument]:
+    """Find the kind of each instrument and let it validate its parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        A kind is not there or cannot be imported; an instrument has no such role, or nobody uses it.
+    ParametersError
+        A kind refuses its parameters.
+    """
+    rig = settings.rig
+    found = []
+    if rig.kind == "mixed":
+        for name, item in rig.instruments.items():
+            table = f"rig.instruments.{name}"
+            found.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
+    else:
+        transducers, probes = (tuple(settings.names_of(method)) for method in (SOLITARY_WAVE, PULSE_ECHO))
+        wanted: dict[Role, tuple[str, ...]] = {"digitizer": transducers, "striker": transducers}
+        of_probes: dict[Role, tuple[str, ...]] = {"pulse_echo": probes} if probes else {}
+        if rig.kind == "daqmx":
+            if rig.niscope is not None:
+                found.append(_instrument("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
+        else:
+            wanted |= of_probes
+        table = f"rig.{rig.kind}"
+        found.insert(0, _instrument(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
+    for role, kind in TEXT.items():
+        parameters = getattr(rig, role)
+        if parameters is not None:
+            found.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
+    return found
+
+
+def with_defaults(settings: Settings) -> Settings:
+    """Fill in what the kinds of a mixed rig have as defaults; raises as `instruments_of`."""
+    if settings.rig.kind != "mixed":
+        return settings
+    filled = {
+        item.name: InstrumentSettings(kind=item.offer.name, **plain(item))
+        for item in instruments_of(settings)
+        if item.name in settings.rig.instruments
+    }
+    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"instruments": filled})})
+
+
+def plain(instrument: Instrument) -> dict[str, Any]:
+    """Every parameter, ready for JSON."""
+    adapter: TypeAdapter[Any] = TypeAdapter(instrument.kind.parameters)
+    values: dict[str, Any] = adapter.dump_python(instrument.parameters, mode="json")
+    return values
+
+
+def _instrument(
+    name: str, table: str, kind_name: str, values: Any, serves: Mapping[Role, tuple[str, ...]]
+) -> Instrument:
+    try:
+        kind, offer = find_kind(kind_name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{table}: {error}") from error
+    adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
+    try:
+        parameters = adapter.validate_python({} if values is None else values)
+    except ValidationError as error:
+        known = adapter.json_schema().get("properties", {})
+        raise ParametersError(table, error, sorted(known)) from error
+    _require_roles(name, table, offer, serves)
+    try:
+        kind.require(parameters, serves)
+    except ValueError as error:
+        raise ConfigurationError(f"{table}: {error}") from error
+    return Instrument(name=name, table=table, kind=kind, offer=offer, parameters=parameters, serves=serves)
+
+
+def _require_roles(name: str, table: str, offer: Offer, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    if not serves:
+        raise ConfigurationError(
+            f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
+        )
+    for role, positions in serves.items():
+        if role not in offer.roles:
+            key = f"rig.positions.{positions[0]}.{role}" if positions else f"rig.{role}.instrument"
+            raise ConfigurationError(
+                f"{key} is {name!r}, whose kind {offer.name!r} is {_words(offer)}, not a {role}; name "
+                "another instrument"
+            )
+
+
+def _words(offer: Offer) -> str:
+    return f"a {' and '.join(offer.roles)}"

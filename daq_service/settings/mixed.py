@@ -1,0 +1,128 @@
+"""A rig of several instruments: which there are, and which of them serves each position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import Role
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.plug_ins import find_kind
+
+NEEDED: Mapping[str, tuple[Role, ...]] = {
+    SOLITARY_WAVE: ("digitizer", "striker"),
+    PULSE_ECHO: ("pulse_echo",),
+}
+"""Roles that a position of each method needs."""
+
+
+class InstrumentSettings(BaseModel):
+    """One instrument of a mixed rig: `kind`, and the keys of that kind."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    kind: str = Field(min_length=1, max_length=100)
+    """What it is: `daqmx`, `niscope`, or a name that an installed package offers."""
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What its kind is told, as plain values."""
+        return self.model_dump(mode="json", exclude={"kind"})
+
+    def measured(self) -> dict[str, Any]:
+        """Give what the data depend on: all but how the instrument is reached."""
+        try:
+            kind, _ = find_kind(self.kind)
+        except ConfigurationError:
+            return self.model_dump(mode="json")  # a reader has no need of its package
+        return without(self.model_dump(mode="json"), kind.reached_by)
+
+
+class PlaceSettings(BaseModel):
+    """Instruments of one position, by their names in `[rig.instruments]`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    digitizer: str = ""
+    """Samples the transducer."""
+    striker: str = ""
+    """Lifts and drops its striker."""
+    pulse_echo: str = ""
+    """Fires the ultrasonic probe."""
+
+
+class MixedRig(BaseModel):
+    """Tables of a rig of several instruments."""
+
+    instruments: dict[str, InstrumentSettings] = Field(default_factory=dict)
+    """Instruments of a `mixed` rig by a name of your own; each is opened once, whatever it serves."""
+    positions: dict[str, PlaceSettings] = Field(default_factory=dict)
+    """Which instruments serve each position of a `mixed` rig."""
+
+    @model_validator(mode="after")
+    def _names_instruments(self) -> Self:
+        for position, place in self.positions.items():
+            for role, name in place:
+                if name and name not in self.instruments:
+                    raise ValueError(
+                        f"rig.positions.{position}.{role} is {name!r}; there are: "
+                        f"{', '.join(self.instruments) or 'none'}; add [rig.instruments.{name}], or correct "
+                        "the name"
+                    )
+        return self
+
+    def served_by(self, name: str) -> dict[Role, tuple[str, ...]]:
+        """Positions that an instrument serves, by role."""
+        served: dict[Role, tuple[str, ...]] = {}
+        for roles in NEEDED.values():
+            for role in roles:
+                names = [at for at, place in self.positions.items() if getattr(place, role) == name]
+                if names:
+                    served[role] = tuple(names)
+        return served
+
+    def require_places(self, methods: Mapping[str, str]) -> None:
+        """Refuse a position without its instruments, and places and roles that there are not.
+
+        Parameters
+        ----------
+        methods
+            Positions of the experiment and how each is monitored.
+
+        Raises
+        ------
+        ValueError
+            Key, value and remedy.
+        """
+        for position, method in methods.items():
+            place = self.positions.get(position, PlaceSettings())
+            for role, name in place:
+                if role in NEEDED[method] and not name:
+                    raise ValueError(
+                        f"rig.positions.{position}.{role} is missing; a {method} position needs "
+                        f"{' and '.join(NEEDED[method])}: name an instrument of [rig.instruments]"
+                    )
+                if name and role not in NEEDED[method]:
+                    raise ValueError(
+                        f"rig.positions.{position}.{role} is {name!r}, but {position} is a {method} "
+                        f"position, which needs {' and '.join(NEEDED[method])}; take the key out"
+                    )
+        if unknown := [name for name in self.positions if name not in methods]:
+            raise ValueError(
+                f"rig.positions.{unknown[0]} is no position of [positions], which has: {', '.join(methods)}; "
+                "add it there, or take it out here"
+            )
+
+
+def without(values: Mapping[str, Any], paths: frozenset[str]) -> dict[str, Any]:
+    """Nested tables less the keys at these dotted paths."""
+    kept = {}
+    for name, value in values.items():
+        if name in paths:
+            continue
+        below = frozenset(path.removeprefix(f"{name}.") for path in paths if path.startswith(f"{name}."))
+        kept[name] = without(value, below) if below and isinstance(value, Mapping) else value
+    return kept
