@@ -1,20 +1,21 @@
 """Each contract fails an instrument that breaks it in one way."""
 
 import math
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from climate_probe_contract import ClimateProbeContract
-from clock_contract import ClockContract
-from digitizer_contract import DigitizerContract
-from power_supply_contract import PowerSupplyContract
-from pulse_echo_unit_contract import PulseEchoUnitContract
-from striker_contract import StrikerContract
 
 from daq_service.clock import SimulatedClock
+from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
+from hardware_drivers.conformance.clock_contract import ClockContract
+from hardware_drivers.conformance.digitizer_contract import DigitizerContract
+from hardware_drivers.conformance.power_supply_contract import PowerSupplyContract
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
-from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.instruments import Acquired, Echo, require_timeout
 from hardware_drivers.measurement import (
     Calibration,
     ClimateReading,
@@ -34,7 +35,7 @@ def waveform(samples=20, pretrigger=5):
         counts=np.arange(samples, dtype=np.int16),
         sample_rate_hz=1e7,
         pretrigger_samples=pretrigger,
-        calibration=Calibration(coefficients_v=np.array([0.0, 1e-4]), resolution_bits=16, range_v=5.0),
+        calibration=Calibration(coefficients_v=np.array([0.0, 5.0 / 2**15]), resolution_bits=16, range_v=5.0),
     )
 
 
@@ -55,6 +56,7 @@ class SoundDigitizer:
         self.armed, self.struck = key, False
 
     def read(self, timeout_s):
+        require_timeout(timeout_s)
         if self.armed is None:
             raise ConfigurationError("not armed")
         struck = self.struck
@@ -133,6 +135,35 @@ class GrowingRecords(SoundDigitizer):
         return Acquired(waveform=waveform(samples=20 + self.records))
 
 
+class CodesBeyondTheResolution(SoundDigitizer):
+    def record(self):
+        sound = waveform()
+        coefficients_v = np.array([0.0, 5.0 / 128])
+        return Acquired(
+            waveform=replace(
+                sound,
+                counts=sound.counts * np.int16(10),
+                calibration=Calibration(coefficients_v=coefficients_v, resolution_bits=8, range_v=5.0),
+            )
+        )
+
+
+class TellsMillivolts(SoundDigitizer):
+    def record(self):
+        sound = waveform()
+        return Acquired(waveform=replace(sound, calibration=replace(sound.calibration, range_v=5000.0)))
+
+
+class SettingsOfLists(SoundDigitizer):
+    def record(self):
+        return Acquired(waveform=waveform(), settings={"channels": [0, 1]})
+
+
+class TakesAnyTime(SoundDigitizer):
+    def read(self, timeout_s):
+        return super().read(timeout_s or 1.0)
+
+
 class NoPretrigger(SoundDigitizer):
     def record(self):
         return Acquired(waveform=waveform(pretrigger=0))
@@ -145,11 +176,22 @@ class DisarmsOnce(SoundDigitizer):
         super().disarm()
 
 
+GIVEN = {
+    "timeout_s": 1.0,
+    "longest_read_s": 20.0,
+    "monotonic_s": time.monotonic,
+    "caps": (12.0, 2.0),
+    "order": (8.0, 1.5),
+    "air": (22.0, 0.45),
+}
+"""Fixtures that the contracts have defaults of."""
+
+
 def run(contract, test, **fixtures):
     """Call one test of a contract; only the fixtures it asks for are passed."""
     function = getattr(contract, test)
     wanted = function.__code__.co_varnames[1 : function.__code__.co_argcount]
-    function(contract(), **{name: fixtures[name] for name in wanted})
+    function(contract(), **{name: {**GIVEN, **fixtures}[name] for name in wanted})
 
 
 def each_test(contract):
@@ -158,6 +200,13 @@ def each_test(contract):
 
 def digitizer_fixtures(digitizer):
     return {"digitizer": digitizer, "strike": digitizer.strike, "keys": KEYS, "unknown_key": UNKNOWN}
+
+
+def test_a_digitizer_that_waits_too_long_fails():
+    digitizer, now_s = SoundDigitizer(), iter((0.0, 600.0))
+    fixtures = {**digitizer_fixtures(digitizer), "monotonic_s": lambda: next(now_s)}
+    with pytest.raises(AssertionError, match=r"came back after 600\.0 s"):
+        run(DigitizerContract, "test_waiting_is_bounded_by_its_timeout", **fixtures)
 
 
 @pytest.mark.parametrize("test", each_test(DigitizerContract))
@@ -178,6 +227,10 @@ def test_a_sound_digitizer_passes(test):
         (RemembersStrikes, "test_disarming_forgets_the_strike"),
         (GrowingRecords, "test_records_of_one_position_have_one_shape_and_calibration"),
         (NoPretrigger, "test_a_strike_on_an_armed_digitizer_is_recorded"),
+        (CodesBeyondTheResolution, "test_counts_are_read_only_codes_of_their_calibration"),
+        (TellsMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
+        (SettingsOfLists, "test_counts_are_read_only_codes_of_their_calibration"),
+        (TakesAnyTime, "test_no_time_is_no_order"),
         (DisarmsOnce, "test_disarming_is_harmless_at_any_time"),
         (object, "test_is_a_digitizer"),
     ],
@@ -219,6 +272,21 @@ class StrikesAnotherCoil(SoundStriker):
         super().strike(KEYS[0])
 
 
+class MovesBeforeItRefuses(SoundStriker):
+    def strike(self, key):
+        self.levels += [("C", True), ("C", False)] if key == UNKNOWN else []
+        super().strike(key)
+
+
+class IsSafeOnce(SoundStriker):
+    safe = False
+
+    def make_safe(self):
+        if self.safe:
+            raise InstrumentError("already safe")
+        self.safe = True
+
+
 class EndsWhenSafe(SoundStriker):
     def make_safe(self):
         self.strike = lambda key: None
@@ -252,14 +320,16 @@ def test_a_sound_striker_passes(test):
         (LeavesTheCoilOn, "test_a_strike_is_one_pulse_of_its_own_coil"),
         (StrikesTwice, "test_a_strike_is_one_pulse_of_its_own_coil"),
         (StrikesAnotherCoil, "test_a_strike_is_one_pulse_of_its_own_coil"),
-        (StrikesAnotherCoil, "test_an_unknown_position_is_refused_by_name_and_nothing_moves"),
+        (StrikesAnotherCoil, "test_an_unknown_position_is_refused_by_name"),
+        (MovesBeforeItRefuses, "test_a_refused_strike_moves_nothing"),
+        (IsSafeOnce, "test_making_safe_twice_is_harmless"),
         (EndsWhenSafe, "test_making_safe_does_not_end_the_experiment"),
-        (SafeByAPulse, "test_making_safe_is_harmless_at_any_time"),
+        (SafeByAPulse, "test_making_safe_is_never_a_pulse"),
         (object, "test_is_a_striker"),
     ],
 )
 def test_a_broken_striker_fails(broken, test):
-    with pytest.raises((AssertionError, pytest.fail.Exception)):
+    with pytest.raises((AssertionError, InstrumentError, pytest.fail.Exception)):
         run(StrikerContract, test, **striker_fixtures(broken()))
 
 
@@ -268,6 +338,7 @@ class SoundProbe:
         self.shots = 0
 
     def acquire(self, key, timeout_s):
+        require_timeout(timeout_s)
         if key == UNKNOWN:
             raise ConfigurationError(f"no probe at {key.position}")
         self.shots += 1
@@ -386,6 +457,7 @@ class SoundSupply:
         return {"maker": "test", "model": "test"}
 
     def read(self, timeout_s):
+        require_timeout(timeout_s)
         stamp = Stamp(utc_ns=1, mono_ns=1, boot_id="test")
         volts = self.set_v if self.on else 0.0
         return SupplyReading(stamp=stamp, voltage_v=volts, current_a=0.1 * volts, output_on=self.on)
