@@ -133,7 +133,7 @@ class Opened:
     identity
         Maker, serial number, versions: stored with every set and shown by `info`.
     dry_run
-        A rehearsal: nothing is ever energised.
+        A rehearsal: nothing is ever energised. The parameter that asks for it has this name, too.
     """
 
     digitizer: Digitizer | None = None

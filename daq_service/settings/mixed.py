@@ -53,6 +53,11 @@ class PlaceSettings(BaseModel):
     pulse_echo: str = ""
     """Fires the ultrasonic probe."""
 
+    @property
+    def names(self) -> set[str]:
+        """Instruments that serve this position."""
+        return {name for _, name in self if name}
+
 
 class MixedRig(BaseModel):
     """Tables of a rig of several instruments."""

@@ -320,6 +320,13 @@ class RigSettings(Section, MixedRig):
                 )
 
     @property
+    def dry_run(self) -> bool:
+        """True for a rehearsal: no coil is ever energised, and records show noise."""
+        if self.kind == "mixed":
+            return any(item.parameters.get("dry_run") is True for item in self.instruments.values())
+        return self.kind == "daqmx" and self.daqmx is not None and self.daqmx.dry_run
+
+    @property
     def on_twin(self) -> bool:
         """True where the twin strikes: alone, or behind doubles of the boards."""
         return self.kind == "simulated" or self.on_doubles

@@ -86,9 +86,9 @@ def require_position(settings: Settings, position: str) -> None:
         raise UsageError(
             "--strike: rig.kind is 'playback', which strikes nothing; use the rig's configuration"
         )
-    if settings.rig.kind == "daqmx" and settings.rig.daqmx is not None and settings.rig.daqmx.dry_run:
+    if settings.rig.dry_run:
         raise UsageError(
-            "--strike: rig.daqmx.dry_run is true, so no coil is ever energised; set it to false when nobody "
+            "--strike: dry_run is true, so no coil is ever energised; set it to false when nobody "
             "has hands in the rig"
         )
 
@@ -136,7 +136,11 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
 
 def _this_transducer_only(settings: Settings, position: str) -> Settings:
     """Leave out what the strike does not need: another broken instrument must not forbid it."""
-    rig = settings.rig.model_copy(update={"niscope": None, "supply": None, "climate": None})
+    used = settings.rig.positions.get(position)
+    needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
+    rig = settings.rig.model_copy(
+        update={"niscope": None, "supply": None, "climate": None, "instruments": needed}
+    )
     if rig.daqmx is not None:
         rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
     places = {position: settings.positions[position]}
@@ -184,17 +188,23 @@ def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeS
     """Compare the trigger level with the incident wave, of the shot or else of the strike before it."""
     boards = settings.rig.daqmx
     level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
+    if settings.rig.kind == "mixed":
+        level_v = float(shot.settings.get("trigger_level_v", math.nan))
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:
         incident_v = abs(spike.wave_v)
-    if math.isnan(incident_v):
+    if math.isnan(incident_v) or math.isnan(level_v):
         return Check(
             area="rig",
             name=name,
             state="skipped",
-            found=f"{level_v:g} V; there is no incident wave to compare it with",
-            remedy="mend what is said of the record, then strike again",
+            found=f"{level_v:g} V; there is no incident wave to compare it with"
+            if math.isnan(incident_v)
+            else "the instrument does not say at what level it triggered",
+            remedy="mend what is said of the record, then strike again"
+            if math.isnan(incident_v)
+            else f"see that it is a tenth of the incident wave, {0.1 * incident_v:.2g} V",
             values={"trigger_level_v": level_v},
         )
     part = abs(level_v) / incident_v

@@ -83,7 +83,7 @@ def systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
     """Return the units of a recorder, a web service and, where there is a supply, its drive, by file name."""
-    longest_s = math.ceil(longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
+    longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
     drive, supply = f"{name}-drive.service", settings.rig.supply
     units: dict[str, tuple[str, Lines, Lines]] = {
         "record": (
