@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    pass
+    from hardware_drivers.conformance.bench import Double
+    from hardware_drivers.conformance.choice import Chosen
 
 # Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
 pytest.register_assert_rewrite("hardware_drivers.conformance")
