@@ -63,8 +63,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Make one test of each way in which the double can fail."""
     if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
-        double = metafunc.config.stash.get(DOUBLE, None)
-        metafunc.parametrize("fault", () if double is None else double.faults)
+        metafunc.parametrize("fault", _faults(metafunc.config))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -74,7 +73,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         return
     if CHOSEN not in config.stash:
         raise pytest.UsageError("which instrument? give --solimon-kind NAME, as its entry points call it")
-    out = [item for item in ours if _suite(item) not in {"kind", "safety", *config.stash[CHOSEN].serves}]
+    out = [item for item in ours if not _is_asked(item, config)]
     items[:] = [item for item in items if item not in out]
     config.hook.pytest_deselected(items=out)
     for item in ours:
@@ -105,6 +104,20 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
             terminalreporter.line(f"  broken: {rule}", red=True)
     if missing := [role for role in chosen.offer.roles if role not in chosen.serves]:
         terminalreporter.line(f"not proved: {', '.join(missing)}; no position of the configuration names it")
+    if not _faults(config):
+        terminalreporter.line("not proved: what it does when it fails; no double knows how")
+
+
+def _faults(config: pytest.Config) -> tuple[str, ...]:
+    double = config.stash.get(DOUBLE, None)
+    return () if double is None else double.faults
+
+
+def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
+    """Tell whether the instrument has the suite's role, and a double can fail where that is the rule."""
+    if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
+        return False
+    return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
 
 
 def _suite(item: pytest.Item) -> str | None:
