@@ -146,9 +146,15 @@ def _require_roles(rig: MixedRig) -> None:
     known = offers()
     for name, item in rig.instruments.items():
         offer = known.get(item.kind)  # one that is unknown is told with its parameters
-        for role, positions in rig.served_by(name).items():
+        serves = rig.served_by(name)
+        for role in serves:
             if offer is not None and role not in offer.roles:
                 raise ConfigurationError(
-                    f"rig.positions.{positions[0]}.{role} is {name!r}, whose kind {item.kind!r} is a "
+                    f"{rig.key_of(name, role)} is {name!r}, whose kind {item.kind!r} is a "
                     f"{' and '.join(offer.roles)}, not a {role}; name another instrument"
                 )
+        if "supply" in serves and len(serves) > 1:
+            raise ConfigurationError(
+                f"rig.drive.instrument is {name!r}, which is a {' and '.join(serves)}, too; the drive has a "
+                "process of its own, so its instrument can be nothing else: name one of its own"
+            )

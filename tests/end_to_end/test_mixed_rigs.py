@@ -16,12 +16,12 @@ from support.small_experiment import run
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import EventRow, SetRow
+from daq_service.catalogue.rows import EnvironmentRow, EventRow, SetRow
 from daq_service.clock import WallClock
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import longest_call_s, record
-from daq_service.rig.open_rig import open_rig
+from daq_service.rig.open_rig import open_rig, open_supply
 from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
@@ -214,3 +214,29 @@ def test_a_kind_that_does_not_give_what_it_offers_is_named(script: Script, folde
     settings = mixed({"liar": {"kind": "liar"}, "scope": SCOPE}, {"B": ("scope", "liar")})
     with pytest.raises(RigError, match=r"rig.instruments.liar: .* opened without a striker.*lab-drivers 1.2"):
         run(settings, folder)
+
+
+def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder: Path) -> None:
+    instruments = {
+        "hammer": HAMMER,
+        "scope": SCOPE,
+        "psu": {"kind": "scripted-supply"},
+        "weather": {"kind": "scripted-climate"},
+    }
+    settings = mixed(
+        instruments,
+        {"B": ("scope", "hammer")},
+        drive={"instrument": "psu", "log_interval_s": 1e-3},
+        air={"instrument": "weather", "log_interval_s": 1e-3},
+    )
+    assert run(settings, folder)
+    with open_catalogue(folder) as catalogue:
+        (row,) = catalogue.rows(EnvironmentRow)
+    assert (row.voltage_v, row.temperature_c, row.relative_humidity) == (9.5, 21.5, 0.4)
+    assert "supply off" in script.events, "the end of the test switches it off"
+    clock = WallClock()
+    with open_supply(settings, clock) as supply:
+        assert supply.identity() == {"maker": "nobody"}
+    # The recorder leaves a supply that has a process of its own to that process.
+    with open_rig(settings.model_copy(update={"rig": settings.rig.without_supply()}), clock, 0) as rig:
+        assert (rig.supply, rig.climate is None) == (None, False)

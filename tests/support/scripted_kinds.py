@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, require_timeout
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import ClimateReading, ShotKey, SupplyReading
 from support.synthetic_records import Scene
 
 
@@ -119,6 +119,33 @@ class Relay:
         SCRIPT.note("make_safe")
 
 
+class Supply:
+    def __init__(self, opening: Opening) -> None:
+        self._opening, self.on = opening, False
+
+    def read(self, timeout_s: float) -> SupplyReading:
+        return SupplyReading(stamp=self._opening.stamp(), voltage_v=9.5, current_a=0.25, output_on=self.on)
+
+    def energise(self, voltage_v: float, current_limit_a: float) -> None:
+        SCRIPT.note(f"energise {voltage_v:g}")
+        self.on = True
+
+    def make_safe(self) -> None:
+        SCRIPT.note("supply off")
+        self.on = False
+
+    def identity(self) -> Mapping[str, str]:
+        return {"maker": "nobody"}
+
+
+class Probe:
+    def __init__(self, opening: Opening) -> None:
+        self._opening = opening
+
+    def read(self, timeout_s: float) -> ClimateReading:
+        return ClimateReading(stamp=self._opening.stamp(), temperature_c=21.5, relative_humidity=0.4)
+
+
 def _look(parameters: Any, opening: Opening) -> Iterator[Finding]:
     yield Finding(subject="front panel", check="lamp", state="warn", detail="it is dark", remedy="switch on")
 
@@ -147,11 +174,19 @@ HAMMER = Kind(
 )
 RELAY = Kind(parameters=NoParameters, open=_opener(lambda opening: Opened(striker=Relay())), check=_look)
 LIAR = Kind(parameters=NoParameters, open=_opener(lambda opening: Opened()), check=_look)
+SUPPLY = Kind(
+    parameters=NoParameters, open=_opener(lambda opening: Opened(supply=Supply(opening))), check=_look
+)
+CLIMATE = Kind(
+    parameters=NoParameters, open=_opener(lambda opening: Opened(climate=Probe(opening))), check=_look
+)
 NOT_A_KIND = "a word"
 
 OFFERED = {
     "scripted-scope": {"digitizer": "support.scripted_kinds:SCOPE"},
     "scripted-hammer": {"striker": "support.scripted_kinds:HAMMER"},
     "scripted-relay": {"striker": "support.scripted_kinds:RELAY"},
+    "scripted-supply": {"supply": "support.scripted_kinds:SUPPLY"},
+    "scripted-climate": {"climate": "support.scripted_kinds:CLIMATE"},
     "liar": {"striker": "support.scripted_kinds:LIAR"},
 }

@@ -50,6 +50,14 @@ striker = "boards"
 GOOD = HEAD + BOARDS + SCOPE + PLACES
 
 
+PSU = """
+[rig.instruments.psu]
+kind = "scripted-supply"
+[rig.drive]
+instrument = "psu"
+"""
+
+
 @pytest.fixture(autouse=True)
 def lab_drivers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, tmp_path / "site", OFFERED)
@@ -150,3 +158,29 @@ def test_the_environment_reaches_a_plug_in_s_parameters(
 ) -> None:
     monkeypatch.setenv("SOLIMON_RIG__INSTRUMENTS__SCOPE__RANGE_V", "2.5")
     assert load(tmp_path, GOOD).rig.instruments["scope"].parameters["range_v"] == 2.5
+
+
+def test_the_drive_is_an_instrument_s_by_its_name(tmp_path: Path) -> None:
+    settings = load(tmp_path, GOOD + PSU)
+    (psu,) = (item for item in instruments_of(settings) if item.name == "psu")
+    assert psu.serves == {"supply": ()}
+    assert settings.rig.driven is settings.rig.drive is not None
+    assert settings.rig.drive.voltage_v == 10.0
+    watched = load(tmp_path, GOOD + PSU + "unwatched_s = 60.0\n")
+    stronger = load(tmp_path, GOOD + PSU + "voltage_v = 11.0\n")
+    assert settings.configuration_hash() == watched.configuration_hash() != stronger.configuration_hash()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        ('instrument = "psu"', 'instrument = "pso"', "rig.drive.instrument is 'pso'; there are: boards, sco"),
+        ('instrument = "psu"', 'instrument = "scope"', "rig.drive.instrument is 'scope', whose kind 'scrip"),
+        ('instrument = "psu"', 'instrument = "psu"\nvoltage_v = 13.0', "voltage_v is 13.0; it must be at m"),
+        ("[rig.drive]", "[rig.air]", "rig.air.instrument is 'psu', whose kind 'scripted-supply' is a suppl"),
+        ("[rig.drive]", '[rig.supply]\nline={port="COM4"}\nidentity="A,B"\n[rig.drive]', "are both given"),
+    ],
+)  # fmt: skip
+def test_a_drive_that_cannot_work_is_refused(old: str, new: str, complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=complaint):
+        load(tmp_path, GOOD + PSU.replace(old, new))
