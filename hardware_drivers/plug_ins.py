@@ -5,8 +5,10 @@ Finding reads the metadata of installed distributions; only a kind that is asked
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -74,11 +76,18 @@ class Offer:
         return kind
 
 
-def offers() -> dict[str, Offer]:
+def offers() -> Mapping[str, Offer]:
     """Every kind that is offered here, by its name."""
+    return _offers(tuple(sys.path))
+
+
+@lru_cache(maxsize=1)
+def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
+    """Look once for a path: what is installed there stays while a process runs."""
     found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
+    every = entry_points()
     for role in ROLES:
-        for entry_point in entry_points(group=GROUPS[role]):
+        for entry_point in every.select(group=GROUPS[role]):
             given = found.setdefault(entry_point.name, {}).setdefault(_distribution(entry_point), {})
             given[role] = entry_point
     return {

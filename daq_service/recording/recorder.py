@@ -524,7 +524,7 @@ class Recorder:
         """Pass on what an instrument asks a person to do now; an empty text: nothing any more."""
         self._asks = text and f"waiting for a person: {text}"
         # The record is waited for from here on, as long as the heartbeat's deadline allows.
-        self._heartbeat.beat(self._doing_now())
+        self._heartbeat.beat(self._doing_now(), at_once=True)
         if not text:
             self._kept.say(ASKED_OVER, {})
             self._tell(ASKED_OVER)

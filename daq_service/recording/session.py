@@ -231,7 +231,7 @@ def longest_call_s(settings: Settings) -> float:
     """Longest a bounded call of an instrument may take; what has no bound of its own is not counted."""
     rig = settings.rig
     longest_s = max(item.kind.longest_call_s(item.parameters) for item in instruments_of(settings))
-    order_s = 0.0 if rig.supply is None else COMES_WITHIN_S + answered_within_s(rig.supply)
+    order_s = 0.0 if rig.driven is None else COMES_WITHIN_S + answered_within_s(rig.driven)
     return max(rig.read_timeout_s, longest_s, order_s)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 from daq_service.archive import (
@@ -167,8 +168,15 @@ def _positions(record: SetRecord) -> dict[str, str]:
 
 
 @contextmanager
-def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Recorded]:
+def open_recording(
+    parameters: PlaybackParameters, folder: Path, wanted: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Recorded]:
     """Open the source of a recording; a relative path counts from ``folder``.
+
+    Parameters
+    ----------
+    wanted
+        Positions that will be asked for and their method.
 
     Raises
     ------
@@ -182,7 +190,7 @@ def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Rec
     from hardware_drivers.playback.tdms import open_tdms
 
     try:
-        shots = open_tdms(source, parameters.tdms)
+        shots = open_tdms(source, parameters.tdms, positions=wanted)
     except ConfigurationError as error:
         raise UsageError(f"the recording cannot be played back: {error}") from error
     with shots:
@@ -235,15 +243,15 @@ def playback_instruments(
 
 @contextmanager
 def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
-    serves = opening.serves
-    with open_recording(parameters, Path.cwd()) as source:
+    wanted = {
+        **dict.fromkeys(opening.serves.get("digitizer", ()), SOLITARY_WAVE),
+        **dict.fromkeys(opening.serves.get("pulse_echo", ()), PULSE_ECHO),
+    }
+    with open_recording(parameters, Path.cwd(), wanted) as source:
         yield playback_instruments(
             source,
             opening.clock,
-            wanted={
-                **dict.fromkeys(serves.get("digitizer", ()), SOLITARY_WAVE),
-                **dict.fromkeys(serves.get("pulse_echo", ()), PULSE_ECHO),
-            },
+            wanted=wanted,
             identity={"recording": str(parameters.source)},
             recorded_times=opening.experiment["clock"]["kind"] == "simulated",
             shot_interval_s=opening.shot_interval_s,

@@ -11,12 +11,12 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from daq_service.settings.mixed import InstrumentSettings
+from daq_service.settings.mixed import InstrumentSettings, MixedRig
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Kind, Role
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
-from hardware_drivers.plug_ins import Offer, find_kind
+from hardware_drivers.plug_ins import Offer, find_kind, offers
 
 TEXT: Mapping[Role, str] = {"supply": "text-supply", "climate": "text-climate"}
 """Kinds of `[rig.supply]` and `[rig.climate]`."""
@@ -75,9 +75,14 @@ def instruments_of(settings: Settings) -> list[Instrument]:
     rig = settings.rig
     found = []
     if rig.kind == "mixed":
+        _require_roles(rig)
         for name, item in rig.instruments.items():
             table = f"rig.instruments.{name}"
             found.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
+            if not found[-1].serves:
+                raise ConfigurationError(
+                    f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
+                )
     else:
         transducers, probes = (tuple(settings.names_of(method)) for method in (SOLITARY_WAVE, PULSE_ECHO))
         wanted: dict[Role, tuple[str, ...]] = {"digitizer": transducers, "striker": transducers}
@@ -128,27 +133,28 @@ def _instrument(
     except ValidationError as error:
         known = adapter.json_schema().get("properties", {})
         raise ParametersError(table, error, sorted(known)) from error
-    _require_roles(name, table, offer, serves)
     try:
-        kind.require(parameters, serves)
+        if serves:
+            kind.require(parameters, serves)
     except ValueError as error:
         raise ConfigurationError(f"{table}: {error}") from error
     return Instrument(name=name, table=table, kind=kind, offer=offer, parameters=parameters, serves=serves)
 
 
-def _require_roles(name: str, table: str, offer: Offer, serves: Mapping[Role, tuple[str, ...]]) -> None:
-    if not serves:
-        raise ConfigurationError(
-            f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
-        )
-    for role, positions in serves.items():
-        if role not in offer.roles:
-            key = f"rig.positions.{positions[0]}.{role}" if positions else f"rig.{role}.instrument"
+def _require_roles(rig: MixedRig) -> None:
+    """Refuse an instrument that cannot be what it is used as."""
+    known = offers()
+    for name, item in rig.instruments.items():
+        offer = known.get(item.kind)  # one that is unknown is told with its parameters
+        serves = rig.served_by(name)
+        for role in serves:
+            if offer is not None and role not in offer.roles:
+                raise ConfigurationError(
+                    f"{rig.key_of(name, role)} is {name!r}, whose kind {item.kind!r} is a "
+                    f"{' and '.join(offer.roles)}, not a {role}; name another instrument"
+                )
+        if "supply" in serves and len(serves) > 1:
             raise ConfigurationError(
-                f"{key} is {name!r}, whose kind {offer.name!r} is {_words(offer)}, not a {role}; name "
-                "another instrument"
+                f"rig.drive.instrument is {name!r}, which is a {' and '.join(serves)}, too; the drive has a "
+                "process of its own, so its instrument can be nothing else: name one of its own"
             )
-
-
-def _words(offer: Offer) -> str:
-    return f"a {' and '.join(offer.roles)}"

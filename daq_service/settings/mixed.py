@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hardware_drivers.drive_parameters import NamedClimateProbe, NamedSupply
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
@@ -17,6 +18,10 @@ NEEDED: Mapping[str, tuple[Role, ...]] = {
     PULSE_ECHO: ("pulse_echo",),
 }
 """Roles that a position of each method needs."""
+
+
+KEYS_BESIDE: Mapping[Role, str] = {"supply": "drive", "climate": "air"}
+"""Tables of what serves no position."""
 
 
 class InstrumentSettings(BaseModel):
@@ -66,18 +71,31 @@ class MixedRig(BaseModel):
     """Instruments of a `mixed` rig by a name of your own; each is opened once, whatever it serves."""
     positions: dict[str, PlaceSettings] = Field(default_factory=dict)
     """Which instruments serve each position of a `mixed` rig."""
+    drive: NamedSupply | None = None
+    """Electrochemical drive of a `mixed` rig by one of its instruments, instead of `[rig.supply]`."""
+    air: NamedClimateProbe | None = None
+    """Thermometer and hygrometer of a `mixed` rig among its instruments, instead of `[rig.climate]`."""
 
     @model_validator(mode="after")
     def _names_instruments(self) -> Self:
-        for position, place in self.positions.items():
-            for role, name in place:
-                if name and name not in self.instruments:
-                    raise ValueError(
-                        f"rig.positions.{position}.{role} is {name!r}; there are: "
-                        f"{', '.join(self.instruments) or 'none'}; add [rig.instruments.{name}], or correct "
-                        "the name"
-                    )
+        named = {
+            f"positions.{at}.{role}": name
+            for at, place in self.positions.items()
+            for role, name in place
+            if name
+        }
+        named |= {f"{key}.instrument": its.instrument for key, its in self._beside().items()}
+        for key, name in named.items():
+            if name not in self.instruments:
+                raise ValueError(
+                    f"rig.{key} is {name!r}; there are: {', '.join(self.instruments) or 'none'}; add "
+                    f"[rig.instruments.{name}], or correct the name"
+                )
         return self
+
+    def _beside(self) -> dict[str, NamedSupply | NamedClimateProbe]:
+        """Tables of what serves no position."""
+        return {key: its for key, its in (("drive", self.drive), ("air", self.air)) if its is not None}
 
     def served_by(self, name: str) -> dict[Role, tuple[str, ...]]:
         """Positions that an instrument serves, by role."""
@@ -87,7 +105,18 @@ class MixedRig(BaseModel):
                 names = [at for at, place in self.positions.items() if getattr(place, role) == name]
                 if names:
                     served[role] = tuple(names)
+        if self.drive is not None and self.drive.instrument == name:
+            served["supply"] = ()
+        if self.air is not None and self.air.instrument == name:
+            served["climate"] = ()
         return served
+
+    def key_of(self, name: str, role: Role) -> str:
+        """Name the first key that makes an instrument what it is used as."""
+        if role in KEYS_BESIDE:
+            return f"rig.{KEYS_BESIDE[role]}.instrument"
+        position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
+        return f"rig.positions.{position}.{role}"
 
     def require_places(self, methods: Mapping[str, str]) -> None:
         """Refuse a position without its instruments, and places and roles that there are not.

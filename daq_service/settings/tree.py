@@ -21,6 +21,7 @@ from daq_service.clock import parse_utc
 from daq_service.settings.mixed import MixedRig
 from hardware_drivers.daqmx import parameters as daqmx
 from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS, DriveParameters, LogParameters
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 from hardware_drivers.niscope import parameters as niscope
 from hardware_drivers.niscope.parameters import NiscopeParameters
@@ -44,6 +45,8 @@ HASHED_OUT: Mapping[str, Any] = {
         "niscope": set(niscope.REACHED_BY),
         "supply": set(serial_port.SUPPLY_REACHED_BY),
         "climate": set(serial_port.CLIMATE_REACHED_BY),
+        "drive": set(WATCH_KEYS | {"order_timeout_s", "readback_tolerance_v", "readback_tolerance_a"}),
+        "air": set(LOG_KEYS),
     },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
@@ -304,12 +307,16 @@ class RigSettings(Section, MixedRig):
     def _is_mixed_or_not(self) -> None:
         """Refuse tables that this kind of rig would not look at."""
         if self.kind != "mixed":
-            if self.instruments or self.positions:
-                table = "instruments" if self.instruments else "positions"
+            given = [table for table in MixedRig.model_fields if getattr(self, table)]
+            if given:
                 raise ValueError(
-                    f"kind is {self.kind!r}, which has no [rig.{table}]; set kind = 'mixed', or take it out"
+                    f"kind is {self.kind!r}, which has no [rig.{given[0]}]; set kind = 'mixed', or "
+                    "take it out"
                 )
             return
+        for text, named in (("supply", "drive"), ("climate", "air")):
+            if getattr(self, text) is not None and getattr(self, named) is not None:
+                raise ValueError(f"[rig.{text}] and [rig.{named}] are both given; keep one of them")
         if not self.instruments:
             raise ValueError("kind is 'mixed', which needs [rig.instruments.NAME] with kind and parameters")
         for table in ("daqmx", "niscope", "playback"):
@@ -318,6 +325,22 @@ class RigSettings(Section, MixedRig):
                     f"kind is 'mixed', which has no [rig.{table}]; make it [rig.instruments.NAME] with "
                     f"kind = {table!r}"
                 )
+
+    @property
+    def driven(self) -> DriveParameters | None:
+        """How the electrochemical drive is set and watched, whatever its supply; None: there is none."""
+        return self.supply or self.drive
+
+    @property
+    def logged(self) -> LogParameters | None:
+        """How the climate is logged, whatever its probe; None: it is not."""
+        return self.climate or self.air
+
+    def without_supply(self) -> RigSettings:
+        """Leave the supply out: its port belongs to a process of its own."""
+        used = None if self.drive is None else self.drive.instrument
+        others = {name: item for name, item in self.instruments.items() if name != used}
+        return self.model_copy(update={"supply": None, "drive": None, "instruments": others})
 
     @property
     def dry_run(self) -> bool:
@@ -472,7 +495,7 @@ class Settings(BaseSettings):
         if self.rig.kind == "mixed":
             rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
         else:
-            del rig["instruments"], rig["positions"]
+            del rig["instruments"], rig["positions"], rig["drive"], rig["air"]
         return values
 
     def configuration_hash(self) -> str:

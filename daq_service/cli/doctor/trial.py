@@ -138,9 +138,8 @@ def _this_transducer_only(settings: Settings, position: str) -> Settings:
     """Leave out what the strike does not need: another broken instrument must not forbid it."""
     used = settings.rig.positions.get(position)
     needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
-    rig = settings.rig.model_copy(
-        update={"niscope": None, "supply": None, "climate": None, "instruments": needed}
-    )
+    unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
+    rig = settings.rig.model_copy(update={**unneeded, "instruments": needed})
     if rig.daqmx is not None:
         rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
     places = {position: settings.positions[position]}

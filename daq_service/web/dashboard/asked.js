@@ -5,8 +5,6 @@ import { duration } from "./format.js";
 import { icon } from "./icons.js";
 
 const TICK_MS = 250;
-/** An event that is older was told before this page listened; less is the way it took and clocks apart. */
-const OLD_S = 2;
 
 export class Asked {
   constructor() {
@@ -18,10 +16,9 @@ export class Asked {
 
   /** @param {any} event of the topic `service` */
   hear(event) {
-    if (event.kind === "asked") {
-      const ageS = (Date.now() - Date.parse(event.utc)) / 1000;
-      this.show({ ...event.payload, left_s: event.payload.within_s - (ageS > OLD_S ? ageS : 0) });
-    } else if (["asked_over", "recorder_started", "recorder_stopped"].includes(event.kind)) this.show(null);
+    // Of an event that is told late `/info`, which is read after it, knows what is left.
+    if (event.kind === "asked") this.show({ ...event.payload, left_s: event.payload.within_s });
+    else if (["asked_over", "recorder_started", "recorder_stopped"].includes(event.kind)) this.show(null);
   }
 
   /** @param {any} asked as `/info` tells it; null: nothing */

@@ -219,7 +219,7 @@ async function refresh() {
   dirty.environment = false;
   const readings = [...changed].map((position) => readTrend(position, whole.has(position)));
   if (withAlarms) readings.push(all("/alarms?limit=200").then((items) => alarmList.update(items)));
-  if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), showInfo())));
+  if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), asked.show(info.asked), showInfo())));
   readings.push(get("/transducers").then((answer) => (tiles.update(answer), retired.update(answer), showClock(answer.as_of))));
   if (withEnvironment) readings.push(readEnvironment());
   await Promise.all(readings);
