@@ -41,6 +41,8 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
         "daq_service/web/dashboard/index.html",
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
+        "hardware_drivers/conformance/test_instrument.py",
+        "hardware_drivers/conformance/digitizer_contract.py",
         *(f"{package}/py.typed" for package in ("daq_service", "hardware_drivers", "analysis", "simulator")),
     ):
         assert wanted in names

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from pydantic import BaseModel, ConfigDict
+from support.offered_kinds import offer
 from test_contracts_bite import (
     KEYS,
     LeavesTheCoilOn,
@@ -33,13 +34,7 @@ kind = "scripted"
 digitizer = "mine"
 striker = "mine"
 """
-ENTRY_POINTS = """
-[solimon.digitizer]
-scripted = scripted_kind:KIND
-
-[solimon.striker]
-scripted = scripted_kind:KIND
-"""
+OFFERED = {"scripted": {"digitizer": "scripted_kind:KIND", "striker": "scripted_kind:KIND"}}
 
 
 class Cable:
@@ -200,12 +195,7 @@ def kind_of(
 @pytest.fixture
 def prove(pytester, monkeypatch):
     """Install a kind for this process and run the one command on it."""
-    site = pytester.mkdir("site")
-    metadata = site / "scripted_kind-1.0.dist-info"
-    metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: scripted-kind\nVersion: 1.0\n")
-    (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
-    monkeypatch.syspath_prepend(site)
+    offer(monkeypatch, pytester.path / "site", OFFERED)
     # The other plugins that are installed here would be imported anew for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     configuration = pytester.path / "rig.toml"
@@ -235,7 +225,7 @@ def test_a_sound_instrument_keeps_every_rule(prove):
     assert result.ret == 0
     result.stdout.fnmatch_lines(
         [
-            "*solimon's rules: scripted, scripted-kind 1.0*",
+            "*solimon's rules: scripted, lab-drivers 1.2*",
             "kind: 9 kept, 0 broken",
             "safety: 6 kept, 0 broken",
             "digitizer: 14 kept, 0 broken",
