@@ -221,7 +221,8 @@ class Kind(Generic[P]):
     packages
         Distributions that these parameters need (``picosdk``), for `solimon doctor`.
     longest_call_s
-        Longest time that one call may take beyond the ``timeout_s`` that it is given; 0: no longer.
+        Longest time that a call may take that is given no ``timeout_s`` (arm, strike, self-calibrate); the
+        recorder's sign of life waits for it. 0: less than `rig.stall_timeout_s` allows anyway.
     reached_by
         Parameters that say how the instrument is reached, not what is measured: they may differ when a test
         is gone on with. Dots lead into tables (``"line.port"``).

@@ -6,7 +6,8 @@ interval after the start.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -36,21 +37,19 @@ class DueSet:
     due_utc_ns: int
 
 
-def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> Iterator[float]:
-    """Yield the hours of all sets in order; ``end_h`` cuts the plan short (inclusive).
+def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
+    """Hours of all sets in order; ``end_h`` cuts the plan short (inclusive).
 
     Each hour is counted from its phase's start, so no rounding error piles up.
     """
+    hours: list[float] = []
     start_h = 0.0
     for phase in phases:
         # Half a millionth of an interval forgives decimal fractions such as 0.1 h.
         count = int((phase.until_h - start_h) / phase.interval_h + 5e-7)
-        for k in range(1, count + 1):
-            hour = start_h + k * phase.interval_h
-            if end_h is not None and hour > end_h:
-                return
-            yield hour
+        hours += [start_h + k * phase.interval_h for k in range(1, count + 1)]
         start_h = phase.until_h
+    return hours if end_h is None else hours[: bisect_right(hours, end_h)]
 
 
 def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:

@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 from sqlalchemy import (
+    CTE,
     ColumnElement,
     Connection,
     Engine,
@@ -23,7 +24,9 @@ from sqlalchemy import (
     insert,
     literal,
     select,
+    true,
     tuple_,
+    union_all,
 )
 
 from daq_service.catalogue.connection import make_engine, translated, writing
@@ -56,6 +59,7 @@ Scope = Literal["set", "shot"]
 _ASKED_AT_ONCE = 500
 """Values in one condition."""
 ACTIVE_STATES = ("acknowledged", "returned_unacknowledged", "unacknowledged")
+GAP_STATES = ("missed", "partial")
 ORDER_WITHIN_S = 60.0
 """An order that nobody has begun to carry out within this time expires, if its giver says nothing else."""
 
@@ -180,6 +184,20 @@ class Catalogue:
         newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
         return self._rows(kind, newest_first)[::-1]
 
+    def newest_gaps(self, count: int) -> list[SetRow]:
+        """So many of the newest sets of each position that were missed, and of those that lack something."""
+        places = _places()
+        states = union_all(*(select(literal(state).label("state")) for state in GAP_STATES)).cte("states")
+        of_place = sets.alias("of_place")
+        newest = (
+            select(of_place.c.id)
+            .where(of_place.c.position == places.c.position, of_place.c.state == states.c.state)
+            .order_by(of_place.c.set_index.desc())
+            .limit(count)
+        )
+        statement = select(sets).select_from(places.join(states, true()).join(sets, sets.c.id.in_(newest)))
+        return self._rows(SetRow, statement)
+
     def newest_file(self) -> str | None:
         """Name the file of the newest set that has records; None before it."""
         row = self._newest_row(SetRow, sets.c.file.is_not(None))
@@ -269,12 +287,10 @@ class Catalogue:
         positions = list(self.experiment_row().configuration.get("positions", ()))
         found: dict[int, str] = {}
         with self._reading() as connection:
-            newest = [
-                connection.execute(select(func.max(sets.c.set_index)).where(sets.c.position == name)).scalar()
-                for name in positions
-            ]
-            last = max((index for index in newest if index is not None), default=-1)
-            left = sorted(set(range(last + 1)) - set(indices))
+            places = _places()
+            newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position)
+            last = connection.execute(select(func.max(newest.scalar_subquery())).select_from(places)).scalar()
+            left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
             for start in range(0, len(left), _ASKED_AT_ONCE):
                 some = left[start : start + _ASKED_AT_ONCE]
                 statement = (
@@ -446,13 +462,17 @@ def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[
     return list(checked_rows(connection, kind, statement))
 
 
-def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Row of the highest set index of each position that has a row in ``sets``."""
+def _places() -> CTE:
+    """Name the positions that have a row in ``sets``."""
     # One step in the index leads to the next name, however many sets have it.
     first = select(func.min(sets.c.position).label("position")).cte("places", recursive=True)
     following = select(func.min(sets.c.position)).where(sets.c.position > first.c.position)
-    places = first.union_all(select(following.scalar_subquery()).where(first.c.position.is_not(None)))
-    table = table_of(kind)
+    return first.union_all(select(following.scalar_subquery()).where(first.c.position.is_not(None)))
+
+
+def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
+    """Row of the highest set index of each position that has a row in ``sets``."""
+    table, places = table_of(kind), _places()
     of_place = table.alias("of_place")
     newest = select(of_place.c.id).where(of_place.c.position == places.c.position)
     if kind is FeatureRow:  # of a set

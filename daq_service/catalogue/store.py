@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from sqlalchemy import Engine, inspect, text
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
+from daq_service.catalogue.connection import FILE_NAME, make_engine, reading_engine, translated
 from daq_service.catalogue.damage import refuse_damage
 from daq_service.catalogue.errors import (
     CatalogueError,
@@ -103,7 +103,7 @@ def check_owner(settings: Settings, folder: Path) -> None:
         if kept is not None:
             refuse_other_experiment(kept, folder, settings)
         return  # nobody's yet, or its catalogue is lost
-    engine = make_engine(path, writable=False)
+    engine = reading_engine(path)
     try:
         with translated(path, "opening"):
             found = revision_of(engine)
@@ -137,7 +137,7 @@ def _open_reader(path: Path) -> Catalogue:
     waiting = f"{path}: no data yet; start `solimon record` or wait for it"
     if not path.is_file():
         raise NoDataYetError(waiting)
-    engine = make_engine(path, writable=False)
+    engine = reading_engine(path)
     try:
         with translated(path, "opening"):
             found = revision_of(engine)

@@ -110,7 +110,7 @@ def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage
         return found
     counts = catalogue.counts()
     done = counts["sets"] + counts["missed_sets"]
-    hours = list(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))[done:]
+    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
     a_set = path.stat().st_size + (folder / FILE_NAME).stat().st_size / max(1, done)
     stop_bytes = storage.stop_free_fraction * min(space.total_bytes, storage.volume_gb * 1e9)
     fitting = int(max(0.0, space.free_bytes - stop_bytes) / a_set)

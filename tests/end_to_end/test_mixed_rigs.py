@@ -1,5 +1,6 @@
 """Sets of mixed rigs through the recorder: NI boards (on doubles) beside instruments of another package."""
 
+import json
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +18,7 @@ from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import EnvironmentRow, EventRow, SetRow
+from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
@@ -240,3 +242,23 @@ def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder:
     # The recorder leaves a supply that has a process of its own to that process.
     with open_rig(settings.model_copy(update={"rig": settings.rig.without_supply()}), clock, 0) as rig:
         assert (rig.supply, rig.climate is None) == (None, False)
+
+
+def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_instruments(
+    script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"B": ("scope", "hammer"), "C": ("scope", "other")}
+    settings = mixed({"hammer": HAMMER, "other": HAMMER, "scope": SCOPE}, places)
+    config = tmp_path / "rig.json"
+    config.write_text(settings.model_dump_json(), encoding="utf-8")
+    assert run_doctor(config=config, data_dir=tmp_path / "data", strike="B", as_json=True) == 0
+    report = json.loads(capsys.readouterr().out)
+    checks = {check["name"]: check for check in report["checks"]}
+    assert (checks["scope: front panel: lamp"]["state"], checks["scope: front panel: lamp"]["remedy"]) == (
+        "warn", "switch on",
+    )  # fmt: skip
+    assert "other: front panel: lamp" in checks
+    assert report["strike"]["features"]["quality"] == "good"
+    assert checks["strike B: trigger level"]["values"]["trigger_level_v"] == 0.25
+    assert script.events.count("open") == 2, "C's striker is left alone"
+    assert "strike B" in script.events

@@ -10,7 +10,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from support.refused_recorders import CALLS, SETS
+from support.refused_recorders import CALLS, DAMAGED, SETS
 from support.refusing_files import build, needs_a_preload
 
 pytestmark = needs_a_preload
@@ -35,6 +35,7 @@ SOME = [
     case("open", "/sets/*.h5", "EMFILE", first=3),
     case("open", "/catalogue.sqlite", "ENOSPC", count=1),
     case("open", "*", "EMFILE", first=100),
+    {**case("mkdir", "/quarantine", "ENOSPC"), "damaged": True},
     {"locked_s": 60.0},
 ]
 
@@ -74,7 +75,11 @@ def wrong(told):
         "sets were not struck": {(*row,) for row in told["sets"]} == {(n, "done", None) for n in range(SETS)},
         "shots are lost or double": {told["shots"], told["keys"], told["acknowledged"]} == {RECORDS},
         "something is left over": not told["left"],
-        "the alarm stays": all(state == "returned_unacknowledged" for _, state in told["alarms"]),
+        "the alarm stays": all(
+            state == ("unacknowledged" if kind == "data_damaged" else "returned_unacknowledged")
+            for kind, state in told["alarms"]
+        ),
+        "it is not set aside": told["set_aside"] == [Path(DAMAGED).name] * bool(told.get("damaged")),
         "it was told late": told["lasted_s"] < TOLD_WITHIN_S
         or (told["told_after_s"] is not None and told["told_after_s"] <= TOLD_WITHIN_S),
     }
@@ -101,6 +106,12 @@ def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
         case(call, files, error, first=first, count=count)
         for (call, files), n in sorted(kinds.items())
         for first in sorted({0, n // 2, n - 1})
+        for count in COUNTS
+        for error in ERRORS
+    ]
+    cases += [
+        {**case(call, files, error, count=count), "damaged": True}
+        for call, files in (("mkdir", "/quarantine"), ("rename", "/quarantine/*"))
         for count in COUNTS
         for error in ERRORS
     ]

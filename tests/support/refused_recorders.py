@@ -25,6 +25,7 @@ from typing import Any
 from unittest.mock import patch
 
 from daq_service import shared_file
+from daq_service.archive.records import set_reference
 from daq_service.catalogue import connection, open_catalogue
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import WallClock, parse_utc
@@ -47,6 +48,8 @@ SETS_BEFORE, SETS = 2, 6
 INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
 """A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
 starting only as long as no set is due."""
+DAMAGED = set_reference(SETS - 1, parse_utc("2026-01-01T00:00:00Z"))
+"""A set's file without rows, as a disk may leave one; a start sets it aside."""
 CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 
 
@@ -187,6 +190,8 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     told = Told(clock, refusals)
     logging.getLogger().addHandler(told)
     log_to(folder / "logs" / "recorder.log")
+    if case.get("damaged"):
+        (folder / DAMAGED).write_bytes(b"torn")
     refuse(case, folder)
     ends: list[str] = []
     finished = False
@@ -218,6 +223,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
         "keys": len(set(found.keys.values())),
         "acknowledged": len(set(told_ids)),
         "left": left(folder),
+        "set_aside": sorted(path.name for path in folder.glob("quarantine/*")),
     }
 
 

@@ -14,7 +14,7 @@ from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, CommandRow, SetRow, values
+from daq_service.catalogue.rows import AlarmRow, CommandRow, values
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.judgement.restored import thickness_interval_m
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
@@ -54,7 +54,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "orders": _open_orders(catalogue),
                 "counts": counts,
                 "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
-                "gaps": _gaps(settings, catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
+                "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": lost_sets(folder, catalogue, newest=SIZED),
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
@@ -109,7 +109,7 @@ def _standing(
 
 def _next_due_h(settings: Settings, done: int) -> float | None:
     """Hour of the first set without rows; None: every planned one has its own."""
-    hours = list(due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))[done:]
+    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
     return hours[0] if hours else None
 
 
@@ -125,17 +125,12 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     ]
 
 
-def _gaps(settings: Settings, catalogue: Catalogue) -> list[dict[str, Any]]:
+def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
     """Newest sets that lack something: which, at which positions, and why."""
     found: dict[tuple[int, str | None], dict[str, Any]] = {}
-    for position in settings.positions:
-        # One state after the other: the index leads to the newest ones, both together would be sorted.
-        for row in [
-            *catalogue.last_rows(SetRow, position, GAPS_A_POSITION, state="missed"),
-            *catalogue.last_rows(SetRow, position, GAPS_A_POSITION, state="partial"),
-        ]:
-            gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
-            found.setdefault((row.set_index, row.cause), {**gap, "positions": []})["positions"].append(
-                position
-            )
+    for row in catalogue.newest_gaps(GAPS_A_POSITION):
+        gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
+        found.setdefault((row.set_index, row.cause), {**gap, "positions": []})["positions"].append(
+            row.position
+        )
     return [found[key] for key in sorted(found, key=lambda key: key[0])][-GAPS_A_POSITION:]

@@ -31,7 +31,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
     catalogue = context.catalogue()
     row = catalogue.experiment_row()
     started = catalogue.last_told("recorder_started")
-    hours = list(schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h))
+    hours = schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     return JsonAnswer(
         {
             "name": row.name,

@@ -153,6 +153,13 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         tried = [row for row in rows if row.position == "B" and row.n_taken]
         assert catalogue.last_rows(SetRow, "B", 4, tried=True) == tried[-4:]
         assert catalogue.last_rows(SetRow, "B", None, tried=True) == tried
+        alike = {(position, state): [] for position in "ABC" for state in ("missed", "partial")}
+        for row in rows:
+            if row.state in ("missed", "partial"):
+                alike[row.position, row.state].append(row)
+        gaps, newest = catalogue.newest_gaps(2), [row for some in alike.values() for row in some[-2:]]
+        assert len(gaps) > 2
+        assert sorted(gaps, key=repr) == sorted(newest, key=repr)
 
 
 def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
@@ -181,6 +188,7 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.alarm(1)
         catalogue.last_environment()
         catalogue.last_rows(SetRow, "B", 64, tried=True)
+        catalogue.newest_gaps(5)
         catalogue.last_rows(ThicknessRow, "A", 64)
         catalogue.last_ended_utc_ns()
         catalogue.next_sequence()
