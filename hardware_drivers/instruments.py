@@ -1,7 +1,7 @@
 """Who can make a measurement: small Protocols, and a Rig that is the set of them.
 
 Simulated, recorded and real instruments are siblings behind these Protocols and pass the same
-contract suites (``tests/contract``). Every blocking call is bounded by ``timeout_s``.
+contract suites (``hardware_drivers/conformance``). Every blocking call is bounded by ``timeout_s``.
 """
 
 from __future__ import annotations

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
+from importlib.metadata import packages_distributions
 from typing import Any
 
 import pytest
@@ -36,6 +39,11 @@ class KindContract:
     @pytest.fixture
     def table(self) -> Mapping[str, Any]:
         """Return its parameters as a configuration gives them."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def module(self) -> str:
+        """Return the module that its entry points name."""
         raise NotImplementedError
 
     @pytest.fixture
@@ -76,6 +84,20 @@ class KindContract:
         longest_s = kind.longest_call_s(parameters)
         assert math.isfinite(longest_s)
         assert longest_s >= 0.0
+
+    def test_reading_a_configuration_imports_none_of_its_packages(
+        self, kind: Kind[Any], parameters: Any, module: str
+    ) -> None:
+        needed = {name.lower() for name in kind.packages(parameters)}
+        heavy = [
+            name for name, by in packages_distributions().items() if needed & {one.lower() for one in by}
+        ]
+        if not heavy:
+            pytest.skip("it names no package that is installed")
+        program = f"import {module}, sys; print(*(name for name in {heavy!r} if name in sys.modules))"
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == [], f"importing {module} imports them too; import them in `open`"
 
     def test_opened_it_has_the_roles_that_were_asked_of_it(self, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:

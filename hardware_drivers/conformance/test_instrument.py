@@ -122,6 +122,11 @@ class TestKind(OnTheBench, KindContract):
 
     suite = "kind"
 
+    @pytest.fixture
+    def module(self, chosen: Chosen) -> str:
+        """Return the module that its entry points name."""
+        return next(iter(chosen.offer.by_role.values())).module
+
 
 class TestSafety(OnTheBench, SafetyContract):
     """Left in the middle; failing in each way that the double knows."""

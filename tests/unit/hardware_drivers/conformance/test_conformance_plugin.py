@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from pydantic import BaseModel, ConfigDict
-from support.offered_kinds import offer
-from test_contracts_bite import (
+from support.broken_instruments import (
     KEYS,
     LeavesTheCoilOn,
     SoundDigitizer,
@@ -19,8 +18,10 @@ from test_contracts_bite import (
     StaysArmedAfterReading,
     StaysArmedAfterTimeout,
 )
+from support.offered_kinds import offer
 
 from hardware_drivers.conformance.bench import Bench, Double
+from hardware_drivers.conformance.kind_contract import KindContract
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.kinds import Finding, Kind, Opened
 
@@ -226,7 +227,7 @@ def test_a_sound_instrument_keeps_every_rule(prove):
     result.stdout.fnmatch_lines(
         [
             "*solimon's rules: scripted, lab-drivers 1.2*",
-            "kind: 9 kept, 0 broken",
+            "kind: 9 kept, 0 broken, 1 not tried",
             "safety: 6 kept, 0 broken",
             "digitizer: 14 kept, 0 broken",
             "striker: 7 kept, 0 broken",
@@ -325,3 +326,14 @@ def test_what_cannot_be_had_is_told_before_anything_is_opened(prove, pytester, o
     result = prove(*options)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
     result.stderr.fnmatch_lines([f"*{told}*"])
+
+
+@pytest.mark.parametrize(("module", "is_light"), [("hardware_drivers.errors", True), ("numpy.random", False)])
+def test_a_kind_whose_module_imports_its_package_is_refused(module, is_light):
+    kind = Kind(parameters=Parameters, open=None, check=None, packages=lambda parameters: ["NumPy"])
+    rule = KindContract().test_reading_a_configuration_imports_none_of_its_packages
+    if is_light:
+        rule(kind, Parameters(), module)
+        return
+    with pytest.raises(AssertionError, match="imports them too"):
+        rule(kind, Parameters(), module)
