@@ -66,11 +66,9 @@ class KindContract:
             TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
 
     def test_parameters_cannot_be_changed(self, parameters: Any) -> None:
-        name = next(iter(TypeAdapter(type(parameters)).dump_python(parameters)), None)
-        if name is None:
-            pytest.skip("it has no parameters")
-        with pytest.raises((AttributeError, ValidationError)):
-            setattr(parameters, name, getattr(parameters, name))
+        for name in TypeAdapter(type(parameters)).dump_python(parameters):
+            with pytest.raises((AttributeError, ValidationError)):
+                setattr(parameters, name, getattr(parameters, name))
 
     def test_parameters_are_the_same_after_they_were_stored(self, kind: Kind[Any], parameters: Any) -> None:
         adapter = TypeAdapter(kind.parameters)
@@ -93,7 +91,7 @@ class KindContract:
             name for name, by in packages_distributions().items() if needed & {one.lower() for one in by}
         ]
         if not heavy:
-            pytest.skip("it names no package that is installed")
+            return  # it names none that is installed
         program = f"import {module}, sys; print(*(name for name in {heavy!r} if name in sys.modules))"
         command = [sys.executable, "-c", program]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
