@@ -21,7 +21,7 @@ from daq_service.corrosion_drive.drive import ElectrochemicalDrive, SupplyDrive,
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
-from daq_service.settings.tree import RigSettings
+from daq_service.settings.rig import RigSettings
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Rig

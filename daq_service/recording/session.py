@@ -37,7 +37,7 @@ from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.recording.safekeeping import Helpers
-from daq_service.settings.instruments import instruments_of
+from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
@@ -230,7 +230,7 @@ def _note_digests(
 def longest_call_s(settings: Settings) -> float:
     """Longest a bounded call of an instrument may take; what has no bound of its own is not counted."""
     rig = settings.rig
-    longest_s = max(item.kind.longest_call_s(item.parameters) for item in instruments_of(settings))
+    longest_s = max(item.kind.longest_call_s(item.parameters) for item in configured(settings))
     order_s = 0.0 if rig.driven is None else COMES_WITHIN_S + answered_within_s(rig.driven)
     return max(rig.read_timeout_s, longest_s, order_s)
 

@@ -12,7 +12,7 @@ from typing import Any
 from daq_service.clock import boot_id
 from daq_service.errors import UsageError
 from daq_service.rig.by_position import Digitizers, PulseEchoUnits, Strikers
-from daq_service.settings.instruments import Instrument, ParametersError, instruments_of
+from daq_service.settings.instruments import Instrument, configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import (
@@ -40,20 +40,6 @@ Announce = Callable[[ShotKey], None]
 
 Preparing = Callable[[str, bool], None]
 """Told what takes long, once on a computer, and whether it begins (True) or is done."""
-
-
-def configured(settings: Settings) -> list[Instrument]:
-    """Give the instruments of a configuration, not opened.
-
-    Raises
-    ------
-    UsageError
-        One cannot be had as configured: the cause and the remedy.
-    """
-    try:
-        return instruments_of(settings)
-    except (ConfigurationError, ParametersError) as error:
-        raise UsageError(str(error)) from error
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from daq_service.errors import UsageError
 from daq_service.settings.mixed import InstrumentSettings, MixedRig
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
@@ -99,6 +100,20 @@ def instruments_of(settings: Settings) -> list[Instrument]:
         if parameters is not None:
             found.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
     return found
+
+
+def configured(settings: Settings) -> list[Instrument]:
+    """Give the instruments of a configuration, not opened.
+
+    Raises
+    ------
+    UsageError
+        One cannot be had as configured: the cause and the remedy.
+    """
+    try:
+        return instruments_of(settings)
+    except (ConfigurationError, ParametersError) as error:
+        raise UsageError(str(error)) from error
 
 
 def with_defaults(settings: Settings) -> Settings:

@@ -67,6 +67,8 @@ class PlaceSettings(BaseModel):
 class MixedRig(BaseModel):
     """Tables of a rig of several instruments."""
 
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
     instruments: dict[str, InstrumentSettings] = Field(default_factory=dict)
     """Instruments of a `mixed` rig by a name of your own; each is opened once, whatever it serves."""
     positions: dict[str, PlaceSettings] = Field(default_factory=dict)

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
     from hardware_drivers.conformance.choice import Chosen
 
 # Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
-pytest.register_assert_rewrite("hardware_drivers.conformance")
+_HERE = Path(__file__).parent
+pytest.register_assert_rewrite(
+    *(f"{__package__}.{file.stem}" for file in (*_HERE.glob("*_contract.py"), _HERE / "records.py"))
+)
 
 SUITES = "hardware_drivers.conformance.test_instrument"
 RULE_TIMEOUT_S = 120.0

@@ -227,7 +227,7 @@ def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxPar
         pytest.skip("no other coil is driven by this board")
     one_shot(loopback.parameters, loopback.position)  # the route under suspicion was used, then given up
     for other in others:
-        alone = replace(parameters, watchdog=None)
+        alone = replace(parameters, watchdog=None, watchdogs=None)
         coil = commit_coil(loopback.connection, alone, other, loopback.board)
         try:
             acquisition = commit_acquisition(

@@ -21,9 +21,9 @@ from daq_service.cli.doctor.trial import Trial, require_position, strike_transdu
 from daq_service.clock import WallClock
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
-from daq_service.rig.open_rig import configured, opening_of
+from daq_service.rig.open_rig import opening_of
 from daq_service.settings.file import load_settings
-from daq_service.settings.instruments import Instrument
+from daq_service.settings.instruments import Instrument, configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import InstrumentError
 

@@ -13,7 +13,8 @@ from daq_service.errors import UsageError
 from daq_service.settings.commented import switched_on
 from daq_service.settings.file import PLACEHOLDER, config_file, load_settings
 from daq_service.settings.mixed import MixedRig
-from daq_service.settings.tree import RigSettings, Settings
+from daq_service.settings.rig import RigSettings
+from daq_service.settings.tree import Settings
 
 SHIPPED = config_file("laboratory.toml").read_text(encoding="utf-8")
 TEXT = SHIPPED.replace(PLACEHOLDER, "FFFFFFFF")

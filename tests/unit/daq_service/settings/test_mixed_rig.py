@@ -10,6 +10,7 @@ from support.scripted_kinds import OFFERED
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import instruments_of
+from daq_service.settings.schema import schema_with_kinds
 from daq_service.settings.stored import differences, stored_settings
 from daq_service.settings.tree import Settings
 
@@ -184,3 +185,16 @@ def test_the_drive_is_an_instrument_s_by_its_name(tmp_path: Path) -> None:
 def test_a_drive_that_cannot_work_is_refused(old: str, new: str, complaint: str, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=complaint):
         load(tmp_path, GOOD + PSU.replace(old, new))
+
+
+def test_the_schema_that_is_printed_knows_the_kinds_that_are_installed() -> None:
+    schema = schema_with_kinds()
+    kinds = {
+        choice["then"]["properties"]["kind"]["const"]: choice["then"]
+        for choice in schema["$defs"]["InstrumentSettings"]["allOf"]
+    }
+    assert kinds["scripted-scope"]["properties"]["range_v"]["maximum"] == 50.0
+    assert kinds["scripted-scope"]["additionalProperties"] is False
+    below = kinds["daqmx"]["properties"]["transducers"]["additionalProperties"]["$ref"]
+    wiring = schema["$defs"][below.removeprefix("#/$defs/")]
+    assert wiring["properties"]["counter"]["description"].startswith("Counter that times the coil's pulse")
