@@ -143,6 +143,7 @@ def kind_of(
     identity: dict[str, str] | None = None,
     closes: bool = True,
     opening_raises: type[Exception] = ConnectionLostError,
+    leaving_raises: type[Exception] = ConnectionLostError,
     remedy: str = "look at it",
 ) -> tuple[Kind[Any], Double]:
     """A sound kind with its double but for what is given."""
@@ -165,6 +166,8 @@ def kind_of(
             )
         finally:
             cable.held = not closes
+            if cable.pulled:
+                raise leaving_raises("the cable is pulled")
 
     def check(parameters, opening):
         yield Finding(subject="it", check="sound", state="warn", detail="so so", remedy=remedy)
@@ -251,6 +254,7 @@ def test_a_sound_instrument_keeps_every_rule(prove):
                 "after a fault it can be opened again[unplugged]",
             ],
         ),
+        ({"leaving_raises": OSError}, ["after a fault it can be opened again[unplugged]"]),
         ({"opening_raises": OSError}, ["opening fails by errors of hardware drivers only[unplugged]"]),
         (
             {"digitizer": RaisesTheVendorsError},
