@@ -35,7 +35,21 @@ kind = "scripted"
 digitizer = "mine"
 striker = "mine"
 """
-OFFERED = {"scripted": {"digitizer": "scripted_kind:KIND", "striker": "scripted_kind:KIND"}}
+BESIDE_ANOTHER = """
+[rig.instruments.mine]
+kind = "scripted"
+
+[rig.instruments.hammer]
+kind = "scripted-hammer"
+
+[rig.positions.C]
+digitizer = "mine"
+striker = "hammer"
+"""
+OFFERED = {
+    "scripted": {"digitizer": "scripted_kind:KIND", "striker": "scripted_kind:KIND"},
+    "scripted-hammer": {"striker": "scripted_kind:HAMMER"},
+}
 
 
 class Cable:
@@ -145,8 +159,8 @@ def kind_of(
     opening_raises: type[Exception] = ConnectionLostError,
     leaving_raises: type[Exception] = ConnectionLostError,
     remedy: str = "look at it",
-) -> tuple[Kind[Any], Double]:
-    """A sound kind with its double but for what is given."""
+) -> tuple[Kind[Any], Double, Kind[Any]]:
+    """A sound kind but for what is given, its double, and a kind that strikes for it."""
     digitizers, strikers, cable = [], [], Cable()
 
     @contextmanager
@@ -193,7 +207,20 @@ def kind_of(
             fault=fault,
         )
 
-    return Kind(parameters=parameters, open=open_it, check=check), Double(bench=bench, faults=("unplugged",))
+    class Hammer(SoundStriker):
+        def strike(self, key):
+            digitizers[-1].strike(key)
+
+    @contextmanager
+    def open_hammer(parameters, opening):
+        assert opening.serves == {"striker": ("C",)}
+        yield Opened(striker=Hammer())
+
+    return (
+        Kind(parameters=parameters, open=open_it, check=check),
+        Double(bench=bench, faults=("unplugged",)),
+        Kind(parameters=Parameters, open=open_hammer, check=check),
+    )
 
 
 @pytest.fixture
@@ -207,7 +234,7 @@ def prove(pytester, monkeypatch):
 
     def run(*options, **broken):
         module: Any = ModuleType("scripted_kind")
-        module.KIND, module.DOUBLE = kind_of(**broken)
+        module.KIND, module.DOUBLE, module.HAMMER = kind_of(**broken)
         monkeypatch.setitem(sys.modules, "scripted_kind", module)
         command = ["--pyargs", "hardware_drivers.conformance", "--solimon-kind", "scripted"]
         plugins = ["--tb=line", "-p", "no:cacheprovider", "-p", "hardware_drivers.conformance.plugin"]
@@ -311,6 +338,15 @@ def test_where_somebody_allowed_it_the_position_s_own_striker_strikes(prove):
     result = prove("--solimon-config", "rig.toml", "--solimon-strike", striker=MovesInEarnest)
     assert "a strike on an armed digitizer is recorded" in broken_rules(result)
     assert "a striker moved" in result.stdout.str()
+
+
+def test_another_instrument_of_the_position_strikes_for_a_digitizer(prove, pytester):
+    (pytester.path / "beside.toml").write_text(BESIDE_ANOTHER)
+    result = prove("--solimon-config", "beside.toml", "--solimon-strike")
+    assert result.ret == 0
+    result.stdout.fnmatch_lines(
+        ["digitizer: 14 kept, 0 broken", "not proved: striker; no position of the configuration names it"]
+    )
 
 
 @pytest.mark.parametrize(
