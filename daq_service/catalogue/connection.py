@@ -28,7 +28,8 @@ FILE_NAME = "catalogue.sqlite"
 _WRITES = "solimon_writes"
 BUSY_TIMEOUT_S = 5.0
 """How long a writer waits for another one; a set's commit takes milliseconds."""
-
+IN_THE_MAKING_S = 0.25
+"""A catalogue in the making looks damaged to a reader for some milliseconds; a damaged one does for ever."""
 
 REMEDY = "`solimon rebuild` makes it again from sets, journal and history, and keeps this one beside it"
 
@@ -72,11 +73,16 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
         mode = "rw" if writable else "ro"
         return connection
 
+    def connected() -> sqlite3.Connection:
+        if writable:
+            return connect()
+        return patiently(connect, is_refusal=_is_in_the_making, patience_s=IN_THE_MAKING_S)
+
     # The pool is named because a URL without a file stands for a database in memory, whose pool
     # closes the connections of other threads while they use them.
     engine = create_engine(
         "sqlite+pysqlite://",
-        creator=lambda: patiently(connect, is_refusal=lambda e: _is_held(e) and path.parent.is_dir()),
+        creator=lambda: patiently(connected, is_refusal=lambda e: _is_held(e) and path.parent.is_dir()),
         poolclass=QueuePool,
         max_overflow=-1,
         json_serializer=json_text,
@@ -96,6 +102,11 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
 def reading_engine(path: Path) -> Engine:
     """Engine that only reads; who opens the file again finds the statements compiled."""
     return make_engine(path, writable=False)
+
+
+def _is_in_the_making(error: Exception) -> bool:
+    """Tell whether SQLite finds pages at odds: so does a reader for a moment while they are made."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_CORRUPT
 
 
 def _is_held(error: Exception) -> bool:

@@ -79,6 +79,8 @@ class CatalogueLook:
         try:
             return [dict(row) for row in self._connection.execute(sql, values)]
         except (sqlite3.DatabaseError, UnicodeDecodeError) as error:  # the latter of a name of the schema
+            if not self._shared and self._beside("-shm").exists():
+                return self._ask(sql, *values)  # what did not change when it was opened did while it was read
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
     def _values(self, sql: str) -> list[Any]:

@@ -241,6 +241,30 @@ def test_a_file_that_is_no_database_is_damaged(tmp_path, writer):
         open_catalogue(tmp_path, writer=writer)
 
 
+@pytest.mark.parametrize("often", [1, 10**9])
+def test_a_catalogue_in_the_making_is_read_again_and_a_damaged_one_is_told(tmp_path, monkeypatch, often):
+    begin(tmp_path).close()
+    found = iter(range(often))
+
+    class InTheMaking(sqlite3.Connection):
+        """Whose schema is at odds as often as a reader looks."""
+
+        def execute(self, sql, *values):
+            if "sqlite_master" in sql and next(found, None) is not None:
+                error = sqlite3.DatabaseError("database disk image is malformed")
+                error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+                raise error
+            return super().execute(sql, *values)
+
+    monkeypatch.setattr(connection.sqlite3, "connect", partial(sqlite3.connect, factory=InTheMaking))
+    if often == 1:
+        open_catalogue(tmp_path).close()
+        assert next(found, None) is None
+    else:
+        with pytest.raises(CatalogueDamagedError, match="malformed"):
+            open_catalogue(tmp_path)
+
+
 def test_a_missing_folder_is_a_clear_error_at_once(tmp_path, monkeypatch):
     at_once = partial(patiently, pause=lambda seconds: pytest.fail("nobody holds what is not there"))
     monkeypatch.setattr("daq_service.catalogue.connection.patiently", at_once)

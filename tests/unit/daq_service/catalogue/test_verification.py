@@ -1,0 +1,24 @@
+"""A look at a catalogue that a recorder opens meanwhile."""
+
+import sqlite3
+from contextlib import ExitStack
+
+from support.begun_experiment import begun_catalogue
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.verification import CatalogueLook
+
+
+def test_a_recorder_that_starts_while_rows_are_read_is_no_damage(tmp_path):
+    begun_catalogue(tmp_path).close()
+    with ExitStack() as recorder, CatalogueLook(tmp_path) as look:
+
+        class Changed:
+            """What was opened as a file that does not change."""
+
+            def execute(self, sql, values):
+                recorder.enter_context(open_catalogue(tmp_path, writer=True))
+                raise sqlite3.DatabaseError("database disk image is malformed")
+
+        look._connection = Changed()
+        assert look.set_indices() == set()
