@@ -99,7 +99,10 @@ def kinds_of_alarms() -> set[str]:
     """Every kind that the code raises: those of the drive by its table, the others by their `Condition`."""
     found = set(SEVERITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if "Condition(" not in text:
+            continue
+        tree = ast.parse(text)
         texts = {
             target.id: node.value.value
             for node in tree.body
@@ -147,16 +150,10 @@ def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 
-def test_a_backup_verifies_and_goes_on_as_the_pages_say(folder: Path, tmp_path: Path) -> None:
+def test_a_recorder_makes_a_test_of_its_own_of_a_backup(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
-    for words in (
-        ["backup", str(copy), "--data-dir", str(folder)],
-        ["verify", "--data-dir", str(copy)],
-        ["status", "--data-dir", str(copy)],
-    ):
-        done = solimon_here(*words, env={})
-        assert done.returncode == 0, done.stderr
-    assert run(SETTINGS, copy), "its recorder finds nothing to do, and owns it from now on"
+    assert solimon_here("backup", str(copy), "--data-dir", str(folder), env={}).returncode == 0
+    assert run(SETTINGS, copy), "it finds nothing to do, and owns the folder from now on"
     again = solimon_here("backup", str(copy), "--data-dir", str(folder), env={})
     assert again.returncode == 4
     assert "a recorder went on in" in again.stderr
