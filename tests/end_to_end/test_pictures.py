@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.pictures import DOCS, PICTURES, make, told, told_by
+from support.pictures import DEMO, DOCS, PICTURES, make, told, told_by
 from test_docs import PAGES
 
 MOST_BYTES = 1_500_000
@@ -25,7 +25,9 @@ def test_each_step_of_the_tutorial_has_its_picture() -> None:
     text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
     _, *steps = re.split(r"^## ", text, flags=re.MULTILINE)
     without = [step.partition("\n")[0] for step in steps if "![" not in step]
-    assert without == ["6. The terminal"], "its table is shown in the step after it"
+    assert f"\nsolimon {DEMO}\n" in text, "the pictures are of what a reader is told to run"
+    assert len(steps) == 7
+    assert without == []
 
 
 def test_each_picture_was_taken_of_what_the_list_says() -> None:

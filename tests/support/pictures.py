@@ -29,6 +29,8 @@ from support.served_web import DEADLINE_S, served
 
 DOCS = Path(__file__).parents[2] / "docs"
 SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+DEMO = "demo --exit --no-web --hours 12 --data-dir corrosion-test"
+"""What begins the test, as the tutorial has it."""
 CHARTS = {"#tof": "tof_pp_s", "#distance": "distance_squared", "#amplitude-ratio": "amplitude_ratio"}
 """Charts of the page, and the column of the API that each draws."""
 COLOURS = 64
@@ -130,28 +132,21 @@ def told(picture: Picture) -> str:
 def make(folder: Path) -> None:
     """Record the test and make each picture below ``folder``."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
-        data = Path(place) / "corrosion-test"
-        for hour in sorted({picture.hour for picture in PICTURES}):
-            at_hour = [picture for picture in PICTURES if picture.hour == hour]
-            screens = {"demo" if not data.exists() else "record": _recorded(data, hour)}
-            for picture in at_hour:
-                path = folder / picture.file
-                path.parent.mkdir(parents=True, exist_ok=True)
-                if path.suffix == ".png":
-                    with _page(browser, data, hour) as (page, api):
-                        path.write_bytes(_small(_taken(page, api, picture), told(picture)))
-                else:
-                    screen = screens.get(picture.of) or _on_terminal("status", "--data-dir", str(data))
-                    drawn = _drawn(screen.replace(place, "~"), picture)
-                    path.write_text(drawn, encoding="utf-8", newline="\n")
-                print(f"hour {hour}: {path}", flush=True)
-
-
-def _recorded(data: Path, hour: int) -> str:
-    """Carry the test on to an hour; what stood on the terminal."""
-    if not data.exists():
-        return _on_terminal("demo", "--exit", "--no-web", "--hours", str(hour), "--data-dir", str(data))
-    return _on_terminal("record", "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(hour))
+        *demo, name = DEMO.split()
+        data = Path(place) / name
+        began = _on_terminal(*demo, str(data))
+        for picture in sorted(PICTURES, key=lambda picture: picture.hour):
+            # Does nothing where the test is there already.
+            _on_terminal("record", "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour))
+            path = folder / picture.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix == ".png":
+                with _page(browser, data, picture.hour) as (page, api):
+                    path.write_bytes(_small(_taken(page, api, picture), told(picture)))
+            else:
+                screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
+                path.write_text(_drawn(screen.replace(place, "~"), picture), encoding="utf-8", newline="\n")
+            print(f"hour {picture.hour}: {path}", flush=True)
 
 
 def _on_terminal(*words: str, **environment: str) -> str:
