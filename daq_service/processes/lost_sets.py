@@ -28,7 +28,7 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest: int | None = None) 
     names = sorted(os.listdir(sets)) if sets.is_dir() else []  # noqa: PTH208 - names are all it takes
     sized = names if newest is None else names[-newest:]
     empty = {name for name in sized if not _has_content(f"{sets}/{name}")}
-    gone = catalogue.files_but_of(set_indices(name for name in names if name not in empty))
+    gone = catalogue.files_but_of(set_indices([name for name in names if name not in empty]))
     if not gone:
         return {}
     journal = read_journal(folder)

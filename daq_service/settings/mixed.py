@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hardware_drivers.drive_parameters import NamedClimateProbe, NamedSupply
 from hardware_drivers.errors import ConfigurationError
@@ -18,8 +19,6 @@ NEEDED: Mapping[str, tuple[Role, ...]] = {
     PULSE_ECHO: ("pulse_echo",),
 }
 """Roles that a position of each method needs."""
-
-
 KEYS_BESIDE: Mapping[Role, str] = {"supply": "drive", "climate": "air"}
 """Tables of what serves no position."""
 
@@ -77,6 +76,14 @@ class MixedRig(BaseModel):
     """Electrochemical drive of a `mixed` rig by one of its instruments, instead of `[rig.supply]`."""
     air: NamedClimateProbe | None = None
     """Thermometer and hygrometer of a `mixed` rig among its instruments, instead of `[rig.climate]`."""
+
+    @field_validator("instruments")
+    @classmethod
+    def _plain_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
+        for name in instruments:
+            if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
+                raise ValueError(f"instrument name {name!r}: use up to 40 ASCII letters, digits, - and _")
+        return instruments
 
     @model_validator(mode="after")
     def _names_instruments(self) -> Self:

@@ -11,7 +11,6 @@ from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from daq_service.cli.doctor.boards import digital_name
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from analysis.waves.features import extract_features
@@ -21,6 +20,7 @@ from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.look import digital_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.survey import survey
 from hardware_drivers.errors import AcquisitionTimeoutError

@@ -99,6 +99,7 @@ def test_each_instrument_knows_what_it_serves_and_has_its_defaults(tmp_path: Pat
         ('kind = "mixed"', 'kind = "simulated"', r"kind is 'simulated', which has no \[rig.instruments\]"),
         (BOARDS + SCOPE + PLACES, "", "which needs .rig.instruments.NAME"),
         (SCOPE, SCOPE + "[rig.daqmx.transducers.B]\nboard_serial = '1'\n", r"has no \[rig.daqmx\]; make it"),
+        ("[rig.instruments.scope]", '[rig.instruments."my scope"]', "instrument name 'my scope': use up"),
         ('kind = "wall"', 'kind = "simulated"', "a real rig needs the wall clock"),
         ('kind = "daqmx"', 'kind = "daqmx"\nholdoff_s = 0.01', "holdoff_s is 0.01 s, but transducers.C has "),
     ],
