@@ -237,7 +237,14 @@ def prove(pytester, monkeypatch):
         module.KIND, module.DOUBLE, module.HAMMER = kind_of(**broken)
         monkeypatch.setitem(sys.modules, "scripted_kind", module)
         command = ["--pyargs", "hardware_drivers.conformance", "--solimon-kind", "scripted"]
-        plugins = ["--tb=line", "-p", "no:cacheprovider", "-p", "hardware_drivers.conformance.plugin"]
+        plugins = [
+            "--tb=line",
+            "--assert=plain",
+            "-p",
+            "no:cacheprovider",
+            "-p",
+            "hardware_drivers.conformance.plugin",
+        ]
         return pytester.runpytest_inprocess(*plugins, *command, *options)
 
     return run

@@ -45,7 +45,14 @@ def test_the_page_s_command_says_what_the_page_says(driver, told, pytester, monk
     (pytester.path / "rig.toml").write_text(RIG, encoding="utf-8")
     # The other plugins that are installed here would be imported anew for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
-    plugins = ["--tb=line", "-p", "no:cacheprovider", "-p", "hardware_drivers.conformance.plugin"]
+    plugins = [
+        "--tb=line",
+        "--assert=plain",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "hardware_drivers.conformance.plugin",
+    ]
     result = pytester.runpytest_inprocess(*plugins, *COMMAND.split())
     said = result.outlines[result.outlines.index(told.splitlines()[0]) :]
     assert said[: len(told.splitlines())] == told.splitlines()
