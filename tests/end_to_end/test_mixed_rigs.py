@@ -252,7 +252,9 @@ def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_
     config = tmp_path / "rig.json"
     config.write_text(settings.model_dump_json(), encoding="utf-8")
     assert run_doctor(config=config, data_dir=tmp_path / "data", strike="B", as_json=True) == 0
-    report = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()
+    assert "strike B now" in said.err.splitlines()
+    report = json.loads(said.out)
     checks = {check["name"]: check for check in report["checks"]}
     assert (checks["scope: front panel: lamp"]["state"], checks["scope: front panel: lamp"]["remedy"]) == (
         "warn", "switch on",

@@ -1,12 +1,14 @@
 """A disk that refuses a call, some, or all until somebody frees it: it costs time, and nobody's hands."""
 
 import errno
+import itertools
 import json
 import os
 import re
 import subprocess
 import sys
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,8 @@ COUNTS = (1, 3, UNTIL_FREED)
 TOLD_WITHIN_S = 5.1
 """Five seconds and a pause between two tries."""
 RECORDS = 10 * SETS
+SHARES = 2
+"""Of the whole matrix, followed side by side: half an hour on two idle cores."""
 CHANGING = re.compile(r"[0-9a-f]{32}|(?<=set_)\d+_\d+T\d+Z|\d{6}(?=\.)|(?<=\.)\d+(?=\.tmp)|(?<=/)[A-D](?=\.)")
 """What of a name is another one each time: number, process, position."""
 
@@ -96,6 +100,7 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(4 * 3600)
 def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
     """Each kind of call on each kind of file: the first, a middle and the last one."""
     (whole,) = followed([{"call": CALLS}], tmp_path / "whole")
@@ -115,11 +120,13 @@ def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
         for count in COUNTS
         for error in ERRORS
     ]
-    faults = {
-        json.dumps({name: told[name] for name in ("call", "files", "first", "count", "errno")}): found
-        for told in followed(cases, tmp_path / "cases")
-        if (found := wrong(told))
-    }
+    with ThreadPoolExecutor(SHARES) as pool:
+        shares = pool.map(lambda n: followed(cases[n::SHARES], tmp_path / f"cases {n}"), range(SHARES))
+        faults = {
+            json.dumps({name: told[name] for name in ("call", "files", "first", "count", "errno")}): found
+            for told in itertools.chain.from_iterable(shares)
+            if (found := wrong(told))
+        }
     with capsys.disabled():
         print(f"\n{len(kinds)} kinds of calls, {len(cases)} refusals, {len(faults)} not outlived")
     assert faults == {}

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import click
+
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
@@ -21,7 +23,7 @@ from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import Shot, ShotKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
 REMEDIES: Mapping[str, str] = {
@@ -116,6 +118,7 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
     started_s = time.monotonic()
     try:
         with open_rig(settings, clock, clock.utc_ns()) as rig:
+            rig.asking.listen(_ask)
             taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
     except InstrumentError as error:
         refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
@@ -132,6 +135,12 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
         features=features,
         settings=measurement.settings,
     )
+
+
+def _ask(text: str, key: ShotKey | None) -> None:
+    """Tell whoever stands at the rig; an empty text takes it back, and the check that follows says more."""
+    if text:
+        click.echo(text, err=True)
 
 
 def _this_transducer_only(settings: Settings, position: str) -> Settings:
