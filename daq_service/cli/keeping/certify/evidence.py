@@ -41,8 +41,10 @@ class Evidence:
     ----------
     planned
         Every set of the schedule; ``due`` of them should have their rows by now.
+    accepted
+        Records by set and position; of a shot that was struck again one counts.
     flags
-        Shots by what their features are flagged with.
+        Records by what they are flagged with, repeated ones too.
     service, machine
         Events of these topics.
     provenance
@@ -63,6 +65,7 @@ class Evidence:
     planned: Sequence[DueSet]
     due: int
     sets: Sequence[SetRow]
+    accepted: Mapping[tuple[int, str], int]
     flags: Mapping[str, int]
     service: Sequence[EventRow]
     machine: Sequence[EventRow]
@@ -98,7 +101,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         service = catalogue.rows(EventRow, topic="service")
         machine = catalogue.rows(EventRow, topic="machine")
         alarms = catalogue.rows(AlarmRow)
-        flags = _flags(catalogue)
+        accepted, flags = _records(catalogue)
     settings = stored_settings(experiment.configuration)
     recorder = look_at_recorder(folder, [row.kind for row in service])
     is_copy = (folder / BACKUP_FILE).exists()
@@ -111,6 +114,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         planned=planned,
         due=_due(planned, sets, now_ns),
         sets=sets,
+        accepted=accepted,
         flags=flags,
         service=service,
         machine=machine,
@@ -138,12 +142,14 @@ def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
             yield catalogue
 
 
-def _flags(catalogue: Catalogue) -> Mapping[str, int]:
-    found, last = Counter[str](), 0
+def _records(catalogue: Catalogue) -> tuple[Counter[tuple[int, str]], Counter[str]]:
+    """Count accepted records by set and position, and all by their flags."""
+    accepted, flags, last = Counter[tuple[int, str]](), Counter[str](), 0
     while rows := catalogue.rows(ShotRow, after_id=last, limit=SHOTS_AT_ONCE):
-        found.update(flag for row in rows for flag in row.flags)
+        accepted.update((row.set_index, row.position) for row in rows if row.outcome == "accepted")
+        flags.update(flag for row in rows for flag in row.flags)
         last = rows[-1].sequence
-    return dict(sorted(found.items()))
+    return accepted, flags
 
 
 def _now_ns(

@@ -77,7 +77,7 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
         for place in evidence.settings.positions.values()
     )
     planned = sum(row.n_planned for row in evidence.sets) + len(untold) * of_a_set
-    n_taken, n_valid = sum(row.n_taken for row in evidence.sets), sum(row.n_valid for row in evidence.sets)
+    n_taken, n_valid = sum(evidence.accepted.values()), sum(row.n_valid for row in evidence.sets)
     longest = max(found, key=lambda gap: gap.hours, default=None)
 
     def number(name: str, text: str, value: int, how: str) -> Quantity:
@@ -106,7 +106,7 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
         number(
             "records_planned", "records planned of these sets", planned, "sum of n_planned, retired are 0"
         ),
-        number("records_taken", "records taken", n_taken, "sum of n_taken; a repeated shot counts once"),
+        number("records_taken", "records taken", n_taken, "shots and echoes with an accepted record"),
         number("records_valid", "records valid", n_valid, "sum of n_valid: the quality gate found them good"),
         number(
             "strikes_without_record",
@@ -173,7 +173,7 @@ def shortfall_table(evidence: Evidence) -> Table:
             state,
             ", ".join(sorted({row.position for row in its})),
             len({row.set_index for row in its}),
-            sum(row.n_planned - row.n_taken for row in its),
+            sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in its),
             its[0].due_h,
             cause,
         )
@@ -202,22 +202,22 @@ def flag_table(evidence: Evidence) -> Table:
 def record_series(evidence: Evidence) -> Series:
     """Count the records of each set, taken and valid."""
     hours = {due.set_index: due.due_h for due in evidence.planned}
-    counts = {name: Counter[int]() for name in ("n_planned", "n_taken", "n_valid")}
+    lines: dict[str, Counter[int]] = {name: Counter() for name in ("planned", "taken", "valid")}
     for row in evidence.sets:
-        for name, counter in counts.items():
-            counter[row.set_index] += getattr(row, name)
-    indices = sorted(counts["n_planned"])
-    x = [hours[index] for index in indices if index in hours]
-    lines = {
-        name: [counter[index] for index in indices if index in hours] for name, counter in counts.items()
-    }
+        if row.set_index in hours:
+            lines["planned"][row.set_index] += row.n_planned
+            lines["taken"][row.set_index] += evidence.accepted.get((row.set_index, row.position), 0)
+            lines["valid"][row.set_index] += row.n_valid
+    indices = sorted(lines["planned"])
+    x = [hours[index] for index in indices]
+    values = {name: [counter[index] for index in indices] for name, counter in lines.items()}
     return Series(
         name="records_per_set",
         title="Valid records of each set",
         unit="1",
-        how="sums over the positions of n_valid; of n_planned and n_taken beside",
+        how="sums over the positions of n_valid; planned and taken beside",
         hours=x,
-        values=lines["n_valid"],
-        others={"planned": (x, lines["n_planned"]), "taken": (x, lines["n_taken"])},
+        values=values["valid"],
+        others={name: (x, values[name]) for name in ("planned", "taken")},
         missing="" if x else NO_SETS,
     )

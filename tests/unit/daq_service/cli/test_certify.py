@@ -89,7 +89,8 @@ def test_sets_and_records_are_those_that_sql_counts(faulty):
     found = numbers(made_of(faulty))
     with sqlite3.connect(faulty / "catalogue.sqlite") as database:
         [counted] = database.execute(
-            "SELECT sum(n_planned), sum(n_taken), sum(n_valid), sum(n_missed), sum(n_restrikes) FROM sets"
+            "SELECT sum(n_planned), (SELECT count(*) FROM shots WHERE outcome = 'accepted'), sum(n_valid), "
+            "sum(n_missed), sum(n_restrikes) FROM sets"
         )
         of_sets = dict(database.execute("SELECT set_index, sum(n_taken) FROM sets GROUP BY set_index"))
     database.close()
@@ -116,6 +117,7 @@ def test_what_a_set_lacks_and_what_failed_is_told_by_kind(faulty):
     made = made_of(faulty)
     lacking = {(state, positions): told for state, positions, *told in rows(made, "shortfalls")}
     assert lacking["missed", "B"][:2] == [1, 4]
+    assert numbers(made)["restrikes"] > 0  # and they count nowhere as records that were planned
     [(times, longest_h, together_h, standing, words)] = [
         told for kind, *told in rows(made, "faults") if kind == "rig_unavailable"
     ]
