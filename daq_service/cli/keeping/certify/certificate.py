@@ -22,7 +22,7 @@ SHAPE = "1"
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certificate:
-    """Everything that page and JSON tell."""
+    """Everything that page and JSON tell; ``gaps`` from hour to hour."""
 
     made_utc: str
     made_by: str
@@ -32,6 +32,7 @@ class Certificate:
     tables: Sequence[Table]
     series: Sequence[Series]
     notes: Sequence[str]
+    gaps: Sequence[tuple[float, float]]
 
     @property
     def verdict(self) -> str:
@@ -68,6 +69,7 @@ def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificat
         ],
         series=list(series_of(evidence)),
         notes=list(_notes(evidence)),
+        gaps=[(gap.from_h, gap.until_h) for gap in sets.gaps(evidence)],
     )
 
 

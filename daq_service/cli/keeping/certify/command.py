@@ -57,7 +57,7 @@ def certify(
     if html is not None:
         from daq_service.cli.keeping.certify.pictures import picture
 
-        pictures = {item.name: picture(item) for item in made.series if item.hours}
+        pictures = {item.name: picture(item, made.gaps) for item in made.series if item.hours}
         _write(html, page(made, pictures))
     told = json.dumps(as_json(made), allow_nan=False)
     if json_file is not None:

@@ -8,6 +8,7 @@ from typing import Any
 
 from daq_service.catalogue.rows import EventRow
 from daq_service.cli.keeping.certify.evidence import Evidence
+from daq_service.cli.keeping.certify.faults import faults
 from daq_service.cli.keeping.certify.quantity import (
     CONFIDENCE,
     FEWEST_READINGS,
@@ -236,7 +237,7 @@ def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Tell steps, doubt, and how far the computer's UTC was off the test's time."""
     section, real = "Clock", evidence.experiment.clock == "wall"
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]
-    doubts = sum(row.kind == "clock_doubted" for row in evidence.alarms)
+    doubts = sum(fault.kind == "clock_doubted" for fault in faults(evidence))
     ahead = [abs(value) for _, value in kept(evidence, "clock_ahead_s")]
     known = [value for _, value in kept(evidence, "clock_synchronised")]
     common: dict[str, Any] = {"section": section, "applies": real}

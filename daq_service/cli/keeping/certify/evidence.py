@@ -16,6 +16,7 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.rows import AlarmRow, EventRow, ExperimentRow, SetRow, ShotRow
 from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.forecast import built_set_bytes
@@ -45,7 +46,7 @@ class Evidence:
         Records by set and position; of a shot that was struck again one counts.
     flags
         Records by what they are flagged with, repeated ones too.
-    service, machine
+    service, machine, alarm_events
         Events of these topics.
     provenance
         Of the newest set that can be read; empty: there is none.
@@ -69,6 +70,7 @@ class Evidence:
     flags: Mapping[str, int]
     service: Sequence[EventRow]
     machine: Sequence[EventRow]
+    alarm_events: Sequence[EventRow]
     alarms: Sequence[AlarmRow]
     provenance: Mapping[str, Any]
     file_bytes: Mapping[int, int]
@@ -100,6 +102,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         sets = catalogue.rows(SetRow)
         service = catalogue.rows(EventRow, topic="service")
         machine = catalogue.rows(EventRow, topic="machine")
+        alarm_events = catalogue.rows(EventRow, topic="alarms")
         alarms = catalogue.rows(AlarmRow)
         accepted, flags = _records(catalogue)
     settings = stored_settings(experiment.configuration)
@@ -118,6 +121,7 @@ def read_evidence(folder: Path, verified: Report | None = None) -> Evidence:
         flags=flags,
         service=service,
         machine=machine,
+        alarm_events=alarm_events,
         alarms=alarms,
         provenance=_provenance(folder),
         file_bytes=_file_bytes(folder, sets),
@@ -138,7 +142,11 @@ def _copied_catalogue(folder: Path) -> Iterator[Catalogue]:
     with tempfile.TemporaryDirectory(prefix="solimon-") as place:
         with CatalogueLook(folder) as look:
             look.copy_to(Path(place) / FILE_NAME)
-        with open_catalogue(Path(place), writer=True) as catalogue:
+        try:
+            catalogue = open_catalogue(Path(place), writer=True)
+        except CatalogueError as error:
+            raise type(error)(str(error).replace(place, str(folder))) from error
+        with catalogue:
             yield catalogue
 
 

@@ -4,41 +4,51 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
-from daq_service.catalogue.rows import AlarmRow
 from daq_service.cli.keeping.certify.evidence import Evidence
 from daq_service.cli.keeping.certify.quantity import Quantity, Table
 from daq_service.cli.keeping.certify.readings import NOT_KEPT, kept
 from daq_service.recording.resumed_time import CLOCK_STEP
 from hardware_drivers.nanoseconds import NS_PER_H
 
-STANDING = ("unacknowledged", "acknowledged")
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """A spell in which the condition of a device's alarm held; ``until_ns`` None: it holds now."""
+
+    kind: str
+    message: str
+    since_ns: int
+    until_ns: int | None = None
 
 
-def alarm_hours(evidence: Evidence, row: AlarmRow) -> float:
-    """How long an alarm's condition held; one that stands, until now."""
-    until_ns = evidence.now_ns if row.state in STANDING or row.cleared_utc_ns is None else row.cleared_utc_ns
-    return max(0, until_ns - row.raised_utc_ns) / NS_PER_H
+def faults(evidence: Evidence) -> list[Fault]:
+    """Find them in order: an alarm that nobody acknowledged returns as the same one, but is another fault."""
+    found: dict[int, list[Fault]] = {}
+    for event in evidence.alarm_events:
+        if event.payload["family"] != "device":
+            continue
+        its = found.setdefault(event.payload["alarm_id"], [])
+        if event.kind in ("alarm_raised", "alarm_returned"):
+            told = event.payload["kind"], event.payload["message"]
+            its.append(Fault(kind=told[0], message=told[1], since_ns=event.utc_ns))
+        elif event.kind in ("alarm_cleared", "alarm_reset") and its and its[-1].until_ns is None:
+            its[-1] = replace(its[-1], until_ns=event.utc_ns)
+    return sorted((fault for its in found.values() for fault in its), key=lambda fault: fault.since_ns)
 
 
 def fault_table(evidence: Evidence) -> Table:
-    """Alarms of devices and data by kind."""
-    kinds: defaultdict[str, list[AlarmRow]] = defaultdict(list)
-    for row in evidence.alarms:
-        if row.family == "device":
-            kinds[row.kind].append(row)
-    rows = [
-        (
-            kind,
-            len(its),
-            max(alarm_hours(evidence, row) for row in its),
-            sum(alarm_hours(evidence, row) for row in its),
-            sum(row.state in STANDING for row in its),
-            its[-1].message,
-        )
-        for kind, its in sorted(kinds.items())
-    ]
+    """Tell them by kind."""
+    kinds: defaultdict[str, list[Fault]] = defaultdict(list)
+    for fault in faults(evidence):
+        kinds[fault.kind].append(fault)
+    rows = []
+    for kind, its in sorted(kinds.items()):
+        hours = [((fault.until_ns or evidence.now_ns) - fault.since_ns) / NS_PER_H for fault in its]
+        standing = sum(fault.until_ns is None for fault in its)
+        rows.append((kind, len(its), max(hours), sum(hours), standing, its[-1].message))
     return Table(
         name="faults",
         title="Faults: alarms of instruments, disk, data and clock",
@@ -81,14 +91,13 @@ def step_table(evidence: Evidence) -> Table:
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Standing faults, and what was found damaged."""
     section = "Faults and data"
-    standing = [row for row in evidence.alarms if row.family == "device" and row.state in STANDING]
     yield Quantity(
         name="faults_standing",
         section=section,
         text="faults that stand now",
         unit="1",
         how="device alarms whose condition holds",
-        value=len(standing),
+        value=sum(fault.until_ns is None for fault in faults(evidence)),
     )
     yield Quantity(
         name="files_found_damaged",

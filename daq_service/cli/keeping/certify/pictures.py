@@ -2,50 +2,55 @@
 
 from __future__ import annotations
 
-from matplotlib.axes import Axes
+from collections.abc import Iterable
 
+from matplotlib.figure import Figure
+
+from daq_service.cli.keeping.certify.page import SCALES
 from daq_service.cli.keeping.certify.quantity import Series
-from daq_service.cli.reproduce.style import BLUE, GREY, house_style, rendered, sheet
+from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, VERMILLION, house_style, rendered
 
-HEIGHT_IN = 1.9
-SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
+SIZE_IN = (4.7, 1.9)
+"""Two of them side by side fill a sheet of paper."""
+FEW = 120
+"""Readings that are seen as dots."""
+DASHED = ("forecast", "planned")
 
 
-def picture(series: Series) -> bytes:
-    """PNG of a series that has values."""
+def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
+    """PNG of a series that has values; ``gaps`` are shaded from hour to hour."""
+    scale, unit = _scale(series)
     with house_style():
-        figure, (axes,) = sheet(height_in=HEIGHT_IN)
-        scale, unit = _scale(series)
-        few = len(series.hours) <= 120
-        for name, (hours, values) in (series.others or {}).items():
-            _line(axes, hours, [value / scale for value in values], GREY, name)
+        figure = Figure(figsize=SIZE_IN, layout="constrained")
+        axes = figure.subplots()
+        for from_h, until_h in gaps:
+            axes.axvspan(from_h, until_h, color=VERMILLION, alpha=0.15, linewidth=0.0)
+        others = (series.others or {}).items()
+        for (name, (hours, values)), colour in zip(others, (GREY, ORANGE), strict=False):
+            scaled = [value / scale for value in values]
+            style = "--" if name in DASHED else "-"
+            axes.plot(hours, scaled, color=colour, linestyle=style, linewidth=1.0, label=name)
         axes.plot(
             series.hours,
             [value / scale for value in series.values],
             color=BLUE,
             drawstyle="steps-post" if series.steps else "default",
-            marker="o" if few else None,
-            label="valid" if series.name.startswith("records") else "measured",
+            marker="o" if len(series.hours) <= FEW else None,
+            label=series.label,
         )
-        if series.others:
+        if others:
             axes.legend(loc="best", ncols=3)
         axes.set_xlabel("hour of the test")
-        axes.set_ylabel(unit if unit != "1" else "number")
+        axes.set_ylabel("number" if unit == "1" else unit)
         axes.margins(x=0.01)
         axes.ticklabel_format(axis="y", style="plain", useOffset=False)
-        low, high = axes.get_ylim()
-        if low > 0 and series.unit == "1":
-            axes.set_ylim(0, high)
+        if series.unit == "1":
+            axes.set_ylim(bottom=0.0)
         return rendered(figure)["png"]
-
-
-def _line(axes: Axes, hours: object, values: object, colour: str, name: str) -> None:
-    style = "--" if name in ("forecast", "planned") else "-"
-    axes.plot(hours, values, color=colour, linestyle=style, linewidth=1.0, label=name)  # type: ignore[arg-type] # matplotlib takes any sequence
 
 
 def _scale(series: Series) -> tuple[float, str]:
     if series.unit != "B":
         return 1.0, series.unit
-    most = max([abs(value) for value in series.values], default=0.0)
+    most = max(abs(value) for value in series.values)
     return next(((scale, name) for scale, name in SCALES if most >= scale), (1.0, "B"))

@@ -67,8 +67,10 @@ class Series:
     ----------
     hours, values
         Shape (n,); a reading that the system did not give is left out.
-    others
-        Further lines by their names, each hours and values.
+    label, others
+        What it is called beside further lines, and these by their names: hours and values.
+    steps
+        It stays between two readings.
     missing
         Why there is nothing to show.
     """
@@ -80,6 +82,7 @@ class Series:
     hours: Sequence[float] = ()
     values: Sequence[float] = ()
     others: dict[str, tuple[Sequence[float], Sequence[float]]] | None = None
+    label: str = "measured"
     steps: bool = False
     missing: str = ""
 

@@ -218,6 +218,7 @@ def record_series(evidence: Evidence) -> Series:
         how="sums over the positions of n_valid; planned and taken beside",
         hours=x,
         values=values["valid"],
+        label="valid",
         others={name: (x, values[name]) for name in ("planned", "taken")},
         missing="" if x else NO_SETS,
     )
