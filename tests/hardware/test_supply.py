@@ -23,6 +23,8 @@ from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
+READ_TIMEOUT_S = 10.0
+"""Slow supplies take a tenth of a second an answer."""
 MOST_W = 1.0
 """Into the resistor: one of 2 W stays below its rating."""
 LOAD_TOLERANCE = 0.1
@@ -87,11 +89,8 @@ def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float)
         supply.make_safe()
 
 
-READ_TIMEOUT_S = 10.0
-
-
 def is_off(supply: ScpiPowerSupply) -> bool:
-    """Whether the output reads back as off, and gives no current."""
+    """Whether the output reads back as off, by both questions."""
     reading = supply.read(READ_TIMEOUT_S)
     told = supply.read_back(READ_TIMEOUT_S)
     return not reading.output_on and told["output"] == "off"

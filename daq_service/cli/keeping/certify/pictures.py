@@ -46,7 +46,7 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
         axes.ticklabel_format(axis="y", style="plain", useOffset=False)
         if series.unit == "1":
             axes.set_ylim(bottom=0.0)
-        return rendered(figure)["png"]
+        return rendered(figure, ["png"])["png"]
 
 
 def _scale(series: Series) -> tuple[float, str]:

@@ -497,7 +497,7 @@ def test_damage_that_verify_finds_is_told_and_fails(tmp_path):
 
 def test_looking_changes_nothing_in_the_folder(recorded, tmp_path):
     before = state_of(recorded)
-    certify("--data-dir", recorded, "--html", tmp_path / "c.html", "--verify")
+    certify("--data-dir", recorded, "--json", tmp_path / "c.json", "--verify")
     assert state_of(recorded) == before
 
 
@@ -526,12 +526,13 @@ def test_a_damaged_catalogue_is_told_by_its_own_name(tmp_path):
 
 
 def test_a_file_that_exists_or_lies_among_the_test_s_own_is_refused(recorded, tmp_path):
-    (tmp_path / "c.html").write_text("mine")
-    assert certify("--data-dir", recorded, "--html", tmp_path / "c.html")[0] == 2
+    file = tmp_path / "certificate"
+    file.write_text("mine")
+    assert certify("--data-dir", recorded, "--html", file)[0] == 2
     assert certify("--data-dir", recorded, "--json", recorded / "sets" / "c.json")[0] == 2
-    assert (tmp_path / "c.html").read_text() == "mine"
-    certify("--data-dir", recorded, "--html", tmp_path / "c.html", "--overwrite")
-    assert (tmp_path / "c.html").read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert file.read_text() == "mine"
+    certify("--data-dir", recorded, "--json", file, "--overwrite")
+    assert json.loads(file.read_bytes())["solimon_certificate"] == "1"
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
