@@ -116,6 +116,7 @@ def loopback(parameters: DaqmxParameters) -> Iterator[Loopback]:
         trigger_level_v=1.5,
         trigger_slope="rising",
         watchdog=None,
+        watchdogs=None,
         holdoff_s=None,
         ringing_s=0.0,
     )
