@@ -41,6 +41,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.machine import MACHINE_READ
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
 from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
@@ -118,7 +119,7 @@ class Recorder:
         }
         for opened in self._open.values():
             refuse_foreign_open_set(opened, self._plan, archive.name)
-        self._cost = Cost()
+        self._cost, self._machine = Cost(), helpers.machine
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
         self._kept = Safekeeping(
             archive,
@@ -357,6 +358,8 @@ class Recorder:
             provenance=self._provenance,
         )
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
+        # Now, and not when the disk takes the set.
+        machine = None if self._machine is None else self._machine.read(self._cost)
 
         def judged() -> Transaction:
             stored = self._kept.store(record)
@@ -364,7 +367,11 @@ class Recorder:
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
             self._doing = f"judging set {due.set_index}"
-            return self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
+            transaction = self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
+            if machine is not None:
+                moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+                transaction.tell(MACHINE_READ, machine, moment, topic="machine")
+            return transaction
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
         self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)

@@ -33,6 +33,7 @@ from daq_service.processes.worker import one_worker
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.machine import MachineWatch
 from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
@@ -172,6 +173,7 @@ def record(
         live = LivePicture(folder, rig.kind)
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
         stack.callback(disk.give_back)
+        machine = MachineWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
         recorder = Recorder(
             settings,
             archive,
@@ -188,6 +190,7 @@ def record(
                 idle_check=idle_check,
                 history=history,
                 disk=disk,
+                machine=machine,
                 acknowledged=acknowledged,
             ),
             listen_every_s=listen_every_s,

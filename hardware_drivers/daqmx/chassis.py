@@ -167,6 +167,21 @@ class Chassis:
             self.turn(position)
         self.end_turn()
 
+    def refuse_made_up(self) -> None:
+        """Let no record of a device that NI's driver simulates be taken for a wave.
+
+        Raises
+        ------
+        ConfigurationError
+            A board is simulated, and this is no rehearsal.
+        """
+        simulated = [board.label for board in self._boards.values() if board.simulated]
+        if simulated and not self.parameters.dry_run:
+            raise ConfigurationError(
+                f"{', '.join(simulated)} is simulated by NI's driver, which makes its records up; set "
+                "dry_run = true in [rig.daqmx] for a rehearsal, or name a real board"
+            )
+
     # The coil ------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:

@@ -162,6 +162,7 @@ def opened(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
     chassis = Chassis(parameters)
     bench = Bench(chassis)
     try:
+        chassis.refuse_made_up()
         yield DaqmxInstruments(
             digitizer=DaqmxDigitizer(bench),
             striker=DaqmxStriker(bench),

@@ -66,6 +66,7 @@ class FreeInput:
 
     def strike(self) -> Waveform:
         """Record one strike from the coil's switching on; on return the coil is off."""
+        self._chassis.refuse_made_up()
         with self._chassis.attempt():
             acquisition = self._chassis.acquisition(self.position, "pulse")
             acquisition.start()

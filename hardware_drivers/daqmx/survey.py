@@ -112,7 +112,7 @@ class _Look:
 
     def __init__(self, parameters: DaqmxParameters) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
-        self._parameters = replace(parameters, dry_run=False)
+        self._parameters, self._rehearsal = replace(parameters, dry_run=False), parameters.dry_run
         self._findings: list[Finding] = []
         self._facts: list[BoardFacts] = []
         self._boards: dict[str, Board] = {}
@@ -174,7 +174,7 @@ class _Look:
                 serial=serial,
                 name=board.name,
                 product=board.product,
-                simulated=bool(device.is_simulated),
+                simulated=board.simulated,
                 ours=ours,
                 max_rate_hz=float(device.ai_max_single_chan_rate),
                 ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
@@ -196,12 +196,13 @@ class _Look:
     def _judge_board(self, facts: BoardFacts) -> None:
         subject = f"board {facts.serial}"
         if facts.simulated:
+            refused = facts.ours and not self._rehearsal
             self._add(
                 subject,
                 "real",
-                "warn",
+                "fail" if refused else "warn",
                 "a device simulated by NI's driver: its records are made up",
-                "use it for rehearsal only",
+                "use it for a rehearsal only: dry_run = true in [rig.daqmx]",
             )
         if not facts.calibrates_itself:
             self._add(
@@ -276,7 +277,9 @@ class _Look:
             subject, "input read", lambda: self._measure_noise(connection, position, board, coil_board)
         )
         noise_v = self._noise_rms_v.get(position)
-        if noise_v is not None:
+        if noise_v is not None and board.simulated:
+            self._add(subject, "noise", "warn", f"{noise_v:.3g} V rms, made up by NI's driver")
+        elif noise_v is not None:
             level_v = abs(parameters.trigger_level_v)
             quiet = noise_v <= NOISE_TO_LEVEL * level_v
             self._add(

@@ -21,7 +21,7 @@ from daq_service.web.context import Context, ContextOf
 from daq_service.web.streams.hub import EventHub, encode_event
 
 router = APIRouter(tags=["stream"])
-TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
+TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service")
 REPLAY_PAGE_EVENTS = 500
 LARGEST_CHUNK_EVENTS = 256
 RETRY_MS = 1000

@@ -199,3 +199,8 @@ def test_the_schema_that_is_printed_knows_the_kinds_that_are_installed() -> None
     below = kinds["daqmx"]["properties"]["transducers"]["additionalProperties"]["$ref"]
     wiring = schema["$defs"][below.removeprefix("#/$defs/")]
     assert wiring["properties"]["counter"]["description"].startswith("Counter that times the coil's pulse")
+
+
+def test_a_rehearsal_of_one_instrument_is_one_of_the_rig(tmp_path: Path) -> None:
+    assert not load(tmp_path, GOOD).rig.dry_run
+    assert load(tmp_path, GOOD.replace('kind = "daqmx"', 'kind = "daqmx"\ndry_run = true')).rig.dry_run
