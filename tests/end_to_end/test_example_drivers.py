@@ -104,7 +104,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
 ) -> None:
     monkeypatch.syspath_prepend(str(site))
     from block_scope import api
-    from block_scope.double import ScopeDouble
+    from block_scope.double import ScopeDouble, as_library
 
     wave_v = wave_of_the_twin_v()
     with running_brain(quick_description()) as doubles:
@@ -123,7 +123,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
                 return super().bs_is_ready(handle, ready)
 
         scope = BesideTheChassis()
-        monkeypatch.setattr(api, "load", lambda name: scope)
+        monkeypatch.setattr(api, "load", lambda name: as_library(scope))
         instruments = {
             "counter": boards(doubles, "C", input=""),
             "scope": {"kind": "block-scope", "channels": {"C": "A"}},

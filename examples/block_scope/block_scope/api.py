@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import ctypes.util
-from ctypes import POINTER, c_char_p, c_int16, c_int32, c_uint32
+from ctypes import POINTER, c_char, c_char_p, c_int16, c_int32, c_uint32
 from enum import IntEnum
 from typing import Any
 
@@ -42,7 +42,7 @@ SERIAL, MODEL, LIBRARY_VERSION, CALIBRATION_DATE = range(4)
 PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "bs_open_unit": (POINTER(c_int16), c_char_p, c_int32),
     "bs_close_unit": (c_int16,),
-    "bs_get_unit_info": (c_int16, c_char_p, c_int16, c_uint32),
+    "bs_get_unit_info": (c_int16, POINTER(c_char), c_int16, c_uint32),
     "bs_maximum_value": (c_int16, POINTER(c_int16)),
     "bs_get_timebase": (c_int16, c_uint32, POINTER(c_int32)),
     "bs_set_channel": (c_int16, c_int32, c_int16, c_int32),

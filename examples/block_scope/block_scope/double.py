@@ -1,13 +1,16 @@
 """The maker's library as a Python object with the same functions: it samples the volts that it is given.
 
-It writes where pointers point and answers in status codes, so the driver cannot tell it from the library.
+It writes where pointers point and answers in status codes. `as_library` puts it behind pointers to C
+functions, so every call of the driver goes through ctypes as to the maker's own library.
 """
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -117,7 +120,8 @@ class ScopeDouble:
         """Write a text about the unit."""
         status = self._status(handle)
         if status is Status.OK:
-            text.value = INFO[what].encode("ascii")[: length - 1]
+            told = INFO[what].encode("ascii")[: length - 1] + b"\0"
+            ctypes.memmove(text, told, len(told))
         return status
 
     def bs_maximum_value(self, handle: int, value: Any) -> int:
@@ -213,6 +217,17 @@ def pulse_v(peak_v: float = 2.5, width_s: float = 50e-6, lasts_s: float = 1.3e-3
     return volts_v
 
 
+def as_library(scope: ScopeDouble) -> SimpleNamespace:
+    """Give what `api.load` gives, with the double behind it."""
+
+    def function(name: str, arguments: tuple[Any, ...]) -> Any:
+        prototype = ctypes.CFUNCTYPE(ctypes.c_uint32, *arguments)
+        # Looked up at each call: a test may come between.
+        return prototype(lambda *given: getattr(scope, name)(*given))  # noqa: PLW0108
+
+    return SimpleNamespace(**{name: function(name, its) for name, its in api.PROTOTYPES.items()})
+
+
 @contextmanager
 def bench() -> Iterator[Bench]:
     """Let the kind meet a double, as `--solimon-double` asks for it."""
@@ -230,7 +245,7 @@ def bench() -> Iterator[Bench]:
         finally:
             scope.plugged_in, scope.opened_elsewhere = True, False
 
-    with patch.object(api, "load", lambda name: scope):
+    with patch.object(api, "load", lambda name: as_library(scope)):
         yield Bench(strike=strike, fault=fault)
 
 

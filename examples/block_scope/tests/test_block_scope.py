@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from block_scope import api
 from block_scope.api import Status
-from block_scope.double import SERIAL, WAVE_RATE_HZ, ScopeDouble, pulse_v
+from block_scope.double import SERIAL, WAVE_RATE_HZ, ScopeDouble, as_library, pulse_v
 from block_scope.kind import KIND, BlockScopeParameters
 from pydantic import ValidationError
 
@@ -30,7 +30,7 @@ TIMEOUT_S = 10.0
 @pytest.fixture
 def scope(monkeypatch):
     scope = ScopeDouble()
-    monkeypatch.setattr(api, "load", lambda name: scope)
+    monkeypatch.setattr(api, "load", lambda name: as_library(scope))
     return scope
 
 
