@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from daq_service.cli.doctor.other_instruments import stamp_now
+from daq_service.cli.doctor.check import stamp_now
 from daq_service.clock import WallClock
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import ElectrochemicalDrive
