@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 import threading
@@ -25,6 +24,7 @@ import numpy as np
 
 from daq_service.cli.forecast import stored_bytes
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.own_use import open_handles, resident_bytes
 from daq_service.recording.session import record
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
@@ -34,7 +34,6 @@ from simulator.echo.pulse import echo_calibration, echo_volts
 EVERY_SETS = 25
 POOL = 97
 """So many different records are made, and given in turn."""
-PROC = Path("/proc/self")
 
 
 class Instruments:
@@ -100,9 +99,11 @@ class Instruments:
 
 
 def sampled() -> tuple[float, int]:
-    """Resident memory in MB and open handles of this process; Linux tells them."""
-    pages = int((PROC / "statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6, len(list((PROC / "fd").iterdir()))
+    """Resident memory in MB and open handles of this process; Linux and Windows tell them."""
+    memory, handles = resident_bytes(), open_handles()
+    if memory is None or handles is None:
+        raise SystemExit("this system tells neither the memory nor the handles of a process")
+    return memory / 1e6, handles
 
 
 def slope_per_1000(sets: list[int], values: list[float]) -> float:

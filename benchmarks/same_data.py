@@ -2,7 +2,8 @@
 
     python benchmarks/same_data.py FOLDER OTHER [--json]
 
-Left out: wall times, versions, the machine, and what a run cost. Exit code 1 where anything differs.
+Left out: wall times, versions, the machine and its readings, and what a run cost. Exit code 1 where anything
+differs.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
             ]
             for name in sorted(names)
         }
+    tables["events"] = [event for event in tables["events"] if event["topic"] != "machine"]
     for event in tables["events"]:
         payload = json.loads(event["payload"])
         event["payload"] = {key: value for key, value in payload.items() if key not in OF_THE_RUN}

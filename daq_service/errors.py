@@ -8,13 +8,15 @@
     ├── StorageError    exit 4   the data folder cannot be written, read or trusted
     └── BusyError       exit 5   another recorder, process or port owner is in the way
 
-``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself.
+``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself; ``6``
+a test whose certificate does not pass: nothing failed now, but a criterion is not met or not decided.
 """
 
 from __future__ import annotations
 
 EXIT_OK = 0
 EXIT_FAULT = 1
+EXIT_NOT_MET = 6
 EXIT_INTERRUPTED = 130
 
 

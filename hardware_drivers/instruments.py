@@ -1,7 +1,7 @@
 """Who can make a measurement: small Protocols, and a Rig that is the set of them.
 
 Simulated, recorded and real instruments are siblings behind these Protocols and pass the same
-contract suites (``tests/contract``). Every blocking call is bounded by ``timeout_s``.
+contract suites (``hardware_drivers/conformance``). Every blocking call is bounded by ``timeout_s``.
 """
 
 from __future__ import annotations
@@ -216,6 +216,29 @@ class SelfCalibrating(Protocol):
         ...
 
 
+class Asking:
+    """What an instrument asks a person to do, on its way to whoever shows it."""
+
+    def __init__(self) -> None:
+        self._text = ""
+        self._key: ShotKey | None = None
+        self._hear: Callable[[str, ShotKey | None], None] = lambda text, key: None
+
+    def listen(self, hear: Callable[[str, ShotKey | None], None]) -> None:
+        """Let someone hear from now on: what is asked (empty: nothing any more), and for which shot."""
+        self._hear = hear
+
+    def about(self, key: ShotKey) -> None:
+        """Say which shot comes."""
+        self._key = key
+
+    def ask(self, text: str) -> None:
+        """Ask; the same words twice are said once."""
+        if text != self._text:
+            self._text = text
+            self._hear(text, self._key)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rig:
     """The instruments of one experiment; a context manager that leaves everything safe.
@@ -223,7 +246,12 @@ class Rig:
     Attributes
     ----------
     kind
-        ``simulated``, ``daqmx``, ``playback``: what the reader of a number should know of its origin.
+        ``simulated``, ``daqmx``, ``playback``, ``mixed``: what the reader of a number should know of its
+        origin.
+    self_calibration_interval_h
+        Longest time between two self-calibrations; 0: never.
+    asking
+        What the instruments ask a person to do.
     dry_run
         A rehearsal: everything is set up, but no coil is ever energised and records show noise.
     identity
@@ -238,6 +266,8 @@ class Rig:
     supply: PowerSupply | None = None
     climate: ClimateProbe | None = None
     self_calibrating: SelfCalibrating | None = None
+    self_calibration_interval_h: float = 0.0
+    asking: Asking = field(default_factory=Asking)
     dry_run: bool = False
     identity: Mapping[str, str] = field(default_factory=dict)
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
@@ -47,7 +48,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.sealed import checked_rows, storable
-from daq_service.catalogue.tables import alarms, commands, counts, events, sets, table_of
+from daq_service.catalogue.tables import alarms, commands, counts, events, features, sets, table_of
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -186,17 +187,7 @@ class Catalogue:
 
     def newest_gaps(self, count: int) -> list[SetRow]:
         """So many of the newest sets of each position that were missed, and of those that lack something."""
-        places = _places()
-        states = union_all(*(select(literal(state).label("state")) for state in GAP_STATES)).cte("states")
-        of_place = sets.alias("of_place")
-        newest = (
-            select(of_place.c.id)
-            .where(of_place.c.position == places.c.position, of_place.c.state == states.c.state)
-            .order_by(of_place.c.set_index.desc())
-            .limit(count)
-        )
-        statement = select(sets).select_from(places.join(states, true()).join(sets, sets.c.id.in_(newest)))
-        return self._rows(SetRow, statement)
+        return self._rows(SetRow, _newest_gaps(count))
 
     def newest_file(self) -> str | None:
         """Name the file of the newest set that has records; None before it."""
@@ -287,9 +278,7 @@ class Catalogue:
         positions = list(self.experiment_row().configuration.get("positions", ()))
         found: dict[int, str] = {}
         with self._reading() as connection:
-            places = _places()
-            newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position)
-            last = connection.execute(select(func.max(newest.scalar_subquery())).select_from(places)).scalar()
+            last = connection.execute(_last_set_index()).scalar()
             left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
             for start in range(0, len(left), _ASKED_AT_ONCE):
                 some = left[start : start + _ASKED_AT_ONCE]
@@ -462,6 +451,14 @@ def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[
     return list(checked_rows(connection, kind, statement))
 
 
+def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
+    """Row of the highest set index of each position that has a row in ``sets``."""
+    return {row.position: row for row in made(connection, kind, _newest_of(table_of(kind)))}
+
+
+# Statements of several steps: to put one together takes longer than to answer it -----------------------
+
+
 def _places() -> CTE:
     """Name the positions that have a row in ``sets``."""
     # One step in the index leads to the next name, however many sets have it.
@@ -470,13 +467,31 @@ def _places() -> CTE:
     return first.union_all(select(following.scalar_subquery()).where(first.c.position.is_not(None)))
 
 
-def _newest(connection: Connection, kind: type[OfSet]) -> dict[str, OfSet]:
-    """Row of the highest set index of each position that has a row in ``sets``."""
-    table, places = table_of(kind), _places()
-    of_place = table.alias("of_place")
+@cache
+def _newest_of(table: Table) -> Select[Any]:
+    places, of_place = _places(), table.alias("of_place")
     newest = select(of_place.c.id).where(of_place.c.position == places.c.position)
-    if kind is FeatureRow:  # of a set
+    if table is features:  # of a set
         newest = newest.where(of_place.c.shot_index.is_(None))
     last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
-    statement = select(table).join(places, table.c.id == last)
-    return {row.position: row for row in made(connection, kind, statement)}
+    return select(table).join(places, table.c.id == last)
+
+
+@cache
+def _last_set_index() -> Select[Any]:
+    places = _places()
+    newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position)
+    return select(func.max(newest.scalar_subquery())).select_from(places)
+
+
+@cache
+def _newest_gaps(count: int) -> Select[Any]:
+    places, of_place = _places(), sets.alias("of_place")
+    states = union_all(*(select(literal(state).label("state")) for state in GAP_STATES)).cte("states")
+    newest = (
+        select(of_place.c.id)
+        .where(of_place.c.position == places.c.position, of_place.c.state == states.c.state)
+        .order_by(of_place.c.set_index.desc())
+        .limit(count)
+    )
+    return select(sets).select_from(places.join(states, true()).join(sets, sets.c.id.in_(newest)))

@@ -230,7 +230,7 @@ class EventRow(Row):
     id: int | None = None
     utc_ns: int  # experiment time
     wall_utc_ns: int = 0  # when it was written; 0 until then
-    topic: str  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "service"
+    topic: str  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service"
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None

@@ -35,7 +35,7 @@ class RecordSize:
     Attributes
     ----------
     known
-        False for a recording that is played back: its records are assumed to be like the twin's.
+        False where nobody knows before (a recording, a mixed rig): assumed to be like the twin's.
     """
 
     samples: int
@@ -52,7 +52,7 @@ class RecordSize:
 def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
     """Record of a strike and of an echo, as the configured instruments will make them."""
     adc, sampled_echo = settings.twin.adc, settings.twin.echo
-    known = settings.rig.kind != "playback"
+    known = settings.rig.kind in ("simulated", "daqmx")
     strike = RecordSize(samples=adc.record_samples, sample_rate_hz=adc.sample_rate_hz, known=known)
     echo = RecordSize(
         samples=sampled_echo.record_samples, sample_rate_hz=sampled_echo.sample_rate_hz, known=known

@@ -15,7 +15,7 @@ from daq_service.clock import format_utc, parse_utc
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
-from daq_service.settings.schema import settings_schema
+from daq_service.settings.schema import schema_with_kinds
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -23,7 +23,7 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 def print_configuration(*, config: Path | None, data_dir: Path | None, schema: bool, as_json: bool) -> None:
     """Carry out ``check-config``."""
     if schema:
-        click.echo(json.dumps(settings_schema(), indent=1))
+        click.echo(json.dumps(schema_with_kinds(), indent=1))
         return
     settings = load_settings(config)
     facts = describe_plan(settings, data_folder(settings, config, data_dir))

@@ -1,7 +1,7 @@
 """The command ``solimon``: parses, then hands over; everything heavy is imported inside a command.
 
-Exit codes: 0 done, 1 a fault of solimon itself, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 130
-interrupted.
+Exit codes: 0 done, 1 a fault of solimon itself, 2 usage or configuration, 3 rig, 4 storage, 5 busy, 6 not
+certified, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -428,6 +428,33 @@ def export(**options: Any) -> None:
     from daq_service.cli.keeping.command import run_export
 
     sys.exit(run_export(**options))
+
+
+@cli.command()
+@FOLDER_ALONE
+@click.option("--html", type=FILE, help="Write it as one page with pictures, which prints on paper.")
+@click.option(
+    "--json",
+    "to_json",
+    is_flag=False,
+    flag_value="-",
+    metavar="[FILE]",
+    help="Write it as JSON to FILE; without one, to standard output.",
+)
+@click.option(
+    "--limit",
+    "limits",
+    metavar="NAME=VALUE",
+    multiple=True,
+    help="Another limit of a criterion; NAME=off leaves it out. May be given several times.",
+)
+@click.option("--verify", is_flag=True, help="Check everything stored, too, as `solimon verify` does.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+def certify(**options: Any) -> None:
+    """Certify a test that runs or has ended: shots, gaps, faults, delays, memory, disk, clock, a verdict."""
+    from daq_service.cli.keeping.command import run_certify
+
+    sys.exit(run_certify(**options))
 
 
 def main() -> None:

@@ -48,8 +48,8 @@ from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
 
 if TYPE_CHECKING:
+    from hardware_drivers.drive_parameters import DriveParameters
     from hardware_drivers.instruments import Clock, PowerSupply, Rig
-    from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -168,9 +168,9 @@ def record_alone(
         left_alone = leave_when_pipe_closes(stop) if supervised else threading.Event()
         try:
             drive = None
-            if settings.rig.supply is not None:
+            if settings.rig.driven is not None:
                 drive = left.enter_context(
-                    RemoteDrive(settings.rig.supply, folder, partial(start_drive, settings, folder))
+                    RemoteDrive(settings.rig.driven, folder, partial(start_drive, settings, folder))
                 )
             finished = record(
                 settings,
@@ -206,7 +206,7 @@ def _open_rig_to_stay(
     def preparing(what: str, begins: bool) -> None:
         tell("preparing" if begins else "prepared", what=what)
 
-    without_supply = settings.model_copy(update={"rig": settings.rig.model_copy(update={"supply": None})})
+    without_supply = settings.model_copy(update={"rig": settings.rig.without_supply()})
     with open_rig(without_supply, clock, epoch_utc_ns, preparing=preparing) as rig:
         gc.freeze()
         yield rig
@@ -228,10 +228,10 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     from daq_service.corrosion_drive.own_process import own_supply
     from daq_service.rig.open_rig import open_supply
 
-    def open_owned(parameters: SupplyParameters) -> AbstractContextManager[PowerSupply]:
+    def open_owned(parameters: DriveParameters) -> AbstractContextManager[PowerSupply]:
         if not for_recorder:
             notify("READY=1")  # the lock is held: no recorder starts another process
-        return open_supply(parameters, clock=WallClock())
+        return open_supply(settings, clock=WallClock())
 
     if for_recorder:
         assert data_dir is not None, "a recorder says which folder"
@@ -239,7 +239,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
     else:
         settings, folder = settings_and_folder(config, data_dir)
         prepare_data_folder(folder)
-    parameters = settings.rig.supply
+    parameters = settings.rig.driven
     if parameters is None:
         raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
     log_to(folder / "logs" / "drive.log")

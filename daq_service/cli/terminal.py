@@ -180,6 +180,12 @@ class Telling:
         words = f"ALARM, {severity}" if stands else change.replace("_", " ")
         self._say(f"hour {hour:.1f}, {words}: {message}", style="bold red" if stands else "")
 
+    def _hear_asked(
+        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
+    ) -> None:
+        shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
+        self._say(f"{text}{shot}: within {duration(within_s)}", style="bold")
+
     def _hear_gap(self, *, set_index: int, state: str, positions: list[str], cause: str) -> None:
         """Tell the first of a row of sets that lack something for one reason; of the others the last one."""
         what = f"{state} at {', '.join(positions)}: {cause}"

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.measurement import Stamp
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +74,7 @@ class DriveState:
 
 
 def restored_state(
-    row: EnvironmentRow | None, *, written_utc_ns: int, parameters: SupplyParameters
+    row: EnvironmentRow | None, *, written_utc_ns: int, parameters: DriveParameters
 ) -> DriveState:
     """State from the newest row of ``environment``, which was written at ``written_utc_ns``."""
     if row is None or row.supply_state == "absent":

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.reading_log import ReadingLog
+from hardware_drivers.drive_parameters import LogParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import ClimateProbe, Clock
 from hardware_drivers.measurement import ClimateReading
-from hardware_drivers.serial_port.parameters import ClimateParameters
 
 log = logging.getLogger(__name__)
 
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 class ClimateLog:
     """Reads the probe and rates its newest reading."""
 
-    def __init__(self, probe: ClimateProbe, clock: Clock, parameters: ClimateParameters) -> None:
+    def __init__(self, probe: ClimateProbe, clock: Clock, parameters: LogParameters) -> None:
         self._probe, self._clock, self._parameters = probe, clock, parameters
         self._log = ReadingLog(parameters.log_interval_s, clock.mono_ns())
         self._air: ClimateReading | None = None

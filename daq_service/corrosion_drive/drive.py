@@ -18,11 +18,11 @@ from typing import Literal, Protocol, runtime_checkable
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
 from daq_service.corrosion_drive.charge import DriveState, add_interval, elapsed_s
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS, ReadingLog
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Clock, PowerSupply
 from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -112,7 +112,7 @@ class ElectrochemicalDrive:
     """
 
     def __init__(
-        self, supply: PowerSupply, clock: Clock, parameters: SupplyParameters, state: DriveState
+        self, supply: PowerSupply, clock: Clock, parameters: DriveParameters, state: DriveState
     ) -> None:
         self._supply, self._parameters = supply, parameters
         self._clock = clock

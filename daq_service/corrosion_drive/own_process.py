@@ -24,10 +24,10 @@ from daq_service.corrosion_drive.drive import ElectrochemicalDrive, summary
 from daq_service.corrosion_drive.kept import Address, Kept, kept_now, own_drive, read_kept, write_kept
 from daq_service.corrosion_drive.reading_log import LONGEST_GAP_INTERVALS
 from daq_service.errors import RigError
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Clock, PowerSupply
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ GRACE_S = 30.0
 Verdict = Literal["stay", "switch off", "leave"]
 
 
-def fingerprint(parameters: SupplyParameters) -> str:
+def fingerprint(parameters: DriveParameters) -> str:
     """Tell what must be the same in a recorder and in the process of its drive."""
     return hashlib.sha256(f"{version('solimon')} {parameters!r}".encode()).hexdigest()
 
@@ -91,7 +91,7 @@ class DriveProcess:
     def __init__(
         self,
         supply: PowerSupply,
-        parameters: SupplyParameters,
+        parameters: DriveParameters,
         folder: Path,
         *,
         stays: bool = False,
@@ -236,9 +236,9 @@ def _latched(state: DriveState) -> tuple[object, ...]:
 
 
 def own_supply(
-    parameters: SupplyParameters,
+    parameters: DriveParameters,
     folder: Path,
-    open_supply: Callable[[SupplyParameters], Any],
+    open_supply: Callable[[DriveParameters], Any],
     stop: threading.Event,
     *,
     stays: bool,

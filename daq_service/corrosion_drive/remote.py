@@ -23,9 +23,9 @@ from daq_service.corrosion_drive.drive import DriveCondition, no_supply
 from daq_service.corrosion_drive.kept import address_of, kept_now, write_kept
 from daq_service.corrosion_drive.own_process import fingerprint
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, is_owned
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -39,7 +39,7 @@ PAUSE_S = 0.01
 Start = Callable[[], "subprocess.Popen[bytes]"]
 
 
-def answered_within_s(parameters: SupplyParameters) -> float:
+def answered_within_s(parameters: DriveParameters) -> float:
     """Longest time between an order to the process and its answer: what it is at, then the order."""
     return parameters.read_timeout_s + 2.0 * parameters.longest_order_s + 5.0
 
@@ -57,7 +57,7 @@ class RemoteDrive:
 
     def __init__(
         self,
-        parameters: SupplyParameters,
+        parameters: DriveParameters,
         folder: Path,
         start: Start,
         *,

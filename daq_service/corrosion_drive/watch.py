@@ -21,10 +21,10 @@ from daq_service.corrosion_drive.drive import ElectrochemicalDrive, SupplyDrive,
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import StorageError
 from daq_service.judgement.transaction import Transaction
-from daq_service.settings.tree import RigSettings
+from daq_service.settings.rig import RigSettings
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 log = logging.getLogger(__name__)
 
@@ -64,17 +64,17 @@ class DriveWatch:
         self._alarms = alarms
         self._store = store
         self._clock = rig.clock
-        self._off_at_end = settings.supply is not None and settings.supply.off_at_end
+        self._off_at_end = settings.driven is not None and settings.driven.off_at_end
         self._drive: SupplyDrive | None = remote
-        if settings.supply is not None:
-            state = _state_before(settings.supply, catalogue, alarms)
+        if settings.driven is not None:
+            state = _state_before(settings.driven, catalogue, alarms)
             if remote is not None:
                 remote.begin(state)
             elif rig.supply is not None:
-                self._drive = ElectrochemicalDrive(rig.supply, rig.clock, settings.supply, state)
+                self._drive = ElectrochemicalDrive(rig.supply, rig.clock, settings.driven, state)
         self._climate = None
-        if rig.climate is not None and settings.climate is not None:
-            self._climate = ClimateLog(rig.climate, rig.clock, settings.climate)
+        if rig.climate is not None and settings.logged is not None:
+            self._climate = ClimateLog(rig.climate, rig.clock, settings.logged)
 
     @property
     def has_supply(self) -> bool:
@@ -183,7 +183,7 @@ class DriveWatch:
         return "the supply is off"
 
 
-def _state_before(supply: SupplyParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
+def _state_before(supply: DriveParameters | None, catalogue: Catalogue, alarms: Alarms) -> DriveState:
     """Restore what the last recorder left; the standing alarm says whether the interlock is open."""
     state = DriveState()
     row = None if supply is None else catalogue.last_environment()

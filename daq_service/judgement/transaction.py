@@ -80,10 +80,16 @@ class Transaction(SetCommit):
         self._tell("environment", "environment_read", payload_of(row), moment, set_index=row.set_index)
 
     def tell(
-        self, kind: str, payload: Mapping[str, Any], moment: Moment, *, position: str | None = None
+        self,
+        kind: str,
+        payload: Mapping[str, Any],
+        moment: Moment,
+        *,
+        position: str | None = None,
+        topic: str = "service",
     ) -> None:
-        """Add an event of the service itself."""
-        self._tell("service", kind, payload, moment, position=position, set_index=moment.set_index)
+        """Add an event of the service itself, or of its machine."""
+        self._tell(topic, kind, payload, moment, position=position, set_index=moment.set_index)
 
     def add_alarm(self, change: Change, moment: Moment) -> None:
         """Add an alarm's change; its event carries the id that the catalogue gives."""

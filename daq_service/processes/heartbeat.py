@@ -95,14 +95,14 @@ class Heartbeat:
         self._last_cost_ns = 0
         self._last_doing = ""
 
-    def beat(self, doing: str) -> None:
-        """Say that the line moves, and what it is doing."""
+    def beat(self, doing: str, *, at_once: bool = False) -> None:
+        """Say that the line moves, and what it is doing; at once where a long wait begins."""
         doing = doing[:LONGEST_DOING]
         now = self._mono_ns()
         news = doing != self._last_doing
         last_ns = self._last_news_ns if news else self._last_ns
         pause_ns = NEWS_AFTER_COSTS * self._last_cost_ns if news else SHORTEST_INTERVAL_NS
-        if last_ns is not None and now - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
+        if not at_once and last_ns is not None and now - last_ns < min(pause_ns, SHORTEST_INTERVAL_NS):
             return
         line = self._time_line()
         beat = Beat(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from heapq import nlargest
 from pathlib import Path
 
 from daq_service.archive.journal.reader import read_journal
@@ -25,10 +26,10 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest: int | None = None) 
         The folder cannot be looked at now.
     """
     sets = folder / SETS_FOLDER
-    names = sorted(os.listdir(sets)) if sets.is_dir() else []  # noqa: PTH208 - names are all it takes
-    sized = names if newest is None else names[-newest:]
+    names = os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - names are all it takes
+    sized = names if newest is None else nlargest(newest, names)
     empty = {name for name in sized if not _has_content(f"{sets}/{name}")}
-    gone = catalogue.files_but_of(set_indices(name for name in names if name not in empty))
+    gone = catalogue.files_but_of(set_indices([name for name in names if name not in empty]))
     if not gone:
         return {}
     journal = read_journal(folder)

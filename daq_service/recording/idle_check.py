@@ -43,6 +43,8 @@ class IdleCheck:
     ----------
     damaged
         File, relative to the data folder, to what is wrong with it.
+    files_read
+        Files read so far, sound or damaged.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class IdleCheck:
         self._running: tuple[str, bool, Future[tuple[str, str]]] | None = None
         self._next_s = mono_s()
         self.damaged: dict[str, str] = {}
+        self.files_read = 0
 
     def begin(self, known: Mapping[str, str] = MappingProxyType({})) -> None:
         """Begin a round: which files there are, and which are gone.
@@ -123,6 +126,7 @@ class IdleCheck:
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             log.error("%s could not be checked: %s", file, error)
             return
+        self.files_read += 1
         if told:
             self.damaged[file] = told
         else:

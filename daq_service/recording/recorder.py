@@ -41,13 +41,14 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because, refuse_foreign, refuse_foreign_open_set
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.machine import MACHINE_READ
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
 from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import Shot, ShotKey
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -62,6 +63,9 @@ OVERSLEPT = "its time went by while the recorder ran: the computer slept, or wha
 Teller = Callable[..., None]
 FeaturesOf = Callable[[Shot], ShotFeatures]
 NO_HELPERS = Helpers()
+
+ASKED, ASKED_OVER = "asked", "asked_over"
+"""Events: a person is asked to do something now; that is done, or too late."""
 
 
 class Recorder:
@@ -96,7 +100,7 @@ class Recorder:
         self._look_every_s = look_every_s
         self._tell = tell
         self._left_alone = left_alone or threading.Event()
-        self._doing = "starting"
+        self._doing, self._asks = "starting", ""
         self._calibrated_ns: int | None = None
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
         self._archive = archive
@@ -115,7 +119,7 @@ class Recorder:
         }
         for opened in self._open.values():
             refuse_foreign_open_set(opened, self._plan, archive.name)
-        self._cost = Cost()
+        self._cost, self._machine = Cost(), helpers.machine
         self._ledger = Ledger(settings, archive, catalogue, rig, self._cost, remote_drive, news=tell)
         self._kept = Safekeeping(
             archive,
@@ -149,6 +153,7 @@ class Recorder:
             supply=drive if drive is not None and drive.has_supply else None,
         )
         self._orders = OrderListener(catalogue, test, listen_every_s=listen_every_s)
+        rig.asking.listen(self._asked)
 
     def run(self, *, not_running_because: str) -> bool:
         """Take every set that is still due; False when told to stop."""
@@ -156,6 +161,7 @@ class Recorder:
         started = {
             "rig": self._rig.kind,
             "dry_run": self._rig.dry_run,
+            "rig_identity": dict(self._rig.identity),
             "sets_done": len(done),
             "before": not_running_because,
             "versions": self._provenance["versions"],
@@ -352,6 +358,8 @@ class Recorder:
             provenance=self._provenance,
         )
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
+        # Now, and not when the disk takes the set.
+        machine = None if self._machine is None else self._machine.read(self._cost)
 
         def judged() -> Transaction:
             stored = self._kept.store(record)
@@ -359,20 +367,24 @@ class Recorder:
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
             self._doing = f"judging set {due.set_index}"
-            return self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
+            transaction = self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
+            if machine is not None:
+                moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+                transaction.tell(MACHINE_READ, machine, moment, topic="machine")
+            return transaction
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)
         self._kept.post(judged, n_bytes=n_bytes, stored=due.set_index)
 
     def _calibrate_before(self, due: DueSet) -> None:
         """Let the boards calibrate themselves between sets, as often as configured."""
-        boards, self_calibrating = self._settings.rig.daqmx, self._rig.self_calibrating
-        if boards is None or self_calibrating is None or not boards.self_calibration_interval_h:
+        self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
+        if self_calibrating is None or not interval_h:
             return
         now_ns = self._rig.clock.utc_ns()
         age_h = math.inf if self._calibrated_ns is None else (now_ns - self._calibrated_ns) / NS_PER_H
         has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
-        if age_h < boards.self_calibration_interval_h or not has_time:
+        if age_h < interval_h or not has_time:
             return
         self._begin(f"self-calibration before set {due.set_index}")
         try:
@@ -513,6 +525,22 @@ class Recorder:
                 log.warning("%s", step.message)
                 self._kept.say(CLOCK_STEP, asdict(step))
 
+    # A person who strikes ------------------------------------------------------------------------
+
+    def _asked(self, text: str, key: ShotKey | None) -> None:
+        """Pass on what an instrument asks a person to do now; an empty text: nothing any more."""
+        self._asks = text and f"waiting for a person: {text}"
+        # The record is waited for from here on, as long as the heartbeat's deadline allows.
+        self._heartbeat.beat(self._doing_now(), at_once=True)
+        if not text:
+            self._kept.say(ASKED_OVER, {})
+            self._tell(ASKED_OVER)
+            return
+        shot = {} if key is None else asdict(key)
+        asked = {"text": text, **shot, "within_s": self._settings.rig.read_timeout_s}
+        self._kept.say(ASKED, asked)
+        self._tell(ASKED, **asked)
+
     # Operator and supervisor ---------------------------------------------------------------------
 
     @property
@@ -521,7 +549,7 @@ class Recorder:
         return self._settings.clock.kind == "wall"
 
     def _doing_now(self) -> str:
-        return "; ".join(filter(None, (self._doing, self._kept.waiting)))
+        return "; ".join(filter(None, (self._doing, self._asks, self._kept.waiting)))
 
     def _begin(self, doing: str) -> None:
         """Say at once what is begun: should it never end, the supervisor tells what hung."""

@@ -127,8 +127,7 @@ class _Replay:
     ) -> None:
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._told = archive, catalogue, told
-        boards = settings.rig.daqmx
-        self._rehearsal = settings.rig.kind == "daqmx" and boards is not None and boards.dry_run
+        self._rehearsal = settings.rig.dry_run
         self._features_of = features_of_a_rehearsal if self._rehearsal else features_of
         self._ledger = self._new_ledger()
         self._alarms: dict[int, AlarmRow] = {}

@@ -22,6 +22,7 @@ from daq_service.recording.backlog import PASSING, Backlog, Trouble
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.ledger import Ledger
+from daq_service.recording.machine import MachineWatch
 
 log = logging.getLogger(__name__)
 
@@ -53,6 +54,8 @@ class Helpers:
         Follows the catalogue, so that it can be made again.
     disk
         Watches the volume.
+    machine
+        Reads with each set what the test costs its computer.
     acknowledged
         Called with the id of each shot (`Shot.sequence`) once it is durable.
     """
@@ -61,6 +64,7 @@ class Helpers:
     idle_check: IdleCheck | None = None
     history: HistoryFollower | None = None
     disk: DiskWatch | None = None
+    machine: MachineWatch | None = None
     acknowledged: Callable[[int], None] = lambda shot_id: None
 
 

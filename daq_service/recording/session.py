@@ -33,11 +33,13 @@ from daq_service.processes.worker import one_worker
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.live_picture import LivePicture
+from daq_service.recording.machine import MachineWatch
 from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.recording.safekeeping import Helpers
-from daq_service.settings.tree import RigSettings, Settings
+from daq_service.settings.instruments import configured
+from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Clock, Rig
@@ -108,7 +110,7 @@ def record(
     """
     last_beat = read_heartbeat(folder)
     cause = _why_not_running(last_beat, restarted_because)
-    deadline_s = longest_call_s(settings.rig) + settings.rig.stall_timeout_s
+    deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
     made_again = _made_again(settings, folder, Heartbeat(folder, deadline_s=deadline_s, tell=tell))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
@@ -171,6 +173,7 @@ def record(
         live = LivePicture(folder, rig.kind)
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
         stack.callback(disk.give_back)
+        machine = MachineWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
         recorder = Recorder(
             settings,
             archive,
@@ -187,6 +190,7 @@ def record(
                 idle_check=idle_check,
                 history=history,
                 disk=disk,
+                machine=machine,
                 acknowledged=acknowledged,
             ),
             listen_every_s=listen_every_s,
@@ -226,12 +230,11 @@ def _note_digests(
             filed(set_index, file, sha256)
 
 
-def longest_call_s(rig: RigSettings) -> float:
-    """Longest a bounded call of an instrument may take; a call of NI's library has no bound of its own."""
-    boards = rig.daqmx
-    over_grpc = rig.kind == "daqmx" and boards is not None and boards.transport == "grpc"
-    longest_s = boards.longest_call_s if over_grpc and boards is not None else 0.0
-    order_s = 0.0 if rig.supply is None else COMES_WITHIN_S + answered_within_s(rig.supply)
+def longest_call_s(settings: Settings) -> float:
+    """Longest a bounded call of an instrument may take; what has no bound of its own is not counted."""
+    rig = settings.rig
+    longest_s = max(item.kind.longest_call_s(item.parameters) for item in configured(settings))
+    order_s = 0.0 if rig.driven is None else COMES_WITHIN_S + answered_within_s(rig.driven)
     return max(rig.read_timeout_s, longest_s, order_s)
 
 

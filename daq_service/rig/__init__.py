@@ -1,1 +1,1 @@
-"""Opens a rig: the only place that chooses between boards, twin, doubles and recorded shots."""
+"""Opens a rig of whatever kinds of instruments; the twin, doubles and recorded shots as such kinds."""

@@ -1,23 +1,23 @@
-"""The only place that chooses between real, simulated and recorded instruments."""
+"""The only place that opens the instruments of a configuration, whatever kinds they are of."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import version
-from pathlib import Path
+from typing import Any
 
-from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.take_set import strikes_after
 from daq_service.clock import boot_id
 from daq_service.errors import UsageError
-from daq_service.settings.tree import RigSettings, Settings
+from daq_service.rig.by_position import Digitizers, PulseEchoUnits, Strikers
+from daq_service.settings.instruments import Instrument, configured
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import (
     Acquired,
+    Asking,
     Clock,
     Digitizer,
     Echo,
@@ -26,30 +26,27 @@ from hardware_drivers.instruments import (
     Rig,
     SelfCalibrating,
 )
-from hardware_drivers.measurement import ShotKey, Stamp
-from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
-from hardware_drivers.serial_port.parameters import SupplyParameters
+from hardware_drivers.kinds import Opened, Opening, Role
+from hardware_drivers.measurement import ShotKey
 
 CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
 """Where the doubles of a demonstration are told which shot comes and what hour it is."""
 
-STRIKES_WORTH_A_PROCESS = 2_000
-"""From so many on a process of its own for the twin saves more time than it takes to start."""
+SELF_CALIBRATION_INTERVAL_H = 24.0
+"""Between two self-calibrations, where no instrument of the rig says it."""
 
 Announce = Callable[[ShotKey], None]
 
 
 Preparing = Callable[[str, bool], None]
 """Told what takes long, once on a computer, and whether it begins (True) or is done."""
-COMPILING = "compiling the twin's loops, once on this computer"
-BUILDING = "building the twin's plates, which are kept for the next time"
 
 
 @contextmanager
 def open_rig(
     settings: Settings, clock: Clock, epoch_utc_ns: int, *, preparing: Preparing = lambda what, begins: None
 ) -> Iterator[Rig]:
-    """Instruments of the configured kind; safe again when the context ends.
+    """Instruments of the configured kinds; safe again when the context ends.
 
     Parameters
     ----------
@@ -63,109 +60,105 @@ def open_rig(
     InstrumentError
         A real instrument is wrong, busy or not there.
     """
+    asking = Asking()
+    instruments, opened = configured(settings), list[Opened]()
+    experiment = settings.model_dump(mode="json")
     with ExitStack() as stack:
-        match settings.rig.kind:
-            case "simulated":
-                rig = stack.enter_context(_simulated(settings, clock, epoch_utc_ns, preparing))
-            case "daqmx":
-                rig = stack.enter_context(_daqmx(settings.rig, clock))
-                if settings.rig.on_doubles:
-                    rig = stack.enter_context(_announced(rig, settings, epoch_utc_ns))
-            case "playback":
-                rig = stack.enter_context(_playback(settings, clock))
+        for item in instruments:
+            opening = opening_of(
+                item,
+                settings,
+                clock,
+                ask=asking.ask,
+                epoch_utc_ns=epoch_utc_ns,
+                experiment=experiment,
+                preparing=preparing,
+            )
+            opened.append(stack.enter_context(item.kind.open(item.parameters, opening)))
+            _require_roles(item, opened[-1])
+            clock = opened[-1].clock or clock
+        rig = _composed(settings.rig.kind, instruments, opened, clock, asking)
+        if settings.rig.on_doubles:
+            rig = stack.enter_context(_announced(rig, settings, epoch_utc_ns))
         # Entered last, left first: coils and drive are off before any connection is closed.
-        yield stack.enter_context(_with_serial_instruments(rig, settings.rig, stack))
+        yield stack.enter_context(rig)
 
 
 @contextmanager
-def _simulated(settings: Settings, clock: Clock, epoch_utc_ns: int, preparing: Preparing) -> Iterator[Rig]:
-    from daq_service.rig.twin import records, transducers_of, twin_process
-
-    places, schedule = settings.positions, settings.schedule
-    sets = plan(schedule.phases, epoch_utc_ns, end_h=schedule.end_h)
-    own_process, compiling = _deserves_a_process(settings, len(sets)), partial(preparing, COMPILING)
-    with ExitStack() as stack:
-        # One worker: the physics of the next shots runs while this one is stored and judged.
-        executor: Executor = (
-            stack.enter_context(twin_process(settings, compiling))
-            if own_process
-            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
-        )
-        stack.callback(executor.shutdown, cancel_futures=True)
-        # These imports take a while: the worker has started by now.
-        from simulator.errors import SimulatorError
-        from simulator.instruments import build_bench
-        from simulator.numerics.machine_code import compilation_told
-
-        stack.enter_context(compilation_told(compiling))
-        preparing(BUILDING, True)
-        try:
-            transducers = transducers_of(settings)
-        except SimulatorError as error:
-            raise UsageError(f"the twin cannot be built as configured: {error}") from error
-        finally:
-            preparing(BUILDING, False)
-        bench = build_bench(
-            settings.twin,
-            clock=clock,
-            epoch_utc_ns=epoch_utc_ns,
-            transducers=transducers,
-            probed_thickness_m={
-                name: places[name].plate.thickness_m for name in settings.names_of(PULSE_ECHO)
-            },
-            strikes_after=strikes_after(
-                sets,
-                settings.names_of(SOLITARY_WAVE),
-                shots_per_set=schedule.shots_per_set,
-                shot_interval_s=schedule.shot_interval_s,
-            ),
-            executor=executor,
-            compute=partial(records, settings.model_dump_json()) if own_process else None,
-        )
-        yield Rig(
-            kind="simulated",
-            clock=clock,
-            striker=bench.striker,
-            digitizer=bench.digitizer,
-            pulse_echo=bench.pulse_echo,
-            identity={"twin": version("solimon"), "seed": str(settings.twin.seed)},
-        )
+def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
+    """Drive of the corrosion; nothing is switched here."""
+    (item,) = (item for item in configured(settings) if "supply" in item.serves)
+    with item.kind.open(item.parameters, opening_of(item, settings, clock)) as opened:
+        _require_roles(item, opened)
+        assert opened.supply is not None, "just required"
+        yield opened.supply
 
 
-def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
-    """Whether nobody watches and the test is long: a process takes a second or two to start."""
-    unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
-    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
-    return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
+def opening_of(item: Instrument, settings: Settings, clock: Clock, **told: Any) -> Opening:
+    """Make what an instrument is told; `told` are further fields of `Opening`."""
+    return Opening(
+        clock=clock,
+        serves=item.serves,
+        boot_id=boot_id(),
+        shot_interval_s=settings.schedule.shot_interval_s,
+        **{"experiment": settings.model_dump(mode="json"), **told},
+    )
 
 
-@contextmanager
-def _daqmx(settings: RigSettings, clock: Clock) -> Iterator[Rig]:
-    from hardware_drivers.daqmx import open_daqmx
+def _require_roles(item: Instrument, opened: Opened) -> None:
+    for role in item.serves:
+        if getattr(opened, role) is None:
+            raise ConfigurationError(
+                f"{item.table}: the kind {item.offer.name!r} was opened without a {role}, which it offers; "
+                f"report it to the maintainer of {item.offer.distributions[0]}"
+            )
 
-    assert settings.daqmx is not None, "the settings ask for it"
-    with ExitStack() as stack:
-        boards = stack.enter_context(open_daqmx(settings.daqmx))
-        dry_run = settings.daqmx.dry_run
-        identity = {**boards.identity, **({"dry_run": "yes"} if dry_run else {})}
-        calibrating: list[SelfCalibrating] = [boards.self_calibrating]
-        pulse_echo = None
-        if settings.niscope is not None:
-            from hardware_drivers.niscope.pulse_echo import open_niscope
 
-            pulse_echo = stack.enter_context(open_niscope(settings.niscope))
-            identity |= pulse_echo.identity()
-            calibrating.append(pulse_echo)
-        yield Rig(
-            kind="daqmx",
-            clock=clock,
-            striker=boards.striker,
-            digitizer=boards.digitizer,
-            pulse_echo=pulse_echo,
-            self_calibrating=_Together(calibrating),
-            dry_run=dry_run,
-            identity=identity,
-        )
+def _composed(
+    kind: str, instruments: Sequence[Instrument], opened: Sequence[Opened], clock: Clock, asking: Asking
+) -> Rig:
+    pairs = list(zip(instruments, opened, strict=True))
+
+    def at(role: Role) -> dict[str, Any]:
+        return {name: getattr(its, role) for item, its in pairs for name in item.serves.get(role, ())}
+
+    def first(role: Role) -> Any:
+        return next((getattr(its, role) for item, its in pairs if role in item.serves), None)
+
+    mixed = kind == "mixed"
+    calibrating, interval_h = _calibrated(opened)
+    return Rig(
+        kind=kind,
+        clock=clock,
+        striker=Strikers(at("striker"), asking) if mixed else first("striker"),
+        digitizer=Digitizers(at("digitizer"), asking) if mixed else first("digitizer"),
+        pulse_echo=PulseEchoUnits(at("pulse_echo")) if mixed and at("pulse_echo") else first("pulse_echo"),
+        supply=first("supply"),
+        climate=first("climate"),
+        self_calibrating=_Together(calibrating) if calibrating else None,
+        self_calibration_interval_h=interval_h,
+        asking=asking,
+        dry_run=any(its.dry_run for its in opened),
+        identity=_identity(pairs, named=mixed),
+    )
+
+
+def _calibrated(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
+    """Instruments that calibrate themselves, and how often: as often as the most demanding one asks."""
+    able = [(its.self_calibrating, its.self_calibration_interval_h) for its in opened]
+    asked = [interval_h for what, interval_h in able if what is not None and interval_h is not None]
+    interval_h = min(filter(None, asked), default=0.0 if asked else SELF_CALIBRATION_INTERVAL_H)
+    return [what for what, own_h in able if what is not None and own_h != 0.0], interval_h
+
+
+def _identity(pairs: Sequence[tuple[Instrument, Opened]], *, named: bool) -> dict[str, str]:
+    """Collect who the instruments are; in a mixed rig by the name that each has there."""
+    told: dict[str, str] = {}
+    for item, its in pairs:
+        if named:
+            told[item.name] = f"{item.offer.name}, {item.offer.distributions[0]}"
+        told |= {f"{item.name}.{key}" if named else key: value for key, value in its.identity.items()}
+    return told
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,51 +172,6 @@ class _Together:
         for part in self.parts:
             told |= part.self_calibrate()
         return told
-
-
-@contextmanager
-def _playback(settings: Settings, clock: Clock) -> Iterator[Rig]:
-    from daq_service.rig.playback import open_recording, playback_rig
-
-    assert settings.rig.playback is not None, "the settings ask for it"
-    with open_recording(settings.rig.playback, Path.cwd()) as source:
-        yield playback_rig(
-            source,
-            clock,
-            wanted={name: place.method for name, place in settings.positions.items()},
-            identity={"recording": str(settings.rig.playback.source)},
-            recorded_times=settings.clock.kind == "simulated",
-            shot_interval_s=settings.schedule.shot_interval_s,
-        )
-
-
-@contextmanager
-def _with_serial_instruments(rig: Rig, settings: RigSettings, stack: ExitStack) -> Iterator[Rig]:
-    """Add the electrochemical drive and the climate probe; leave everything safe."""
-    if settings.supply is not None:
-        rig = replace(rig, supply=stack.enter_context(open_supply(settings.supply, rig.clock)))
-    if settings.climate is not None:
-        from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
-
-        probe = ScpiClimateProbe(settings.climate, stamp=_stamps(rig.clock))
-        stack.callback(probe.close)
-        rig = replace(rig, climate=probe)
-    with rig:
-        yield rig
-
-
-@contextmanager
-def open_supply(parameters: SupplyParameters, clock: Clock) -> Iterator[PowerSupply]:
-    """Drive of the corrosion; its port is opened by the first call, and nothing is switched here."""
-    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
-
-    with closing(ScpiPowerSupply(parameters, stamp=_stamps(clock))) as supply:
-        yield supply
-
-
-def _stamps(clock: Clock) -> Callable[[], Stamp]:
-    boot = boot_id()
-    return lambda: Stamp(utc_ns=clock.utc_ns(), mono_ns=clock.mono_ns(), boot_id=boot)
 
 
 # Doubles: the vendor's libraries with the twin below them ------------------------------------------

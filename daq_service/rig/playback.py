@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from types import MappingProxyType
 from typing import Protocol
 
 from daq_service.archive import (
@@ -24,8 +25,10 @@ from daq_service.archive import (
 from daq_service.archive.errors import ArchiveError
 from daq_service.errors import UsageError
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
-from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.instruments import Acquired, Clock
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening
 from hardware_drivers.measurement import ShotKey
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
@@ -165,8 +168,15 @@ def _positions(record: SetRecord) -> dict[str, str]:
 
 
 @contextmanager
-def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Recorded]:
+def open_recording(
+    parameters: PlaybackParameters, folder: Path, wanted: Mapping[str, str] = MappingProxyType({})
+) -> Iterator[Recorded]:
     """Open the source of a recording; a relative path counts from ``folder``.
+
+    Parameters
+    ----------
+    wanted
+        Positions that will be asked for and their method.
 
     Raises
     ------
@@ -180,14 +190,14 @@ def open_recording(parameters: PlaybackParameters, folder: Path) -> Iterator[Rec
     from hardware_drivers.playback.tdms import open_tdms
 
     try:
-        shots = open_tdms(source, parameters.tdms)
+        shots = open_tdms(source, parameters.tdms, positions=wanted)
     except ConfigurationError as error:
         raise UsageError(f"the recording cannot be played back: {error}") from error
     with shots:
         yield shots
 
 
-def playback_rig(
+def playback_instruments(
     source: Recorded,
     clock: Clock,
     *,
@@ -195,8 +205,8 @@ def playback_rig(
     identity: Mapping[str, str],
     recorded_times: bool,
     shot_interval_s: float,
-) -> Rig:
-    """Rig that plays back a recording.
+) -> Opened:
+    """Instruments that play back a recording, and its clock.
 
     Parameters
     ----------
@@ -221,13 +231,39 @@ def playback_rig(
         instruments = build_instruments(source, wanted=wanted)
     except ConfigurationError as error:
         raise UsageError(f"the recording does not fit the configuration: {error}") from error
-    if recorded_times:
-        clock = RecordedClock(clock, source.next_moment, tolerance_s=shot_interval_s / 2.0)
-    return Rig(
-        kind="playback",
-        clock=clock,
+    recorded = RecordedClock(clock, source.next_moment, tolerance_s=shot_interval_s / 2.0)
+    return Opened(
+        clock=recorded if recorded_times else None,
         striker=instruments.striker,
         digitizer=instruments.digitizer,
         pulse_echo=instruments.pulse_echo,
         identity=identity,
     )
+
+
+@contextmanager
+def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
+    wanted = {
+        **dict.fromkeys(opening.serves.get("digitizer", ()), SOLITARY_WAVE),
+        **dict.fromkeys(opening.serves.get("pulse_echo", ()), PULSE_ECHO),
+    }
+    with open_recording(parameters, Path.cwd(), wanted) as source:
+        yield playback_instruments(
+            source,
+            opening.clock,
+            wanted=wanted,
+            identity={"recording": str(parameters.source)},
+            recorded_times=opening.experiment["clock"]["kind"] == "simulated",
+            shot_interval_s=opening.shot_interval_s,
+        )
+
+
+def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
+    yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
+
+
+def _packages(parameters: PlaybackParameters) -> tuple[str, ...]:
+    return ("npTDMS",) if parameters.format == "tdms" else ()
+
+
+KIND = Kind(parameters=PlaybackParameters, open=_open, check=_check, packages=_packages)

@@ -13,21 +13,34 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
+from importlib.metadata import version
 from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
+from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.take_set import strikes_after
+from daq_service.errors import UsageError
 from daq_service.processes.worker import leave_with_parent, one_worker
 from daq_service.settings.tree import Settings
+from hardware_drivers.bounds import bounded
 from hardware_drivers.instruments import Acquired
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 if TYPE_CHECKING:
     from simulator.specimen import Specimen, Transducer
+
+
+STRIKES_WORTH_A_PROCESS = 2_000
+"""From so many on a process of its own for the twin saves more time than it takes to start."""
+
+COMPILING = "compiling the twin's loops, once on this computer"
+BUILDING = "building the twin's plates, which are kept for the next time"
 
 
 def transducers_of(settings: Settings) -> dict[str, Transducer]:
@@ -119,3 +132,92 @@ def _prepare(settings_json: str, told: Connection | None) -> None:
         telling.enter_context(compilation_told(told.send))
         atexit.register(telling.close)  # kept as long as the process
     _specimen(settings_json)
+
+
+# As a kind of instrument -------------------------------------------------------------------------------
+
+
+@bounded
+class TwinOfTheExperiment:
+    """No keys: [chain], [plate], [corrosion] and [twin] describe the twin."""
+
+
+@contextmanager
+def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
+    settings = Settings.model_validate(opening.experiment)
+    places, schedule, serves = settings.positions, settings.schedule, opening.serves
+    served = {name: places[name] for name in opening.positions}
+    sets = plan(schedule.phases, opening.epoch_utc_ns, end_h=schedule.end_h)
+    planned = strikes_after(
+        sets,
+        settings.names_of(SOLITARY_WAVE),
+        shots_per_set=schedule.shots_per_set,
+        shot_interval_s=schedule.shot_interval_s,
+    )
+    settings = settings.model_copy(update={"positions": served})
+    compiling = partial(opening.preparing, COMPILING)
+    own_process = _deserves_a_process(settings, len(sets))
+    with ExitStack() as stack:
+        # One worker: the physics of the next shots runs while this one is stored and judged.
+        executor: Executor = (
+            stack.enter_context(twin_process(settings, compiling))
+            if own_process
+            else ThreadPoolExecutor(max_workers=1, thread_name_prefix="twin")
+        )
+        stack.callback(executor.shutdown, cancel_futures=True)
+        # These imports take a while: the worker has started by now.
+        from simulator.errors import SimulatorError
+        from simulator.instruments import build_bench
+        from simulator.numerics.machine_code import compilation_told
+
+        stack.enter_context(compilation_told(compiling))
+        opening.preparing(BUILDING, True)
+        try:
+            transducers = transducers_of(settings)
+        except SimulatorError as error:
+            raise UsageError(f"the twin cannot be built as configured: {error}") from error
+        finally:
+            opening.preparing(BUILDING, False)
+        bench = build_bench(
+            settings.twin,
+            clock=opening.clock,
+            epoch_utc_ns=opening.epoch_utc_ns,
+            transducers=transducers,
+            probed_thickness_m={
+                name: places[name].plate.thickness_m for name in serves.get("pulse_echo", ())
+            },
+            strikes_after=lambda key, utc_ns: (
+                strike for strike in planned(key, utc_ns) if strike[0].position in served
+            ),
+            executor=executor,
+            compute=partial(records, settings.model_dump_json()) if own_process else None,
+        )
+        yield Opened(
+            striker=bench.striker,
+            digitizer=bench.digitizer,
+            pulse_echo=bench.pulse_echo,
+            identity={"twin": version("solimon"), "seed": str(settings.twin.seed)},
+        )
+
+
+def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
+    """Whether nobody watches and the test is long: a process takes a second or two to start."""
+    unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
+    strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
+    return unpaced and strikes >= STRIKES_WORTH_A_PROCESS
+
+
+def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
+    yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
+
+
+def _require(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    struck, digitized = (set(serves.get(role, ())) for role in ("striker", "digitizer"))
+    if apart := sorted(struck ^ digitized):
+        raise ValueError(
+            f"the twin strikes and digitizes in one: at {apart[0]!r} it does only one of both; name it as "
+            f"digitizer and striker in [rig.positions.{apart[0]}]"
+        )
+
+
+KIND = Kind(parameters=TwinOfTheExperiment, open=_open, check=_check, require=_require)

@@ -6,17 +6,19 @@ import difflib
 import json
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from daq_service.errors import UsageError
+from daq_service.settings.instruments import ParametersError, with_defaults
 from daq_service.settings.schema import describe, known_keys
 from daq_service.settings.stored import KeyPath, flattened, renamed
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
+from hardware_drivers.errors import ConfigurationError
 
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
 """Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
@@ -74,9 +76,13 @@ def checked_settings(
         _refuse_placeholders(values, path)
     _resolve_recording(values, path)
     try:
-        return Settings(**_laid_over(values, overrides or {}))
+        return with_defaults(Settings(**_laid_over(values, overrides or {})))
     except ValidationError as error:
-        raise UsageError(_explain(error, path)) from error
+        raise UsageError(_explain(error.errors(), known_keys(), path)) from error
+    except ParametersError as error:
+        raise UsageError(_explain(error.problems, error.keys, path)) from error
+    except ConfigurationError as error:
+        raise UsageError(_refused(path, [str(error)])) from error
 
 
 def placeholders(values: Mapping[str, Any]) -> list[KeyPath]:
@@ -130,9 +136,8 @@ def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[
     return merged
 
 
-def _explain(error: ValidationError, path: Path) -> str:
+def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
     """Every refused value: file, key, value, bound, remedy."""
-    problems = error.errors()
     refused = {problem["loc"] for problem in problems}
     lines = []
     for problem in problems:
@@ -141,13 +146,17 @@ def _explain(error: ValidationError, path: Path) -> str:
         where = [str(part) for part in problem["loc"]]
         key = ".".join(where) or "(whole file)"
         if problem["type"] in {"extra_forbidden", "unexpected_keyword_argument"}:
-            near = difflib.get_close_matches(where[-1], known_keys(), n=1, cutoff=0.6)
+            near = difflib.get_close_matches(where[-1], keys, n=1, cutoff=0.6)
             hint = f"; did you mean {near[0]}?" if near else "; remove it"
             lines.append(f"{key}: unknown key{hint}")
         else:
             value = problem.get("input")
             shown = f" (value: {value!r})" if isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
+    return _refused(path, lines)
+
+
+def _refused(path: Path, lines: Sequence[str]) -> str:
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (
         f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"

@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import ast
 import inspect
+import logging
 from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from types import ModuleType
 from typing import Any
 
+from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
 from daq_service.settings.tree import Settings
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.plug_ins import offers
+
+log = logging.getLogger(__name__)
 
 
 @cache
@@ -40,6 +46,8 @@ class _Described(GenerateJsonSchema):
     def _described(self, table: dict[str, Any], kind: type) -> dict[str, Any]:
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
+            if base.__name__ not in _classes(inspect.getmodule(base)):
+                continue  # pydantic's own, or made by a function
             for name, words in _texts_below_attributes(base).items():
                 keys.get(name, {}).setdefault("description", words)
         return table
@@ -55,6 +63,29 @@ def settings_schema() -> dict[str, Any]:
     """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
     schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def schema_with_kinds() -> dict[str, Any]:
+    """Give the same with the keys of every kind of instrument that is installed here.
+
+    A kind that cannot be imported is left out; it is refused where a configuration names it.
+    """
+    schema = settings_schema()
+    choices = []
+    for name, offer in offers().items():
+        try:
+            kind = offer.load()
+        except ConfigurationError as error:
+            log.warning("%s", error)
+            continue
+        keys = TypeAdapter(kind.parameters).json_schema(
+            schema_generator=_Described, ref_template=f"#/$defs/{name}.{{model}}"
+        )
+        schema["$defs"] |= {f"{name}.{below}": table for below, table in keys.pop("$defs", {}).items()}
+        keys["properties"] = {"kind": {"const": name}, **keys.get("properties", {})}
+        choices.append({"if": {"properties": {"kind": {"const": name}}}, "then": keys})
+    schema["$defs"]["InstrumentSettings"]["allOf"] = choices
+    return schema
 
 
 def describe(path: Sequence[str]) -> str:

@@ -13,7 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
 
+from daq_service.settings.instruments import ParametersError, with_defaults
 from daq_service.settings.tree import HASHED_OUT, Settings
+from hardware_drivers.errors import ConfigurationError
 
 KeyPath = tuple[str, ...]
 
@@ -83,7 +85,8 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
         if not _is_hashed_out(path)
     }
     try:
-        began = flattened(_Stored(**nested({p: v for p, v in flat.items() if p not in unknown})).measured())
+        known = _Stored(**nested({p: v for p, v in flat.items() if p not in unknown}))
+        began = flattened(_with_todays_defaults(known).measured())
     except ValidationError as error:
         told |= {_path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()}
     else:
@@ -100,6 +103,14 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
         if path[:1] != ("positions",) or told.get(path[2:]) != text
     ]
     return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"and {len(lines) - SHOWN} more"]
+
+
+def _with_todays_defaults(settings: Settings) -> Settings:
+    """Fill in what a plug-in has learnt since; one that is not there any more has learnt nothing."""
+    try:
+        return with_defaults(settings)
+    except (ConfigurationError, ParametersError):
+        return settings
 
 
 def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:

@@ -18,11 +18,12 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
-from hardware_drivers.daqmx.parameters import DaqmxParameters
+from daq_service.settings.rig import RigSettings
+from hardware_drivers.daqmx import parameters as daqmx
+from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
-from hardware_drivers.niscope.parameters import NiscopeParameters
-from hardware_drivers.playback.parameters import PlaybackParameters
-from hardware_drivers.serial_port.parameters import ClimateParameters, SupplyParameters
+from hardware_drivers.niscope import parameters as niscope
+from hardware_drivers.serial_port import parameters as serial_port
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import TwinParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -36,26 +37,12 @@ HASHED_OUT: Mapping[str, Any] = {
     "rig": {
         "read_timeout_s": True,
         "stall_timeout_s": True,
-        "daqmx": {"grpc_address", "grpc_client_name", "grpc_tls", "call_timeout_s", "ringing_s"},
-        "niscope": {"call_timeout_s"},
-        "supply": {
-            "line",
-            "log_interval_s",
-            "read_timeout_s",
-            "setup_commands",
-            "channel",
-            "protection_queries",
-            "over_voltage_v",
-            "over_current_a",
-            "readback_tolerance_v",
-            "readback_tolerance_a",
-            "interlock_current_a",
-            "interlock_readings",
-            "interlock_lost_after_s",
-            "off_at_end",
-            "unwatched_s",
-        },
-        "climate": {"line", "log_interval_s", "read_timeout_s"},
+        "daqmx": set(daqmx.REACHED_BY),
+        "niscope": set(niscope.REACHED_BY),
+        "supply": set(serial_port.SUPPLY_REACHED_BY),
+        "climate": set(serial_port.CLIMATE_REACHED_BY),
+        "drive": set(WATCH_KEYS | {"order_timeout_s", "readback_tolerance_v", "readback_tolerance_a"}),
+        "air": set(LOG_KEYS),
     },
 }
 """Not part of a data folder's identity: they change how a test is watched, not what is measured."""
@@ -276,52 +263,6 @@ class WebSettings(Section):
     """TCP port; 0 takes a free one."""
 
 
-class RigSettings(Section):
-    """Which instruments."""
-
-    kind: Literal["simulated", "daqmx", "playback"] = "simulated"
-    """`simulated`: the physics twin; `daqmx`: NI boards as in `[rig.daqmx]` (ultrasound: `[rig.niscope]`);
-    `playback`: a recording as in `[rig.playback]`."""
-    read_timeout_s: float = Field(default=5.0, gt=0.0, le=600.0)
-    """Longest wait for a record."""
-    stall_timeout_s: float = Field(default=120.0, ge=2.0, le=3600.0)
-    """Beyond `read_timeout_s` nothing may stand still for longer: a driver's call that hangs, a board's
-    self-calibration, storing a set on a slow disk. Then the supervisor restarts the recorder."""
-    on_doubles: bool = False
-    """The boards are doubles with the twin behind them (`solimon demo --rig`), not a real rig; only then may
-    a `daqmx` rig run on the simulated clock."""
-    daqmx: DaqmxParameters | None = None
-    """Digitizer boards and coils."""
-    niscope: NiscopeParameters | None = None
-    """Ultrasonic probes on NI-SCOPE boards (needs the extra `solimon[niscope]`)."""
-    supply: SupplyParameters | None = None
-    """Electrochemical drive; absent: none is logged or switched."""
-    climate: ClimateParameters | None = None
-    """Thermometer and hygrometer; absent: none."""
-    playback: PlaybackParameters | None = None
-    """Recording to play back."""
-
-    @model_validator(mode="after")
-    def _has_what_its_kind_needs(self) -> Self:
-        if self.kind == "daqmx" and self.daqmx is None:
-            raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
-        if self.kind == "playback" and self.playback is None:
-            raise ValueError("kind is 'playback', which needs [rig.playback] with its source")
-        if self.on_doubles and self.kind != "daqmx":
-            raise ValueError(f"on_doubles is true; it belongs to kind = 'daqmx', not to {self.kind!r}")
-        return self
-
-    @property
-    def on_twin(self) -> bool:
-        """True where the twin strikes: alone, or behind doubles of the boards."""
-        return self.kind == "simulated" or self.on_doubles
-
-    @property
-    def simulates_time(self) -> bool:
-        """True where a simulated clock makes sense: no real rig is waited for."""
-        return self.on_twin or self.kind == "playback"
-
-
 class Settings(BaseSettings):
     """The whole configuration."""
 
@@ -406,6 +347,8 @@ class Settings(BaseSettings):
             )
         if self.rig.kind == "daqmx":
             self._is_wired()
+        if self.rig.kind == "mixed":
+            self.rig.require_places({name: place.method for name, place in self.positions.items()})
         self._sets_do_not_overlap()
         return self
 
@@ -447,10 +390,15 @@ class Settings(BaseSettings):
     def measured(self) -> dict[str, Any]:
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
-        daqmx = values["rig"].get("daqmx")
-        if daqmx is not None and daqmx["holdoff_s"] is None:
-            # The key came later: absent, what was hashed before is hashed still.
-            del daqmx["holdoff_s"]
+        rig = values["rig"]
+        # Keys that came later: absent, what was hashed before is hashed still.
+        for key in ("holdoff_s", "watchdogs"):
+            if rig["daqmx"] is not None and rig["daqmx"][key] is None:
+                del rig["daqmx"][key]
+        if self.rig.kind == "mixed":
+            rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
+        else:
+            del rig["instruments"], rig["positions"], rig["drive"], rig["air"]
         return values
 
     def configuration_hash(self) -> str:

@@ -33,6 +33,8 @@ class Board:
         NI's view of it (`nidaqmx.system.Device`).
     calibration_date, calibration_temperature_c
         Of the last self-calibration; empty and NaN where the driver does not say.
+    simulated
+        NI's driver makes its records up.
     """
 
     serial: str
@@ -42,6 +44,7 @@ class Board:
     calibrates_itself: bool
     calibration_date: str
     calibration_temperature_c: float
+    simulated: bool
 
     @property
     def label(self) -> str:
@@ -124,6 +127,7 @@ def describe(serial: str, device: Any) -> Board:
         calibrates_itself=calibrates_itself,
         calibration_date=date,
         calibration_temperature_c=temperature_c,
+        simulated=metadata(lambda: bool(device.is_simulated), False, f"whether board {serial} is simulated"),
     )
 
 

@@ -41,12 +41,12 @@ LADDER = ("fresh tasks", "reset of our boards", "new connection, boards found ag
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turn:
-    """The committed tasks of one transducer."""
+    """The committed tasks of one transducer; None for what another instrument does."""
 
     position: str
     record: Record
-    acquisition: Acquisition
-    coil: Coil
+    acquisition: Acquisition | None
+    coil: Coil | None
 
 
 class Chassis:
@@ -114,6 +114,18 @@ class Chassis:
         self._turn = self._commit(position, record)
         return self._turn
 
+    def acquisition(self, position: str, record: Record = "shot") -> Acquisition:
+        """Acquisition of a transducer that these boards digitize, in its turn."""
+        acquisition = self.turn(position, record).acquisition
+        assert acquisition is not None, "asked for with its input only"
+        return acquisition
+
+    def coil(self, position: str, record: Record = "shot") -> Coil:
+        """Coil of a transducer that these boards strike, in its turn."""
+        coil = self.turn(position, record).coil
+        assert coil is not None, "asked for with its counter only"
+        return coil
+
     def end_turn(self) -> None:
         """Clear the tasks, the coil's first; remembers a coil that may still be on."""
         turn, self._turn = self._turn, None
@@ -121,10 +133,10 @@ class Chassis:
             return
         well = False
         try:
-            well = turn.coil.close()
+            well = turn.coil is None or turn.coil.close()
         finally:
-            well = turn.acquisition.close() and well
-        if turn.coil.on_until > time.monotonic():
+            well = (turn.acquisition is None or turn.acquisition.close()) and well
+        if turn.coil is not None and turn.coil.on_until > time.monotonic():
             self._maybe_on = (turn.position, turn.coil.on_until)
         if not well:
             self._cleared_by_name(ROLES)
@@ -134,22 +146,41 @@ class Chassis:
         connection = self.connection
         coil_board = self._boards[same_serial(wiring.coil_serial)]
         board = self._boards[same_serial(wiring.board_serial)]
-        coil = commit_coil(connection, self.parameters, position, coil_board)
+        coil = commit_coil(connection, self.parameters, position, coil_board) if wiring.strikes else None
+        acquisition = None
         try:
-            acquisition = commit_acquisition(
-                connection, self.parameters, position, board, coil_board, record=record
-            )
+            if wiring.digitizes:
+                acquisition = commit_acquisition(
+                    connection, self.parameters, position, board, coil_board, record=record
+                )
         except BaseException:
-            coil.close()
+            if coil is not None:
+                coil.close()
             raise
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def prove(self) -> None:
         """Commit every transducer once: what the hardware refuses is said before a test begins."""
         for position, wiring in self.parameters.transducers.items():
-            check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
+            if wiring.digitizes:
+                check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
             self.turn(position)
         self.end_turn()
+
+    def refuse_made_up(self) -> None:
+        """Let no record of a device that NI's driver simulates be taken for a wave.
+
+        Raises
+        ------
+        ConfigurationError
+            A board is simulated, and this is no rehearsal.
+        """
+        simulated = [board.label for board in self._boards.values() if board.simulated]
+        if simulated and not self.parameters.dry_run:
+            raise ConfigurationError(
+                f"{', '.join(simulated)} is simulated by NI's driver, which makes its records up; set "
+                "dry_run = true in [rig.daqmx] for a rehearsal, or name a real board"
+            )
 
     # The coil ------------------------------------------------------------------------------------
 
@@ -282,7 +313,8 @@ class Chassis:
         self.end_turn()
         self._recover()
         done = {}
-        for serial in {same_serial(wiring.board_serial) for wiring in self.parameters.transducers.values()}:
+        wirings = self.parameters.transducers.values()
+        for serial in {same_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
             board = self._boards[serial]
             if not board.calibrates_itself:
                 done[serial] = "this board cannot calibrate itself"

@@ -13,9 +13,9 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from hardware_drivers.daqmx.boards import Board, same_serial
+from hardware_drivers.daqmx.boards import Board
 from hardware_drivers.daqmx.connection import Connection, discard, discard_watchdog
-from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
@@ -120,11 +120,9 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
             f"pulse_s is {parameters.pulse_s} s; this driver pulses a coil for at most {CAP_S} s; shorten it"
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
-    wired = parameters.watchdog
-    watchdog = None
-    if wired is not None and same_serial(wired.board_serial) == board.serial:
-        # First: some boards let no watchdog be reserved beside other tasks (-201477).
-        watchdog = _commit_watchdog(connection, parameters, board)
+    wired = parameters.watchdog_of(board.serial)
+    # First: some boards let no watchdog be reserved beside other tasks (-201477).
+    watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
     try:
         task = connection.task("striker")
     except BaseException:
@@ -178,19 +176,18 @@ def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Boa
     task.control(TaskMode.TASK_COMMIT)
 
 
-def _commit_watchdog(connection: Connection, parameters: DaqmxParameters, board: Board) -> Any:
+def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> Any:
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 
-    assert parameters.watchdog is not None
-    watchdog = connection.watchdog(board.name, "watchdog", parameters.watchdog.timeout_s)
+    watchdog = connection.watchdog(board.name, "watchdog", wired.timeout_s)
     doing = f"setting up the watchdog of {board.label}"
     try:
         with vendor_call(doing):
             watchdog.cfg_watchdog_do_expir_states(
                 [
                     DOExpirationState(physical_channel=f"{board.name}/{line}", expiration_state=Level.LOW)
-                    for line in parameters.watchdog.lines
+                    for line in wired.lines
                 ]
             )
             watchdog.control(TaskMode.TASK_COMMIT)

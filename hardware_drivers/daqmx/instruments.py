@@ -16,6 +16,8 @@ from hardware_drivers.measurement import ShotKey
 
 log = logging.getLogger(__name__)
 
+STRIKER = "striker"
+
 
 class Bench:
     """What the instruments of one chassis know of each other: what is armed, what still falls."""
@@ -26,8 +28,9 @@ class Bench:
         self.lands_at = 0.0
 
     def require_position(self, key: ShotKey, what: str) -> None:
-        """Refuse a position that is not wired."""
-        known = self.chassis.parameters.transducers
+        """Refuse a position that is not wired for what it is asked."""
+        wired = self.chassis.parameters.transducers
+        known = [name for name, its in wired.items() if (its.strikes if what == STRIKER else its.digitizes)]
         if key.position not in known:
             raise ConfigurationError(
                 f"no {what} at position {key.position!r}; there are: {', '.join(sorted(known))}; wire it in "
@@ -56,7 +59,7 @@ class DaqmxDigitizer:
         if falling_s > 0.0:
             time.sleep(falling_s)
         with chassis.attempt():
-            chassis.turn(key.position).acquisition.start()
+            chassis.acquisition(key.position).start()
         bench.armed = key
 
     def read(self, timeout_s: float) -> Acquired:
@@ -70,7 +73,7 @@ class DaqmxDigitizer:
         acquired = None
         try:
             with chassis.attempt():
-                acquisition = chassis.turn(key.position).acquisition
+                acquisition = chassis.acquisition(key.position)
                 waveform = acquisition.read(timeout_s)
                 settings = {**acquisition.settings, "driver_version": chassis.driver_version}
                 acquired = Acquired(waveform=waveform, settings=settings)
@@ -102,7 +105,7 @@ class DaqmxStriker:
         """Pulse the coil once; on return it is off. In a dry run nothing moves."""
         bench, chassis = self._bench, self._bench.chassis
         chassis.check_thread()
-        bench.require_position(key, "striker")
+        bench.require_position(key, STRIKER)
         armed = bench.armed
         if armed is not None and armed.position != key.position:
             raise ConfigurationError(
@@ -113,7 +116,7 @@ class DaqmxStriker:
         parameters = chassis.parameters
         try:
             with chassis.attempt():
-                chassis.turn(key.position).coil.pulse()
+                chassis.coil(key.position).pulse()
         except BaseException:
             bench.armed = None  # its acquisition was ended with the coil
             raise
@@ -159,6 +162,7 @@ def opened(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
     chassis = Chassis(parameters)
     bench = Bench(chassis)
     try:
+        chassis.refuse_made_up()
         yield DaqmxInstruments(
             digitizer=DaqmxDigitizer(bench),
             striker=DaqmxStriker(bench),

@@ -21,6 +21,9 @@ LONGEST_PULSE_S = 0.5
 
 GRAVITY_M_PER_S2 = 9.81
 
+REACHED_BY = frozenset({"grpc_address", "grpc_client_name", "grpc_tls", "call_timeout_s", "ringing_s"})
+"""Not what is measured: where the boards are, how long they are waited for, what was found of a spike."""
+
 _SERIAL = re.compile(r"[0-9A-Fa-f]{1,8}\Z")
 _INPUT = re.compile(r"ai\d{1,3}\Z")
 _COUNTER = re.compile(r"ctr\d\Z")
@@ -42,7 +45,7 @@ class TransducerWiring:
     board_serial: str
     """Serial number of the digitizer board as printed on its label (hexadecimal, like `01A2B3C4`)."""
     input: str = "ai0"
-    """Analog input of that board."""
+    """Analog input of that board; empty: another instrument digitizes this position (a mixed rig)."""
     range_v: Annotated[float, Gt(0.0), Le(100.0)] = 5.0
     """Input range -range_v .. +range_v, half of which the incident wave should fill (`solimon doctor
     --strike`); one the board does not have is refused, not rounded."""
@@ -55,7 +58,8 @@ class TransducerWiring:
     striker_serial: str = ""
     """Serial number of the board whose counter drives the coil; empty: the digitizer board itself."""
     counter: str = "ctr0"
-    """Counter that times the coil's pulse; every coil has one of its own."""
+    """Counter that times the coil's pulse; every coil has one of its own. Empty: another instrument strikes
+    this position (a mixed rig)."""
     output_terminal: str = "PFI12"
     """Terminal the pulse leaves the board at (home of `ctr0`: X, M Series PFI12, S Series Ctr0Out)."""
 
@@ -63,9 +67,26 @@ class TransducerWiring:
         _match("board_serial", self.board_serial, _SERIAL, "1 to 8 hexadecimal digits, like 01A2B3C4")
         if self.striker_serial:
             _match("striker_serial", self.striker_serial, _SERIAL, "1 to 8 hexadecimal digits, or empty")
-        _match("input", self.input, _INPUT, "an analog input, like ai0")
-        _match("counter", self.counter, _COUNTER, "a counter, like ctr0")
+        if self.input or not self.counter:
+            _match("input", self.input, _INPUT, "an analog input, like ai0")
+        if self.counter:
+            _match("counter", self.counter, _COUNTER, "a counter, like ctr0")
+        if self.striker_serial and not (self.input and self.counter):
+            raise ValueError(
+                f"striker_serial is {self.striker_serial}, but {'counter' if self.input else 'input'} is "
+                "empty, so one board does it all: name it as board_serial and leave striker_serial out"
+            )
         _match("output_terminal", self.output_terminal, _TERMINAL, "a terminal, like PFI12")
+
+    @property
+    def digitizes(self) -> bool:
+        """Whether a board here samples the transducer."""
+        return bool(self.input)
+
+    @property
+    def strikes(self) -> bool:
+        """Whether a counter here pulses its coil."""
+        return bool(self.counter)
 
     @property
     def coil_serial(self) -> str:
@@ -168,21 +189,24 @@ class DaqmxParameters:
     watchdog: WatchdogWiring | None = None
     """X Series watchdog: the board itself pulls the coils' lines low if this program hangs. Switch it on when
     `pytest -m hardware` has shown that yours cuts a running pulse; absent: none."""
+    watchdogs: tuple[WatchdogWiring, ...] | None = None
+    """Instead of `watchdog`, where several boards drive coils: one `[[rig.daqmx.watchdogs]]` for each."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "transducers", dict(self.transducers))
         self._check_record()
         self.check_holdoff(self.holdoff_s)
+        self._check_holdoff_s_counter()
         self._check_transport()
         self._check_wiring()
-        self._check_watchdog()
+        self._check_watchdogs()
 
     def _check_record(self) -> None:
         check_pair(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
             raise ValueError("transducers is empty; wire at least one position")
         for position, wiring in self.transducers.items():
-            if abs(self.trigger_level_v) >= wiring.range_v:
+            if wiring.digitizes and abs(self.trigger_level_v) >= wiring.range_v:
                 raise ValueError(
                     f"trigger_level_v is {self.trigger_level_v} V; it must lie inside the range of position "
                     f"{position!r} (+-{wiring.range_v} V)"
@@ -208,6 +232,19 @@ class DaqmxParameters:
                 f"shorter than {latest_s:.4g} s, the fall from {self.drop_height_m:g} m less the pre-trigger"
             )
 
+    def _check_holdoff_s_counter(self) -> None:
+        """Refuse a holdoff without the coil's counter, which begins it."""
+        if self.holdoff_s is None:
+            return
+        alone = [name for name, its in self.transducers.items() if its.digitizes and not its.strikes]
+        if alone or not any(its.digitizes for its in self.transducers.values()):
+            at = alone[0] if alone else next(iter(self.transducers))
+            raise ValueError(
+                f"holdoff_s is {self.holdoff_s:g} s, but transducers.{at} has no "
+                f"{'counter' if alone else 'input'}: a holdoff is begun by the counter that pulses the coil, "
+                "in hardware, so boards of this table must do both; wire both, or leave holdoff_s out"
+            )
+
     def _check_transport(self) -> None:
         if self.transport == "grpc":
             _match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
@@ -228,7 +265,9 @@ class DaqmxParameters:
         taken: dict[tuple[int, str], str] = {}
         for position, wiring in self.transducers.items():
             board, coil_board = int(wiring.board_serial, 16), int(wiring.coil_serial, 16)
-            ends = ((board, wiring.input), (coil_board, wiring.counter), (coil_board, wiring.output_terminal))
+            ends = [(board, wiring.input)] if wiring.digitizes else []
+            if wiring.strikes:
+                ends += [(coil_board, wiring.counter), (coil_board, wiring.output_terminal)]
             for end in ends:
                 other = taken.setdefault(end, position)
                 if other != position:
@@ -237,16 +276,36 @@ class DaqmxParameters:
                         "needs its own input, counter and output terminal"
                     )
 
-    def _check_watchdog(self) -> None:
-        watchdog = self.watchdog
-        if watchdog is None:
-            return
+    def watchdog_of(self, serial: str) -> WatchdogWiring | None:
+        """Watchdog of a board, by its serial number in any form."""
+        of_board = (one for one in self.all_watchdogs if int(one.board_serial, 16) == int(serial, 16))
+        return next(of_board, None)
+
+    @property
+    def all_watchdogs(self) -> tuple[WatchdogWiring, ...]:
+        """Every watchdog, whichever way it is written."""
+        return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
+
+    def _check_watchdogs(self) -> None:
+        if self.watchdog is not None and self.watchdogs:
+            raise ValueError(
+                "watchdog and watchdogs are both given; write that of each board as [[rig.daqmx.watchdogs]]"
+            )
+        serials = [int(one.board_serial, 16) for one in self.all_watchdogs]
+        if twice := [serial for serial in serials if serials.count(serial) > 1]:
+            raise ValueError(
+                f"watchdogs has board {twice[0]:08X} twice; a board has one watchdog: put its lines together"
+            )
+        for watchdog in self.all_watchdogs:
+            self._check_watchdog(watchdog)
+
+    def _check_watchdog(self, watchdog: WatchdogWiring) -> None:
         if watchdog.timeout_s <= self.longest_strike_s:
             raise ValueError(
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
                 f"({self.longest_strike_s:.4g} s), or every pulse is cut short"
             )
-        coil_serials = {int(wiring.coil_serial, 16) for wiring in self.transducers.values()}
+        coil_serials = {int(its.coil_serial, 16) for its in self.transducers.values() if its.strikes}
         if int(watchdog.board_serial, 16) not in coil_serials:
             raise ValueError(
                 f"watchdog.board_serial is {watchdog.board_serial}; no coil is driven by that board; name "

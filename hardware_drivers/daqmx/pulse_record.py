@@ -58,7 +58,7 @@ class FreeInput:
     def quiet(self) -> Waveform:
         """Record as long as a shot's, at once, with the coil at rest."""
         with self._chassis.attempt():
-            acquisition = self._chassis.turn(self.position, "noise").acquisition
+            acquisition = self._chassis.acquisition(self.position, "noise")
             acquisition.start()
             record = acquisition.read(self._timeout_s)
             acquisition.stop()
@@ -66,11 +66,12 @@ class FreeInput:
 
     def strike(self) -> Waveform:
         """Record one strike from the coil's switching on; on return the coil is off."""
+        self._chassis.refuse_made_up()
         with self._chassis.attempt():
-            turn = self._chassis.turn(self.position, "pulse")
-            turn.acquisition.start()
-            turn.coil.pulse()
-            record = turn.acquisition.read(self._timeout_s)
+            acquisition = self._chassis.acquisition(self.position, "pulse")
+            acquisition.start()
+            self._chassis.coil(self.position, "pulse").pulse()
+            record = acquisition.read(self._timeout_s)
             self._chassis.end_turn()
         return record
 

@@ -21,10 +21,9 @@ from hardware_drivers.daqmx.connection import Connection, client_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
+from hardware_drivers.kinds import Finding, State
 
 log = logging.getLogger(__name__)
-
-State = Literal["ok", "warn", "fail"]
 
 NOISE_TO_LEVEL = 0.2
 """Noise above this part of the trigger level will now and then trigger by itself (5 sigma)."""
@@ -33,23 +32,6 @@ WARMED_K = 5.0
 """A board further than this from its calibration's temperature drifts out of it (NI's own advice)."""
 
 READ_TIMEOUT_S = 5.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """One thing looked at: what it is, how it stands, what to do.
-
-    Attributes
-    ----------
-    subject
-        ``driver``, ``board 01E18096``, ``transducer B`` ...
-    """
-
-    subject: str
-    check: str
-    state: State
-    detail: str
-    remedy: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +112,7 @@ class _Look:
 
     def __init__(self, parameters: DaqmxParameters) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
-        self._parameters = replace(parameters, dry_run=False)
+        self._parameters, self._rehearsal = replace(parameters, dry_run=False), parameters.dry_run
         self._findings: list[Finding] = []
         self._facts: list[BoardFacts] = []
         self._boards: dict[str, Board] = {}
@@ -192,7 +174,7 @@ class _Look:
                 serial=serial,
                 name=board.name,
                 product=board.product,
-                simulated=bool(device.is_simulated),
+                simulated=board.simulated,
                 ours=ours,
                 max_rate_hz=float(device.ai_max_single_chan_rate),
                 ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
@@ -214,12 +196,13 @@ class _Look:
     def _judge_board(self, facts: BoardFacts) -> None:
         subject = f"board {facts.serial}"
         if facts.simulated:
+            refused = facts.ours and not self._rehearsal
             self._add(
                 subject,
                 "real",
-                "warn",
+                "fail" if refused else "warn",
                 "a device simulated by NI's driver: its records are made up",
-                "use it for rehearsal only",
+                "use it for a rehearsal only: dry_run = true in [rig.daqmx]",
             )
         if not facts.calibrates_itself:
             self._add(
@@ -261,6 +244,24 @@ class _Look:
         if board is None or coil_board is None:
             return  # told with the board
         subject = f"transducer {position}"
+        if wiring.digitizes:
+            self._look_at_trigger(connection, position, board, coil_board)
+        if wiring.strikes:
+            self._look_at_terminal(subject, position, coil_board)
+            # Committed, the output is connected and low; the counter is not started.
+            self._checked(
+                subject,
+                "coil's counter",
+                lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
+            )
+        if wiring.digitizes:
+            self._look_at_noise(connection, position, board, coil_board)
+
+    def _look_at_trigger(
+        self, connection: Connection, position: str, board: Board, coil_board: Board
+    ) -> None:
+        parameters, subject = self._parameters, f"transducer {position}"
+        wiring = parameters.transducers[position]
         self._checked(subject, "board can do it", lambda: check_board(board, wiring, parameters))
         self._checked(
             subject,
@@ -269,18 +270,16 @@ class _Look:
                 commit_acquisition(connection, parameters, position, board, coil_board, record="shot")
             ),
         )
-        self._look_at_terminal(subject, position, coil_board)
-        # Committed, the output is connected and low; the counter is not started.
-        self._checked(
-            subject,
-            "coil's counter",
-            lambda: _given_back(commit_coil(connection, parameters, position, coil_board)),
-        )
+
+    def _look_at_noise(self, connection: Connection, position: str, board: Board, coil_board: Board) -> None:
+        parameters, subject = self._parameters, f"transducer {position}"
         self._checked(
             subject, "input read", lambda: self._measure_noise(connection, position, board, coil_board)
         )
         noise_v = self._noise_rms_v.get(position)
-        if noise_v is not None:
+        if noise_v is not None and board.simulated:
+            self._add(subject, "noise", "warn", f"{noise_v:.3g} V rms, made up by NI's driver")
+        elif noise_v is not None:
             level_v = abs(parameters.trigger_level_v)
             quiet = noise_v <= NOISE_TO_LEVEL * level_v
             self._add(

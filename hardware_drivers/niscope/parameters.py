@@ -12,6 +12,9 @@ from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded
 
+REACHED_BY = frozenset({"call_timeout_s"})
+"""Not what is measured: how long the boards are waited for."""
+
 
 @bounded
 class ProbeWiring:

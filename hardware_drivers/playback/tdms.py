@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from hardware_drivers.measurement import ShotKey, Waveform
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.playback.parameters import TdmsMapping
+from hardware_drivers.playback.tdms_by_name import plays_by_name, shots_by_name
 from hardware_drivers.playback.tdms_channel import (
     Channel,
     Conversion,
@@ -141,8 +143,16 @@ class TdmsShots:
         self.close()
 
 
-def open_tdms(source: Path, mapping: TdmsMapping | None = None) -> TdmsShots:
+def open_tdms(
+    source: Path, mapping: TdmsMapping | None = None, *, positions: Mapping[str, str] = MappingProxyType({})
+) -> TdmsShots:
     """Find every shot in a folder of TDMS files, or in one file.
+
+    Parameters
+    ----------
+    positions
+        Positions that will be asked for and their method. Where no pattern or property says otherwise, files
+        with all channels in one group are played by the channels' names.
 
     Raises
     ------
@@ -152,11 +162,17 @@ def open_tdms(source: Path, mapping: TdmsMapping | None = None) -> TdmsShots:
     """
     mapping = mapping or TdmsMapping()
     require_nptdms()
+    by_name = tuple(positions) if plays_by_name(mapping) else ()
+    if by_name and not mapping.pulse_echo_positions:
+        probes = tuple(name for name, method in positions.items() if method == PULSE_ECHO)
+        mapping = replace(mapping, pulse_echo_positions=probes)
+    if by_name and source.is_file() and re.fullmatch(mapping.file_pattern, source.name) is None:
+        mapping = replace(mapping, file_pattern=".*")  # one file alone is set 0
     places: dict[ShotKey, _Place] = {}
     shared: dict[tuple[Any, ...], Conversion] = {}
     others: list[str] = []
     for path, name in _files(source, mapping):
-        for key, place in _records_of_file(path, name, mapping, shared, others):
+        for key, place in _records_of_file(path, name, mapping, shared, others, by_name):
             if key in places:
                 raise ConfigurationError(
                     f"{place} and {places[key]} are both shot {key.shot_index} of set {key.set_index} at "
@@ -164,9 +180,10 @@ def open_tdms(source: Path, mapping: TdmsMapping | None = None) -> TdmsShots:
                 )
             places[key] = place
     if not places:
+        nor = f", nor one group with channels named after {', '.join(by_name)}" if by_name else ""
         raise ConfigurationError(
             f"{source} has no record that matches file_pattern {mapping.file_pattern!r}, group_pattern "
-            f"{mapping.group_pattern!r} and channel_pattern {mapping.channel_pattern!r}; correct the "
+            f"{mapping.group_pattern!r} and channel_pattern {mapping.channel_pattern!r}{nor}; correct the "
             f"patterns; names found: {', '.join(others[:_NAMES_SHOWN]) or 'none'}"
         )
     return TdmsShots(places, mapping)
@@ -190,19 +207,21 @@ def _records_of_file(
     mapping: TdmsMapping,
     shared: dict[tuple[Any, ...], Conversion],
     others: list[str],
+    by_name: Sequence[str],
 ) -> Iterator[tuple[ShotKey, _Place]]:
     """Find the records of the matching channels; names that do not match are added to ``others``."""
     from_file = re.fullmatch(mapping.file_pattern, name)
     if from_file is None:
         others.append(name)
         return
-    matched: dict[tuple[str, str], dict[str, str | None]] = {}
+    matched: dict[tuple[str, str], Mapping[str, str | None]] = {}
+    unmatched: list[tuple[str, str]] = []
 
     def wanted(group: str, channel: str) -> bool:
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
         if from_group is None or from_channel is None:
-            others.append(f"{name}/{group}/{channel}")
+            unmatched.append((group, channel))
             return False
         matched[group, channel] = {
             **from_file.groupdict(),
@@ -211,7 +230,13 @@ def _records_of_file(
         }
         return True
 
-    for channel in read_channels(path, wanted):
+    channels = read_channels(path, wanted)
+    if not matched and by_name:
+        named = shots_by_name(unmatched, by_name, mapping, name)
+        matched |= {place: {**from_file.groupdict(), **told} for place, told in named.items()}
+        channels = read_channels(path, lambda group, channel: (group, channel) in matched)
+    others += [f"{name}/{group}/{channel}" for group, channel in unmatched if (group, channel) not in matched]
+    for channel in channels:
         key = shot_key(channel, matched[channel.group, channel.name], mapping)
         place = _place(channel, f"{name}/{channel.group}/{channel.name}", key.position, mapping, shared)
         yield from _appended(key, place, channel.n_samples, mapping)

@@ -8,11 +8,25 @@ from typing import Annotated, ClassVar, Literal
 from annotated_types import Ge, Gt, Le
 
 from hardware_drivers.bounds import bounded
+from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS, DriveParameters, LogParameters
 from hardware_drivers.serial_port.dialects import DIALECTS
 
 TCP_PREFIX, VISA_PREFIX = "tcp:", "visa:"
 _TCP_ADDRESS = re.compile(r"([^:\s]+|\[[0-9a-fA-F:.]+\]):(\d{1,5})")
 USB_SERIAL_PREFIX = "serial:"
+CLIMATE_REACHED_BY = LOG_KEYS | {"line"}
+"""Not what is measured: a replugged cable is no other test."""
+SUPPLY_REACHED_BY = WATCH_KEYS | {
+    "line",
+    "setup_commands",
+    "channel",
+    "protection_queries",
+    "over_voltage_v",
+    "over_current_a",
+    "readback_tolerance_v",
+    "readback_tolerance_a",
+}
+"""Nor how the drive is watched."""
 ORDER_REPLIES = 12
 """An order (switch off, set, read back, switch on, measure) may take as long as this many replies."""
 
@@ -77,7 +91,7 @@ class SerialLineParameters:
 
 
 @bounded
-class SupplyParameters:
+class SupplyParameters(DriveParameters):
     """The electrochemical drive: a DC supply between specimen (plus) and copper electrode (minus)."""
 
     line: SerialLineParameters
@@ -103,35 +117,6 @@ class SupplyParameters:
     setup_commands: tuple[str, ...] = ()
     """Sent after each check of the identity, for example `SYST:REM` (many need it before they obey on a
     serial line) or `INST:NSEL 1` (channel); only SYST, INST and DISP commands, which switch nothing."""
-    voltage_v: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
-    """Voltage of the drive (paper: 10 V)."""
-    current_limit_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
-    """Current at which the supply stops holding its voltage."""
-    voltage_cap_v: Annotated[float, Gt(0.0), Le(60.0)] = 12.0
-    """No order beyond this is sent, whoever gives it (at most 60 V: extra-low voltage)."""
-    current_cap_a: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
-    """No limit beyond this is sent, whoever asks for it."""
-    readback_tolerance_v: Annotated[float, Gt(0.0), Le(1.0)] = 0.05
-    """How far the voltage read back or measured may lie above the one that was set."""
-    readback_tolerance_a: Annotated[float, Gt(0.0), Le(1.0)] = 0.02
-    """How far the current limit read back, or the current measured, may lie above the one that was set."""
-    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 10.0
-    """Seconds between two readings; charge is integrated over them."""
-    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
-    """Longest time one reading may take: three questions, after a fault also finding the instrument."""
-    interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 0.9
-    """Measured current at which the interlock switches off (a hole, a short circuit). Below
-    `current_limit_a`, or it is never reached while the supply keeps its limit."""
-    interlock_readings: Annotated[int, Ge(1), Le(1000)] = 3
-    """So many readings in a row at or above `interlock_current_a` trip it."""
-    off_at_end: bool = True
-    """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
-    leaves it as it is for `unwatched_s`, as does `false` at the end: the corrosion goes on, and only a
-    person's order would switch it on again."""
-    interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
-    """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
-    unwatched_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
-    """Without a recorder for so long, the output is switched off and stays off until a person's order."""
 
     @property
     def longest_order_s(self) -> float:
@@ -139,6 +124,7 @@ class SupplyParameters:
         return 2.0 * ORDER_REPLIES * self.line.reply_timeout_s
 
     def __post_init__(self) -> None:
+        DriveParameters.__post_init__(self)
         check_identity(self.identity)
         for query in self.protection_queries or ():
             check_query("protection_queries", query)
@@ -162,18 +148,10 @@ class SupplyParameters:
             raise ValueError(
                 f"over_voltage_v is {self.over_voltage_v}; it must be above voltage_v = {self.voltage_v}"
             )
-        for name, cap in (
-            ("voltage_v", "voltage_cap_v"),
-            ("current_limit_a", "current_cap_a"),
-        ):
-            if getattr(self, name) > getattr(self, cap):
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}; it must be at most {cap} = {getattr(self, cap)}"
-                )
 
 
 @bounded
-class ClimateParameters:
+class ClimateParameters(LogParameters):
     """Thermometer and hygrometer beside the specimen."""
 
     line: SerialLineParameters
@@ -188,10 +166,6 @@ class ClimateParameters:
     """Asks for the relative humidity."""
     humidity_unit: Literal["percent", "fraction"] = "percent"
     """Unit in which the probe tells its relative humidity."""
-    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
-    """Seconds between two readings."""
-    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
-    """Longest time one reading may take."""
 
     def __post_init__(self) -> None:
         check_identity(self.identity)

@@ -33,7 +33,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: Path) -> None:
-    names = zipfile.ZipFile(wheel).namelist()
+    archive = zipfile.ZipFile(wheel)
+    names = archive.namelist()
     for wanted in (
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
@@ -41,10 +42,14 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
         "daq_service/web/dashboard/index.html",
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
+        "hardware_drivers/conformance/test_instrument.py",
+        "hardware_drivers/conformance/digitizer_contract.py",
         *(f"{package}/py.typed" for package in ("daq_service", "hardware_drivers", "analysis", "simulator")),
     ):
         assert wanted in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
+    (offered,) = (name for name in names if name.endswith(".dist-info/entry_points.txt"))
+    assert b"[pytest11]\nsolimon = hardware_drivers.conformance.plugin\n" in archive.read(offered)
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
 
 

@@ -1,43 +1,20 @@
 """A headless Chromium for the tests of this folder, and pages that may not complain."""
 
-import os
 import re
-import shutil
 
 import pytest
-from support.browser_pages import DESK
+from support.browser_pages import DESK, chromium, find_browser
 from support.served_web import DEADLINE_S
-
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")
-ARGUMENTS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-
-
-def find_browser() -> str:
-    path = os.environ.get("SOLIMON_TEST_BROWSER") or next(filter(None, map(shutil.which, BROWSERS)), None)
-    if path is None:
-        pytest.skip(
-            f"no Chromium here: none of {', '.join(BROWSERS)} is on the path (or SOLIMON_TEST_BROWSER)"
-        )
-    return path
 
 
 @pytest.fixture(scope="module")
 def browser():
-    path = find_browser()
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        running = playwright.chromium.launch(executable_path=path, args=ARGUMENTS)
+    try:
+        find_browser()
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+    with chromium() as running:
         yield running
-        running.close()
 
 
 @pytest.fixture

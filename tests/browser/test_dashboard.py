@@ -277,6 +277,34 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.locator("#hold")).to_have_text("Hold")
 
 
+def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(filled, service, open_page):
+    page = open_page(service.url)
+    banner = page.locator("#asked")
+    expect(banner).to_be_hidden()
+    at = filled.due[N_SETS - 1].due_utc_ns
+    shot = {"position": "C", "set_index": 3, "shot_index": 6, "attempt": 0, "within_s": 600.0}
+    filled.say("asked", at, text="strike C now", **shot)
+    expect(banner).to_contain_text("strike C now")
+    expect(banner).to_contain_text("Position C, set 4, shot 7")
+    expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
+    # Whoever opens the page later is asked too, and told what is left then.
+    filled.say("orders", at + 580 * 10**9, told="anything new")
+    expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
+    filled.say("asked_over", at + 581 * 10**9)
+    expect(banner).to_be_hidden()
+
+
+def test_a_person_is_asked_for_the_first_shot_of_a_test(tmp_path, open_page):
+    folder = FilledFolder(tmp_path, SETTINGS)
+    folder.say("asked", text="strike B now", within_s=600.0)
+    with served(SETTINGS, tmp_path) as service:
+        page = open_page(service.url)
+        expect(page.locator("#notice")).to_contain_text("Waiting for the first record")
+        expect(page.locator("#asked")).to_contain_text("strike B now")
+        page.close()  # it asks on for the first record
+    folder.close()
+
+
 def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)

@@ -1,9 +1,9 @@
 """Both clocks keep the contract."""
 
 import pytest
-from clock_contract import ClockContract
 
 from daq_service.clock import SimulatedClock, WallClock
+from hardware_drivers.conformance.clock_contract import ClockContract
 
 EPOCH_NS = 1_704_067_200_000_000_000
 

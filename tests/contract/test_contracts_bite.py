@@ -1,155 +1,74 @@
 """Each contract fails an instrument that breaks it in one way."""
 
 import math
+import time
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from climate_probe_contract import ClimateProbeContract
-from clock_contract import ClockContract
-from digitizer_contract import DigitizerContract
-from power_supply_contract import PowerSupplyContract
-from pulse_echo_unit_contract import PulseEchoUnitContract
-from striker_contract import StrikerContract
+from support.broken_instruments import (
+    KEYS,
+    UNKNOWN,
+    ArmsAnything,
+    ArmsOverAnArmedOne,
+    CodesBeyondTheResolution,
+    DisarmsOnce,
+    EndsWhenSafe,
+    GrowingRecords,
+    InventsRecords,
+    IsSafeOnce,
+    LeavesTheCoilOn,
+    MovesBeforeItRefuses,
+    NoPretrigger,
+    ReadsUnarmed,
+    RemembersStrikes,
+    SafeByAPulse,
+    SettingsOfLists,
+    SoundDigitizer,
+    SoundStriker,
+    StaysArmedAfterReading,
+    StaysArmedAfterTimeout,
+    StrikesAnotherCoil,
+    StrikesTwice,
+    TakesAnyTime,
+    TellsMillivolts,
+    waveform,
+)
 
 from daq_service.clock import SimulatedClock
-from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
-from hardware_drivers.instruments import Acquired, Echo
+from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
+from hardware_drivers.conformance.clock_contract import ClockContract
+from hardware_drivers.conformance.digitizer_contract import DigitizerContract
+from hardware_drivers.conformance.power_supply_contract import PowerSupplyContract
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
+from hardware_drivers.errors import ConfigurationError, InstrumentError
+from hardware_drivers.instruments import Acquired, Echo, require_timeout
 from hardware_drivers.measurement import (
-    Calibration,
     ClimateReading,
     ShotKey,
     Stamp,
     SupplyReading,
-    Waveform,
 )
 
-KEYS = tuple(ShotKey(position="C", set_index=0, shot_index=i) for i in (0, 1))
-UNKNOWN = ShotKey(position="nowhere", set_index=0, shot_index=0)
 EPOCH_NS = 10**18
 
 
-def waveform(samples=20, pretrigger=5):
-    return Waveform(
-        counts=np.arange(samples, dtype=np.int16),
-        sample_rate_hz=1e7,
-        pretrigger_samples=pretrigger,
-        calibration=Calibration(coefficients_v=np.array([0.0, 1e-4]), resolution_bits=16, range_v=5.0),
-    )
-
-
-class SoundDigitizer:
-    """Keeps the contract; each subclass below breaks it in one place."""
-
-    def __init__(self):
-        self.armed = None
-        self.struck = False
-        self.records = 0
-
-    def strike(self, key):
-        self.struck = self.armed is not None
-
-    def arm(self, key):
-        if key.position != "C" or self.armed is not None:
-            raise ConfigurationError(f"cannot arm {key.position}")
-        self.armed, self.struck = key, False
-
-    def read(self, timeout_s):
-        if self.armed is None:
-            raise ConfigurationError("not armed")
-        struck = self.struck
-        self.disarm()
-        if not struck:
-            raise AcquisitionTimeoutError("nothing came")
-        self.records += 1
-        return self.record()
-
-    def record(self):
-        return Acquired(waveform=waveform())
-
-    def disarm(self):
-        self.armed, self.struck = None, False
-
-
-class ArmsAnything(SoundDigitizer):
-    def arm(self, key):
-        super().arm(KEYS[0])
-
-
-class ArmsOverAnArmedOne(SoundDigitizer):
-    def arm(self, key):
-        self.armed = None
-        super().arm(key)
-
-
-class StaysArmedAfterReading(SoundDigitizer):
-    def read(self, timeout_s):
-        armed = self.armed
-        acquired = super().read(timeout_s)
-        self.armed = armed
-        return acquired
-
-
-class StaysArmedAfterTimeout(SoundDigitizer):
-    def read(self, timeout_s):
-        armed = self.armed
-        try:
-            return super().read(timeout_s)
-        except AcquisitionTimeoutError:
-            self.armed = armed
-            raise
-
-
-class InventsRecords(SoundDigitizer):
-    def read(self, timeout_s):
-        self.struck = self.struck or self.armed is not None
-        return super().read(timeout_s)
-
-
-class ReadsUnarmed(SoundDigitizer):
-    def read(self, timeout_s):
-        self.armed, self.struck = KEYS[0], True
-        return super().read(timeout_s)
-
-
-class RemembersStrikes(SoundDigitizer):
-    def __init__(self):
-        super().__init__()
-        self.heard = False
-
-    def strike(self, key):
-        self.heard = True
-
-    def arm(self, key):
-        super().arm(key)
-        self.struck = self.heard
-
-    def disarm(self):
-        self.armed = None
-
-
-class GrowingRecords(SoundDigitizer):
-    def record(self):
-        return Acquired(waveform=waveform(samples=20 + self.records))
-
-
-class NoPretrigger(SoundDigitizer):
-    def record(self):
-        return Acquired(waveform=waveform(pretrigger=0))
-
-
-class DisarmsOnce(SoundDigitizer):
-    def disarm(self):
-        if self.armed is None:
-            raise ConfigurationError("not armed")
-        super().disarm()
+GIVEN = {
+    "timeout_s": 1.0,
+    "longest_read_s": 20.0,
+    "monotonic_s": time.monotonic,
+    "caps": (12.0, 2.0),
+    "order": (8.0, 1.5),
+    "air": (22.0, 0.45),
+}
+"""Fixtures that the contracts have defaults of."""
 
 
 def run(contract, test, **fixtures):
     """Call one test of a contract; only the fixtures it asks for are passed."""
     function = getattr(contract, test)
     wanted = function.__code__.co_varnames[1 : function.__code__.co_argcount]
-    function(contract(), **{name: fixtures[name] for name in wanted})
+    function(contract(), **{name: {**GIVEN, **fixtures}[name] for name in wanted})
 
 
 def each_test(contract):
@@ -158,6 +77,13 @@ def each_test(contract):
 
 def digitizer_fixtures(digitizer):
     return {"digitizer": digitizer, "strike": digitizer.strike, "keys": KEYS, "unknown_key": UNKNOWN}
+
+
+def test_a_digitizer_that_waits_too_long_fails():
+    digitizer, now_s = SoundDigitizer(), iter((0.0, 600.0))
+    fixtures = {**digitizer_fixtures(digitizer), "monotonic_s": lambda: next(now_s)}
+    with pytest.raises(AssertionError, match=r"came back after 600\.0 s"):
+        run(DigitizerContract, "test_waiting_is_bounded_by_its_timeout", **fixtures)
 
 
 @pytest.mark.parametrize("test", each_test(DigitizerContract))
@@ -178,6 +104,10 @@ def test_a_sound_digitizer_passes(test):
         (RemembersStrikes, "test_disarming_forgets_the_strike"),
         (GrowingRecords, "test_records_of_one_position_have_one_shape_and_calibration"),
         (NoPretrigger, "test_a_strike_on_an_armed_digitizer_is_recorded"),
+        (CodesBeyondTheResolution, "test_counts_are_read_only_codes_of_their_calibration"),
+        (TellsMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
+        (SettingsOfLists, "test_counts_are_read_only_codes_of_their_calibration"),
+        (TakesAnyTime, "test_no_time_is_no_order"),
         (DisarmsOnce, "test_disarming_is_harmless_at_any_time"),
         (object, "test_is_a_digitizer"),
     ],
@@ -187,46 +117,6 @@ def test_a_broken_digitizer_fails(broken, test):
     fixtures = {"digitizer": digitizer} if broken is object else digitizer_fixtures(digitizer)
     with pytest.raises((AssertionError, InstrumentError, pytest.fail.Exception)):
         run(DigitizerContract, test, **fixtures)
-
-
-class SoundStriker:
-    def __init__(self):
-        self.levels = []
-
-    def strike(self, key):
-        if key == UNKNOWN:
-            raise ConfigurationError(f"no striker at {key.position}")
-        self.levels += [(key.position, True), (key.position, False)]
-
-    def make_safe(self):
-        pass
-
-
-class LeavesTheCoilOn(SoundStriker):
-    def strike(self, key):
-        super().strike(key)
-        self.levels.pop()
-
-
-class StrikesTwice(SoundStriker):
-    def strike(self, key):
-        super().strike(key)
-        super().strike(key)
-
-
-class StrikesAnotherCoil(SoundStriker):
-    def strike(self, key):
-        super().strike(KEYS[0])
-
-
-class EndsWhenSafe(SoundStriker):
-    def make_safe(self):
-        self.strike = lambda key: None
-
-
-class SafeByAPulse(SoundStriker):
-    def make_safe(self):
-        self.levels.append(("C", True))
 
 
 STRIKER_KEYS = (KEYS[0], ShotKey(position="D", set_index=0, shot_index=0))
@@ -252,14 +142,16 @@ def test_a_sound_striker_passes(test):
         (LeavesTheCoilOn, "test_a_strike_is_one_pulse_of_its_own_coil"),
         (StrikesTwice, "test_a_strike_is_one_pulse_of_its_own_coil"),
         (StrikesAnotherCoil, "test_a_strike_is_one_pulse_of_its_own_coil"),
-        (StrikesAnotherCoil, "test_an_unknown_position_is_refused_by_name_and_nothing_moves"),
+        (StrikesAnotherCoil, "test_an_unknown_position_is_refused_by_name"),
+        (MovesBeforeItRefuses, "test_a_refused_strike_moves_nothing"),
+        (IsSafeOnce, "test_making_safe_twice_is_harmless"),
         (EndsWhenSafe, "test_making_safe_does_not_end_the_experiment"),
-        (SafeByAPulse, "test_making_safe_is_harmless_at_any_time"),
+        (SafeByAPulse, "test_making_safe_is_never_a_pulse"),
         (object, "test_is_a_striker"),
     ],
 )
 def test_a_broken_striker_fails(broken, test):
-    with pytest.raises((AssertionError, pytest.fail.Exception)):
+    with pytest.raises((AssertionError, InstrumentError, pytest.fail.Exception)):
         run(StrikerContract, test, **striker_fixtures(broken()))
 
 
@@ -268,6 +160,7 @@ class SoundProbe:
         self.shots = 0
 
     def acquire(self, key, timeout_s):
+        require_timeout(timeout_s)
         if key == UNKNOWN:
             raise ConfigurationError(f"no probe at {key.position}")
         self.shots += 1
@@ -386,6 +279,7 @@ class SoundSupply:
         return {"maker": "test", "model": "test"}
 
     def read(self, timeout_s):
+        require_timeout(timeout_s)
         stamp = Stamp(utc_ns=1, mono_ns=1, boot_id="test")
         volts = self.set_v if self.on else 0.0
         return SupplyReading(stamp=stamp, voltage_v=volts, current_a=0.1 * volts, output_on=self.on)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from digitizer_contract import DigitizerContract
-from striker_contract import StrikerContract
 from support.daqmx_brains import running_brain
 from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description, why_no
 
+from hardware_drivers.conformance.digitizer_contract import DigitizerContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey

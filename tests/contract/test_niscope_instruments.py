@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import support.niscope_rig as rig
-from pulse_echo_unit_contract import PulseEchoUnitContract
 
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,

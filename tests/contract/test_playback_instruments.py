@@ -2,10 +2,6 @@
 
 import numpy as np
 import pytest
-from clock_contract import ClockContract
-from digitizer_contract import DigitizerContract
-from pulse_echo_unit_contract import PulseEchoUnitContract
-from striker_contract import StrikerContract
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 from support.labview_files import write_set
 from support.shots_in_memory import shots_in_memory
@@ -13,6 +9,10 @@ from support.shots_in_memory import shots_in_memory
 from daq_service.archive import FolderArchive
 from daq_service.clock import SimulatedClock
 from daq_service.rig.playback import open_recording
+from hardware_drivers.conformance.clock_contract import ClockContract
+from hardware_drivers.conformance.digitizer_contract import DigitizerContract
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments

@@ -1,9 +1,10 @@
 """The drivers of serial instruments keep the contracts, on real pseudo terminals."""
 
 import pytest
-from climate_probe_contract import ClimateProbeContract
-from power_supply_contract import PowerSupplyContract
 from support.serial_rig import NO_TERMINALS, SerialRig
+
+from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
+from hardware_drivers.conformance.power_supply_contract import PowerSupplyContract
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 

@@ -4,11 +4,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
-from digitizer_contract import DigitizerContract
-from pulse_echo_unit_contract import PulseEchoUnitContract
-from striker_contract import StrikerContract
 
 from daq_service.clock import SimulatedClock
+from hardware_drivers.conformance.digitizer_contract import DigitizerContract
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.measurement import ShotKey
 from simulator.instruments import build_bench
 from simulator.parameters.chain import ChainParameters

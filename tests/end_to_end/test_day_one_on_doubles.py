@@ -3,10 +3,11 @@
 import json
 import os
 import re
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.daqmx_brains import in_a_process, running_brain
@@ -18,19 +19,41 @@ from support.daqmx_rig import (
     parameters_of,
     quick_description,
 )
-from support.niscope_rig import preload
+from support.niscope_rig import description as probe_description
+from support.niscope_rig import parameters as probe_parameters
+from support.niscope_rig import preload, why_no_niscope
+from support.serial_rig import NO_TERMINALS, SerialRig
 from support.waiting import ended
 
 from simulator.doubles.doors.library import why_unavailable
+from simulator.doubles.serial.instruments import Cell
 from simulator.parameters.electronics import NoiseParameters
 
 ROOT = Path(__file__).parents[2]
+PROBE = probe_description()
 DESCRIPTION = replace(
-    quick_description(board(), positions="BCD"), twin=replace(QUICK_TWIN, noise=NoiseParameters())
+    quick_description(board(), positions="BCD"),
+    twin=replace(QUICK_TWIN, noise=NoiseParameters()),
+    scopes=PROBE.scopes,
+    probes=PROBE.probes,
 )
+LOAD_OHM = 100.0
+NO_LIBRARY = why_unavailable() or why_no_niscope()
+LIBRARY = pytest.mark.skipif(bool(NO_LIBRARY), reason=NO_LIBRARY or "the libraries can be built")
+TERMINALS = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
 
 
-def run_pytest(environment: Mapping[str, str], printed: Path) -> None:
+@contextmanager
+def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
+    """A supply with a resistor at its output, and a driver that is told of neither."""
+    with SerialRig(folder) as bench:
+        load = Cell(counter_voltage_v=0.0, resistance_ohm=resistance_ohm, rise_per_h=0.0)
+        bench.instruments.supply_link.do(lambda: setattr(bench.instruments.supply, "cell", load))
+        bench.supply.close()
+        yield bench
+
+
+def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "tests/hardware") -> None:
     """Child: `pytest -m hardware` where this environment holds."""
     for name in [name for name in os.environ if name.startswith("SOLIMON_TEST_")]:
         del os.environ[name]
@@ -38,6 +61,7 @@ def run_pytest(environment: Mapping[str, str], printed: Path) -> None:
     os.chdir(ROOT)
     if environment:
         preload("nidaqmx")
+        preload("niScope")
     # What was loaded before the fork has plain asserts; they are none of these tests'.
     quiet = ["-W", "ignore::pytest.PytestAssertRewriteWarning"]
     with printed.open("w", encoding="utf-8") as file, redirect_stdout(file):
@@ -52,14 +76,16 @@ def run_pytest(environment: Mapping[str, str], printed: Path) -> None:
                 *quiet,
                 "-m",
                 "hardware",
-                "tests/hardware",
+                files,
             ]
         )
 
 
-def day_one(environment: Mapping[str, str], folder: Path) -> tuple[dict[str, int], str]:
+def day_one(
+    environment: Mapping[str, str], folder: Path, files: str = "tests/hardware"
+) -> tuple[dict[str, int], str]:
     """How many tests ended how, and what was printed."""
-    ended(in_a_process(run_pytest, environment, folder / "printed.txt"), "the hardware tests' end")
+    ended(in_a_process(run_pytest, environment, folder / "printed.txt", files), "the hardware tests' end")
     printed = (folder / "printed.txt").read_text(encoding="utf-8")
     counts = re.findall(r"(\d+) (passed|failed|skipped|error)", printed.splitlines()[-1])
     return {state: int(number) for number, state in counts}, printed
@@ -71,21 +97,65 @@ def test_without_a_rig_every_test_is_skipped_with_its_reason(tmp_path: Path) -> 
     assert "SOLIMON_TEST_HARDWARE names no configuration of a real rig" in printed
 
 
-@pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "the library can be built")
+def configured(folder: Path, rig: Mapping[str, Any]) -> Path:
+    """Write the configuration of a laboratory with these instruments."""
+    config = folder / "laboratory.json"
+    positions = {name: {"method": "solitary_wave"} for name in DESCRIPTION.transducers}
+    probes = {name: {"method": "pulse_echo"} for name in DESCRIPTION.probes}
+    values = {
+        "clock": {"kind": "wall"},
+        "positions": {**positions, **probes},
+        "rig": {"kind": "daqmx", "niscope": asdict(probe_parameters()), **rig},
+    }
+    config.write_text(json.dumps(values), encoding="utf-8")
+    return config
+
+
+@LIBRARY
+@TERMINALS
 def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice(tmp_path: Path) -> None:
-    config = tmp_path / "laboratory.json"
-    with running_brain(DESCRIPTION) as doubles:
-        values = {
-            "clock": {"kind": "wall"},
-            "positions": {name: {"method": "solitary_wave"} for name in DESCRIPTION.transducers},
-            "rig": {"kind": "daqmx", "daqmx": asdict(parameters_of(DESCRIPTION, doubles))},
+    with running_brain(DESCRIPTION) as doubles, bench_supply(tmp_path, LOAD_OHM) as bench:
+        boards = asdict(parameters_of(DESCRIPTION, doubles))
+        config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
+        rig = {
+            "SOLIMON_TEST_HARDWARE": str(config),
+            "SOLIMON_TEST_STRIKE": "yes",
+            "SOLIMON_TEST_LOAD_OHM": str(LOAD_OHM),
         }
-        config.write_text(json.dumps(values), encoding="utf-8")
-        rig = {"SOLIMON_TEST_HARDWARE": str(config), "SOLIMON_TEST_STRIKE": "yes"}
-        counts, printed = day_one({**doubles.client_environment(environment={}), **rig}, tmp_path)
+        libraries = doubles.client_environment("nidaqmx", "niScope", environment={})
+        counts, printed = day_one({**libraries, **rig}, tmp_path)
         record = doubles.control.record()
-    # Eight need no wire; the other ten ask for the loopback.
-    assert counts == {"passed": 8, "skipped": 10}, printed
+        switched = bench.switched()
+    # Of the boards eight need no wire, of the probes four, of the supply seven; ten ask for the loopback.
+    assert counts == {"passed": 8 + 4 + 7, "skipped": 10}, printed
     assert printed.count("SOLIMON_TEST_LOOPBACK is not set") > 0
     # The double times a pulse in whole nanoseconds.
     assert coil_pulses_s(record) == [pytest.approx(QUICK_PULSE_S, abs=1e-8)] * 9
+    assert switched == [(True, "command"), (False, "command")] * 5
+
+
+@LIBRARY
+@TERMINALS
+def test_a_supply_whose_load_is_another_than_told_fails_and_is_left_off(tmp_path: Path) -> None:
+    with bench_supply(tmp_path, 0.5 * LOAD_OHM) as bench:
+        boards = asdict(parameters_of(DESCRIPTION, None))
+        config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
+        rig = {"SOLIMON_TEST_HARDWARE": str(config), "SOLIMON_TEST_LOAD_OHM": str(LOAD_OHM)}
+        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_supply.py")
+        switched = bench.switched()
+    # Twice the current where the voltage is held, half of the voltage where the limit holds.
+    assert counts == {"failed": 2, "passed": 5}, printed
+    assert switched[-1] == (False, "command")
+
+
+@LIBRARY
+@TERMINALS
+def test_nothing_is_energised_unless_somebody_names_the_load(tmp_path: Path) -> None:
+    with bench_supply(tmp_path, LOAD_OHM) as bench:
+        boards = asdict(parameters_of(DESCRIPTION, None))
+        config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
+        rig = {"SOLIMON_TEST_HARDWARE": str(config)}
+        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_supply.py")
+        assert bench.switched() == []
+    assert counts == {"passed": 2, "skipped": 5}, printed
+    assert "SOLIMON_TEST_LOAD_OHM is not set" in printed

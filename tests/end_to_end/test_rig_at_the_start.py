@@ -112,7 +112,7 @@ def test_the_heartbeat_allows_for_the_longest_call_over_a_network() -> None:
             "daqmx": {"transducers": wiring, **boards},
             "niscope": {"probes": {"A": {"resource": "PXI1Slot5"}}},
         }
-        return longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig).rig)
+        return longest_call_s(small_settings(clock={"kind": "wall"}, rig=rig))
 
     assert deadline_s() == 5.0
     assert deadline_s(transport="grpc", grpc_address="lab:31763", call_timeout_s=60.0) > 10 * 60.0

@@ -1,12 +1,14 @@
 """A disk that refuses a call, some, or all until somebody frees it: it costs time, and nobody's hands."""
 
 import errno
+import itertools
 import json
 import os
 import re
 import subprocess
 import sys
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,8 @@ COUNTS = (1, 3, UNTIL_FREED)
 TOLD_WITHIN_S = 5.1
 """Five seconds and a pause between two tries."""
 RECORDS = 10 * SETS
+SHARES = 2
+"""Of the whole matrix, followed side by side: half an hour on two idle cores."""
 CHANGING = re.compile(r"[0-9a-f]{32}|(?<=set_)\d+_\d+T\d+Z|\d{6}(?=\.)|(?<=\.)\d+(?=\.tmp)|(?<=/)[A-D](?=\.)")
 """What of a name is another one each time: number, process, position."""
 
@@ -70,7 +74,6 @@ def wrong(told):
     checks = {
         "the recorder ended in the midst": not any(end.startswith("in") for end in told["ends"]),
         "the test is not finished": told["finished"],
-        "something was refused": told["refusals"] > 0,
         "acknowledged shots are lost": not told["lost"],
         "sets were not struck": {(*row,) for row in told["sets"]} == {(n, "done", None) for n in range(SETS)},
         "shots are lost or double": {told["shots"], told["keys"], told["acknowledged"]} == {RECORDS},
@@ -89,6 +92,7 @@ def wrong(told):
 def test_some_refusals_cost_time_only(followed, tmp_path):
     found = followed(SOME, tmp_path)
     assert [wrong(told) for told in found] == [[]] * len(SOME), found
+    assert all(told["refusals"] for told in found)
     by_journal, by_catalogue, locked = found[0], found[1], found[-1]
     for told in (by_journal, by_catalogue, locked):
         assert told["told_after_s"] <= TOLD_WITHIN_S
@@ -96,6 +100,7 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(4 * 3600)
 def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
     """Each kind of call on each kind of file: the first, a middle and the last one."""
     (whole,) = followed([{"call": CALLS}], tmp_path / "whole")
@@ -115,11 +120,21 @@ def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
         for count in COUNTS
         for error in ERRORS
     ]
-    faults = {
-        json.dumps({name: told[name] for name in ("call", "files", "first", "count", "errno")}): found
-        for told in followed(cases, tmp_path / "cases")
-        if (found := wrong(told))
-    }
+    with ThreadPoolExecutor(SHARES) as pool:
+        shares = pool.map(lambda n: followed(cases[n::SHARES], tmp_path / f"cases {n}"), range(SHARES))
+        became = list(itertools.chain.from_iterable(shares))
+    # How often a file is synced differs from run to run: the last call of one may not come in another.
+    not_met = [told for told in became if not told.get("refusals", 1)]
+    faults = {json.dumps(case_of(told)): found for told in became if (found := wrong(told))}
     with capsys.disabled():
-        print(f"\n{len(kinds)} kinds of calls, {len(cases)} refusals, {len(faults)} not outlived")
+        print(
+            f"\n{len(kinds)} kinds of calls, {len(cases)} refusals of which {len(not_met)} did not come, "
+            f"{len(faults)} not outlived"
+        )
     assert faults == {}
+    assert all(told["first"] > 0 for told in not_met)
+    assert len(not_met) <= len(cases) // 20
+
+
+def case_of(told):
+    return {name: told[name] for name in ("call", "files", "first", "count", "errno")}

@@ -1,4 +1,4 @@
-"""Day-one tests on real boards: what to test is a configuration file named in the environment.
+"""Day-one tests on real instruments: what to test is a configuration file named in the environment.
 
 ``SOLIMON_TEST_HARDWARE=path/to/laboratory.toml``
     The rig. Without it everything here is skipped.
@@ -7,6 +7,9 @@
 ``SOLIMON_TEST_LOOPBACK=B:ai7``
     The output terminal of B's coil is wired to this analog input of the board that drives it, and the plug of
     the coil drivers is pulled.
+``SOLIMON_TEST_LOAD_OHM=100``
+    A resistor of so many ohm, 2 W or more, is wired to the supply's output in place of the specimen, and the
+    output may be switched on.
 """
 
 from __future__ import annotations
@@ -20,11 +23,15 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from daq_service.settings.file import load_settings
+from daq_service.settings.tree import RigSettings
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters
+from hardware_drivers.niscope.parameters import NiscopeParameters
+from hardware_drivers.serial_port.parameters import SupplyParameters
 
 RIG, STRIKE, LOOPBACK = "SOLIMON_TEST_HARDWARE", "SOLIMON_TEST_STRIKE", "SOLIMON_TEST_LOOPBACK"
+LOAD = "SOLIMON_TEST_LOAD_OHM"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -35,15 +42,45 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def parameters() -> DaqmxParameters:
-    """The boards under test; a rehearsal's configuration is taken for a real one."""
+def rig() -> RigSettings:
+    """What the configuration says of the rig."""
     path = os.environ.get(RIG)
     if not path:
         pytest.skip(f"{RIG} names no configuration of a real rig (docs/how-to/day-one.md)")
-    boards = load_settings(Path(path)).rig.daqmx
-    if boards is None:
-        pytest.skip(f"{path} has no [rig.daqmx]")
-    return replace(boards, dry_run=False)
+    return load_settings(Path(path)).rig
+
+
+@pytest.fixture(scope="session")
+def parameters(rig: RigSettings) -> DaqmxParameters:
+    """The boards under test; a rehearsal's configuration is taken for a real one."""
+    if rig.daqmx is None:
+        pytest.skip(f"{os.environ[RIG]} has no [rig.daqmx]")
+    return replace(rig.daqmx, dry_run=False)
+
+
+@pytest.fixture(scope="session")
+def probe_parameters(rig: RigSettings) -> NiscopeParameters:
+    """The ultrasonic probes under test."""
+    if rig.niscope is None:
+        pytest.skip(f"{os.environ[RIG]} has no [rig.niscope]")
+    return rig.niscope
+
+
+@pytest.fixture(scope="session")
+def supply_parameters(rig: RigSettings) -> SupplyParameters:
+    """The supply under test."""
+    if rig.supply is None:
+        pytest.skip(f"{os.environ[RIG]} has no [rig.supply]")
+    return rig.supply
+
+
+@pytest.fixture(scope="session")
+def load_ohm() -> float:
+    """Resistor at the supply's output; whoever names it allows that it is energised."""
+    told = os.environ.get(LOAD)
+    if not told:
+        pytest.skip(f"{LOAD} is not set: nothing is energised (docs/how-to/day-one.md says what to wire)")
+    return float(told)
 
 
 @pytest.fixture(scope="session")
@@ -79,6 +116,7 @@ def loopback(parameters: DaqmxParameters) -> Iterator[Loopback]:
         trigger_level_v=1.5,
         trigger_slope="rising",
         watchdog=None,
+        watchdogs=None,
         holdoff_s=None,
         ringing_s=0.0,
     )

@@ -14,13 +14,13 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.boards import digital_name
 from daq_service.cli.doctor.spike import spike_check
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.look import digital_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.survey import survey
 from hardware_drivers.errors import AcquisitionTimeoutError
@@ -227,7 +227,7 @@ def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxPar
         pytest.skip("no other coil is driven by this board")
     one_shot(loopback.parameters, loopback.position)  # the route under suspicion was used, then given up
     for other in others:
-        alone = replace(parameters, watchdog=None)
+        alone = replace(parameters, watchdog=None, watchdogs=None)
         coil = commit_coil(loopback.connection, alone, other, loopback.board)
         try:
             acquisition = commit_acquisition(

@@ -156,11 +156,11 @@ def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
             times = {column for column in columns if column.endswith("_ns") and column != "due_utc_ns"}
             masked = times if kind == "wall" else times & {"created_utc_ns", "wall_utc_ns"}
             if table is EventRow:
-                masked.add("id")  # they are numbered among those of the service, which tell of restarts
+                masked.add("id")  # they are numbered among those of the service and its machine, which differ
             rows[name] = [
                 replace(row, **dict.fromkeys(masked, 0))
                 for row in catalogue.rows(table)
-                if not (isinstance(row, EventRow) and row.topic == "service")
+                if not (isinstance(row, EventRow) and row.topic in ("service", "machine"))
             ]
     return rows
 

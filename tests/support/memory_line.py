@@ -36,6 +36,7 @@ from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
+from daq_service.recording.machine import MachineWatch
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.safekeeping import Helpers
 from daq_service.settings.file import load_settings
@@ -200,6 +201,7 @@ class Line:
         idle_check: IdleCheck | None = None,
         disk: DiskWatch | None = None,
         compaction: Compaction | None = None,
+        machine: MachineWatch | None = None,
         tell: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
@@ -242,7 +244,11 @@ class Line:
                 left_alone=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(
-                    compaction=compaction, idle_check=idle_check, disk=disk, acknowledged=acknowledged
+                    compaction=compaction,
+                    idle_check=idle_check,
+                    disk=disk,
+                    machine=machine,
+                    acknowledged=acknowledged,
                 ),
                 features_of=self.features_of,
                 listen_every_s=self.listen_every_s,

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 from daq_service import errors
+from daq_service.clock import boot_id
 from hardware_drivers.errors import BusyError, InstrumentError
+from hardware_drivers.kinds import Finding
+from hardware_drivers.measurement import Stamp
 
 State = Literal["ok", "warn", "fail", "skipped"]
 Area = Literal["software", "folder", "machine", "recorder", "rig"]
@@ -77,3 +81,30 @@ def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
     if not problem:
         problem, remedy = str(error), otherwise
     return Check(area="rig", name=name, state="fail", found=problem, remedy=remedy)
+
+
+def told(finding: Finding, of: str = "") -> Check:
+    """Give the check that an instrument's finding is.
+
+    Parameters
+    ----------
+    of
+        Name of the instrument, where there are several.
+    """
+    name = ": ".join(filter(None, (of, finding.subject, finding.check)))
+    if finding.held:
+        # Whoever holds an instrument stands where a recorder does.
+        return Check(area="recorder", name=name, state="fail", found=finding.detail, remedy=HELD)
+    return Check(
+        area="rig",
+        name=name,
+        state=finding.state,
+        found=finding.detail,
+        remedy=finding.remedy or "see what its maker says of it",
+        values=finding.values,
+    )
+
+
+def stamp_now() -> Stamp:
+    """Time on this computer's own clocks."""
+    return Stamp(utc_ns=time.time_ns(), mono_ns=time.monotonic_ns(), boot_id=boot_id())

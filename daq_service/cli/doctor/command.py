@@ -6,27 +6,31 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from daq_service.cli.doctor.boards import board_checks
-from daq_service.cli.doctor.check import Check, exit_code
+from daq_service.cli.doctor.check import Check, exit_code, failure, told
 from daq_service.cli.doctor.machine import machine_checks
-from daq_service.cli.doctor.other_instruments import climate_checks, probe_checks, supply_checks
 from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.cli.doctor.trial import Trial, require_position, strike_transducer
+from daq_service.clock import WallClock
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
+from daq_service.rig.open_rig import opening_of
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import RigSettings, Settings
-from hardware_drivers.daqmx.parameters import DaqmxParameters
+from daq_service.settings.instruments import Instrument, configured
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import InstrumentError
 
 Progress = Callable[[str], None]
+
+KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "climate probe"}
+"""What people call the instruments of a rig that has a table for each."""
 
 
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
@@ -74,16 +78,20 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     """
     started_wall_s, started_mono_s = time.time(), time.monotonic()
     progress("packages")
-    software = software_checks(settings.rig)
+    instruments = configured(settings)
+    needed = [name for item in instruments for name in item.kind.packages(item.parameters)]
+    software = software_checks(needed)
     yield from software
     progress(f"data folder {folder}")
     yield _recorder(owner)
     yield from storage_checks(settings, folder)
     if owner:
-        yield from _left_alone(settings.rig)
+        yield from _left_alone(instruments)
     else:
         missing = {check.name for check in software if check.state == "fail"}
-        yield from rig_checks(settings, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK)))
+        yield from rig_checks(
+            settings, instruments, missing, progress, driven=bool(is_owned(folder, DRIVE_LOCK))
+        )
     progress("clocks, sleep, updates and scanners")
     yield from machine_checks(
         settings.clock.kind, folder, started_wall_s=started_wall_s, started_mono_s=started_mono_s
@@ -91,9 +99,14 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
 
 
 def rig_checks(
-    settings: Settings, missing: set[str], progress: Progress, *, driven: bool = False
+    settings: Settings,
+    instruments: Sequence[Instrument],
+    missing: set[str],
+    progress: Progress,
+    *,
+    driven: bool = False,
 ) -> Iterator[Check]:
-    """Yield the checks of the instruments.
+    """Yield the checks of the instruments; nothing strikes, nothing is switched.
 
     Parameters
     ----------
@@ -102,41 +115,21 @@ def rig_checks(
     driven
         A process of the drive owns the supply's port.
     """
-    rig = settings.rig
-    if rig.kind != "daqmx":
-        yield Check(area="rig", name="rig", found=f"{rig.kind}: no boards to look at")
-    elif rig.daqmx is not None and _usable({"nidaqmx"} | _grpc(rig.daqmx), missing):
-        from hardware_drivers.daqmx.survey import survey
-
-        progress(f"NI-DAQmx boards, {len(rig.daqmx.transducers)} transducers; nothing strikes")
-        yield from board_checks(rig.daqmx, survey, shot_interval_s=settings.schedule.shot_interval_s)
-    else:
-        yield _needs_package("boards")
-    if rig.kind == "daqmx" and rig.niscope is not None:
-        if _usable({"niscope"}, missing):
-            progress("NI-SCOPE boards")
-            yield from probe_checks(rig.niscope)
+    clock = WallClock()
+    for item in instruments:
+        name = KNOWN_AS.get(item.name, item.name)
+        if set(item.kind.packages(item.parameters)) & missing:
+            yield _needs_package(name)
+        elif driven and "supply" in item.serves:
+            yield _skipped(name, "its own process has the port", "see `solimon status`")
         else:
-            yield _needs_package("ultrasonic probes")
-    if (rig.supply is not None or rig.climate is not None) and not _usable({"pyserial"}, missing):
-        yield _needs_package("instruments on serial lines")
-        return
-    if rig.supply is not None and driven:
-        yield _skipped("supply", "its own process has the port", "see `solimon status`")
-    elif rig.supply is not None:
-        progress("supply; nothing is switched")
-        yield from supply_checks(rig.supply)
-    if rig.climate is not None:
-        progress("climate probe")
-        yield from climate_checks(rig.climate)
-
-
-def _grpc(boards: DaqmxParameters | None) -> set[str]:
-    return {"grpcio"} if boards is not None and boards.transport == "grpc" else set()
-
-
-def _usable(needed: set[str], missing: set[str]) -> bool:
-    return not needed & missing
+            progress(f"{name}; nothing strikes, nothing is switched")
+            of = item.name if settings.rig.kind == "mixed" else ""
+            try:
+                for finding in item.kind.check(item.parameters, opening_of(item, settings, clock)):
+                    yield told(finding, of)
+            except InstrumentError as error:
+                yield failure(name, error, "see what its maker says of it")
 
 
 def _needs_package(what: str) -> Check:
@@ -156,18 +149,12 @@ def _recorder(owner: str) -> Check:
     return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
 
 
-def _left_alone(rig: RigSettings) -> Iterator[Check]:
+def _left_alone(instruments: Sequence[Instrument]) -> Iterator[Check]:
     """Skip what the running recorder uses: a look would reserve boards and ports it needs to strike."""
-    there = {
-        "boards": rig.kind == "daqmx",
-        "ultrasonic probes": rig.niscope is not None,
-        "supply": rig.supply is not None,
-        "climate probe": rig.climate is not None,
-    }
-    for name, configured in there.items():
-        if configured:
-            remedy = "stop the recorder first, or read `solimon status`"
-            yield _skipped(name, "not looked at: a recorder uses it", remedy)
+    for item in instruments:
+        name = KNOWN_AS.get(item.name, item.name)
+        remedy = "stop the recorder first, or read `solimon status`"
+        yield _skipped(name, "not looked at: a recorder uses it", remedy)
 
 
 # What a person or a program reads --------------------------------------------------------------------

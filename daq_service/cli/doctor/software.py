@@ -10,8 +10,6 @@ from collections.abc import Callable, Iterable
 from importlib.metadata import PackageNotFoundError, requires, version
 
 from daq_service.cli.doctor.check import Check
-from daq_service.settings.tree import RigSettings
-from hardware_drivers.serial_port.parameters import VISA_PREFIX
 
 OLDEST_PYTHON = (3, 11)
 ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
@@ -25,7 +23,7 @@ _MINIMUM = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?\s*>=\s*([0-9][0-9.]*)"
 
 
 def software_checks(
-    rig: RigSettings,
+    needed: Iterable[str],
     *,
     installed: Callable[[str], str] = version,
     load: Callable[[str], object] = importlib.import_module,
@@ -34,32 +32,16 @@ def software_checks(
 
     Parameters
     ----------
+    needed
+        Packages that the instruments need.
     installed
         Version of an installed package; raises PackageNotFoundError.
     """
     oldest = _oldest_versions(requires("solimon") or ())
     checks = [_python(), _package("solimon", "", installed)]
-    checks += [_package(name, oldest.get(name, ""), installed) for name in (*ALWAYS, *_needed(rig))]
+    names = dict.fromkeys((*ALWAYS, *needed))
+    checks += [_package(name, oldest.get(name, ""), installed) for name in names]
     return [*checks, _binaries(load)]
-
-
-def _needed(rig: RigSettings) -> list[str]:
-    """Name the packages that only some rigs need."""
-    names = []
-    if rig.kind == "daqmx":
-        names.append("nidaqmx")
-        if rig.daqmx is not None and rig.daqmx.transport == "grpc":
-            names.append("grpcio")
-        if rig.niscope is not None:
-            names.append("niscope")
-    if rig.supply is not None or rig.climate is not None:
-        names.append("pyserial")
-    lines = [instrument.line for instrument in (rig.supply, rig.climate) if instrument is not None]
-    if any(line.port.startswith(VISA_PREFIX) for line in lines):
-        names += ["pyvisa", "pyvisa-py"]
-    if rig.kind == "playback" and rig.playback is not None and rig.playback.format == "tdms":
-        names.append("npTDMS")
-    return names
 
 
 EXTRAS = {"grpcio": "grpc", "niscope": "niscope", "npTDMS": "tdms", "pyvisa": "visa", "pyvisa-py": "visa"}
@@ -79,8 +61,8 @@ def _python() -> Check:
 
 
 def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
-    extra = EXTRAS.get(name)
-    wanted = "solimon" if extra is None else f"solimon[{extra}]"
+    # What a kind of another package needs comes with nothing of ours.
+    wanted = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{wanted}"'
     try:
         found = installed(name)

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+import click
+
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
@@ -21,7 +23,7 @@ from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import Shot, ShotKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
 REMEDIES: Mapping[str, str] = {
@@ -86,9 +88,9 @@ def require_position(settings: Settings, position: str) -> None:
         raise UsageError(
             "--strike: rig.kind is 'playback', which strikes nothing; use the rig's configuration"
         )
-    if settings.rig.kind == "daqmx" and settings.rig.daqmx is not None and settings.rig.daqmx.dry_run:
+    if settings.rig.dry_run:
         raise UsageError(
-            "--strike: rig.daqmx.dry_run is true, so no coil is ever energised; set it to false when nobody "
+            "--strike: dry_run is true, so no coil is ever energised; set it to false when nobody "
             "has hands in the rig"
         )
 
@@ -116,6 +118,7 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
     started_s = time.monotonic()
     try:
         with open_rig(settings, clock, clock.utc_ns()) as rig:
+            rig.asking.listen(_ask)
             taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
     except InstrumentError as error:
         refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
@@ -134,9 +137,18 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
     )
 
 
+def _ask(text: str, key: ShotKey | None) -> None:
+    """Tell whoever stands at the rig; an empty text takes it back, and the check that follows says more."""
+    if text:
+        click.echo(text, err=True)
+
+
 def _this_transducer_only(settings: Settings, position: str) -> Settings:
     """Leave out what the strike does not need: another broken instrument must not forbid it."""
-    rig = settings.rig.model_copy(update={"niscope": None, "supply": None, "climate": None})
+    used = settings.rig.positions.get(position)
+    needed = {name: item for name, item in settings.rig.instruments.items() if used and name in used.names}
+    unneeded = dict.fromkeys(("niscope", "supply", "drive", "climate", "air"))
+    rig = settings.rig.model_copy(update={**unneeded, "instruments": needed})
     if rig.daqmx is not None:
         rig = rig.model_copy(update={"daqmx": _wired_only(rig.daqmx, position)})
     places = {position: settings.positions[position]}
@@ -144,10 +156,9 @@ def _this_transducer_only(settings: Settings, position: str) -> Settings:
 
 
 def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
-    wiring, watchdog = boards.transducers[position], boards.watchdog
-    if watchdog is not None and int(watchdog.board_serial, 16) != int(wiring.coil_serial, 16):
-        watchdog = None
-    return replace(boards, transducers={position: wiring}, watchdog=watchdog)
+    wiring = boards.transducers[position]
+    watchdog = boards.watchdog_of(wiring.coil_serial)
+    return replace(boards, transducers={position: wiring}, watchdog=watchdog, watchdogs=None)
 
 
 def _missed(missed: MissedShot) -> Check:
@@ -185,17 +196,23 @@ def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeS
     """Compare the trigger level with the incident wave, of the shot or else of the strike before it."""
     boards = settings.rig.daqmx
     level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
+    if settings.rig.kind == "mixed":
+        level_v = float(shot.settings.get("trigger_level_v", math.nan))
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:
         incident_v = abs(spike.wave_v)
-    if math.isnan(incident_v):
+    if math.isnan(incident_v) or math.isnan(level_v):
         return Check(
             area="rig",
             name=name,
             state="skipped",
-            found=f"{level_v:g} V; there is no incident wave to compare it with",
-            remedy="mend what is said of the record, then strike again",
+            found=f"{level_v:g} V; there is no incident wave to compare it with"
+            if math.isnan(incident_v)
+            else "the instrument does not say at what level it triggered",
+            remedy="mend what is said of the record, then strike again"
+            if math.isnan(incident_v)
+            else f"see that it is a tenth of the incident wave, {0.1 * incident_v:.2g} V",
             values={"trigger_level_v": level_v},
         )
     part = abs(level_v) / incident_v

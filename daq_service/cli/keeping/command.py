@@ -1,4 +1,4 @@
-"""Carry out ``verify``, ``repair`` and ``backup`` for a person or a program."""
+"""Carry out ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -96,6 +97,14 @@ def run_export(*, data_dir: Path, hdf5: Path, overwrite: bool, as_json: bool) ->
             click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
         click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
     return StorageError.exit_code if made.left_out else EXIT_OK
+
+
+def run_certify(*, data_dir: Path, **options: Any) -> int:
+    """Make a certificate; 6 where it does not pass."""
+    from daq_service.cli.keeping.certify.command import certify
+
+    _give_way(data_dir)
+    return certify(data_dir=data_dir, progress=_progress("files"), **options)
 
 
 def _tell(damage: list[Finding]) -> None:

@@ -84,12 +84,15 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
-def rendered(figure: Figure) -> dict[str, bytes]:
+METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
+
+
+def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
     """PNG and SVG of a figure, by the ending of the file's name; to be called in `house_style`."""
     pictures = {}
-    for ending, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": "solimon"})):
+    for ending in endings:
         buffer = io.BytesIO()
-        figure.savefig(buffer, format=ending, dpi=DPI, metadata=metadata)
+        figure.savefig(buffer, format=ending, dpi=DPI, metadata=METADATA[ending])
         pictures[ending] = buffer.getvalue()
         figure.set_layout_engine("none")  # laid out once, for both
     return pictures

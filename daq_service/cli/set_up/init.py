@@ -48,7 +48,10 @@ Other values are the paper's, or assumptions: measure yours. In this order: docs
 boards, too), be-safe.md, install-the-ni-driver.md, day-one.md.
 
 Take out the tables of what you do not have. A line that begins with a `#` right before a key or a table is
-switched off; take the `#` away to switch it on.""",
+switched off; take the `#` away to switch it on.
+
+Instruments of other makers, or boards that only strike or only digitize: rig.kind = "mixed", told in
+docs/reference/configuration.md.""",
 }
 """What a person reads first, by the kind of file."""
 

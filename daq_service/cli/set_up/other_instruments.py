@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import asdict
 from typing import Any, TypeVar
 
-from daq_service.cli.doctor.other_instruments import stamp_now
+from daq_service.cli.doctor.check import stamp_now
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import laboratory
 from daq_service.settings.stored import KeyPath

@@ -83,8 +83,8 @@ def systemd_units(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> dict[str, str]:
     """Return the units of a recorder, a web service and, where there is a supply, its drive, by file name."""
-    longest_s = math.ceil(longest_call_s(settings.rig) + settings.rig.stall_timeout_s)
-    drive, supply = f"{name}-drive.service", settings.rig.supply
+    longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
+    drive, supply = f"{name}-drive.service", settings.rig.driven
     units: dict[str, tuple[str, Lines, Lines]] = {
         "record": (
             "recorder",
@@ -238,7 +238,7 @@ def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
     """Return the tasks of the supervisor and, where there is a supply, its drive, by file name."""
-    words = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.supply is not None else {})}
+    words = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
     return {
         f"{task}.xml": TASK.format(
             title=escape(f"solimon {word}: {settings.name}"),

@@ -29,7 +29,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
-SIZED = 1000
+SIZED = 200
 """So many of the newest sets are looked at whether they are empty; ``doctor`` and a recorder look at all."""
 GAPS_A_POSITION = 5
 """So many of the newest gaps of a position are named."""

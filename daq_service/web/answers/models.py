@@ -289,6 +289,26 @@ class LimitInfo(Answer):
     )
 
 
+class InstrumentInfo(Answer):
+    """One instrument of a mixed rig."""
+
+    name: str
+    kind: str
+    serves: dict[str, list[str]] = Field(description="Positions by role")
+
+
+class AskedInfo(Answer):
+    """What a person shall do now."""
+
+    text: str
+    position: str | None = None
+    set_index: int | None = None
+    shot_index: int | None = None
+    attempt: int | None = None
+    within_s: float
+    left_s: float = Field(description="Until the recorder waits no longer, at the moment of this answer")
+
+
 class Info(Answer):
     """Which experiment this is."""
 
@@ -297,12 +317,15 @@ class Info(Answer):
     configuration_hash: str
     rig: str
     rig_label: str
+    rig_identity: dict[str, str] = Field(description="Serial numbers and versions, as stored with each set")
+    instruments: list[InstrumentInfo] = Field(description="Of a mixed rig; empty for others")
     clock: ClockInfo
     schedule: ScheduleInfo
     limits: LimitInfo
     initial_thickness_m: float
     positions: list[PositionInfo]
     held: str | None = Field(description="Who holds the test and why: nothing strikes; null: nobody does")
+    asked: AskedInfo | None = Field(description="What a person shall do now; null: nothing")
     dry_run: bool | None = Field(
         description="True: a rehearsal, no coil is ever energised; null: recorded by an older version"
     )

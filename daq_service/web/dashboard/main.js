@@ -3,6 +3,7 @@
 
 import { all, get, hasData } from "./api.js";
 import { SolimonAlarms } from "./alarms.js";
+import { Asked } from "./asked.js";
 import { SolimonChart } from "./chart.js";
 import { byId, setText } from "./dom.js";
 import { fixed, hour, scientific, significant, utc } from "./format.js";
@@ -64,6 +65,7 @@ let fitsReadAt = -Infinity;
 
 configureCharts();
 const tiles = new Tiles(byId("tiles"), select);
+const asked = new Asked();
 const hold = new Hold((text) => notice(text, "alarm"));
 const retired = new Retired(byId("retired"), (text) => notice(text, "alarm"));
 const waves = new WaveformStream((record) => waveform.show(record));
@@ -132,7 +134,8 @@ async function begin() {
   try {
     if (!(await hasData())) {
       notice("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
-      if (!events.source) events.open(null);
+      // From the first event on: somebody may have been asked to strike the first shot.
+      if (!events.source) events.open(0);
       setTimeout(begin, WAITING_MS);
       return;
     }
@@ -143,6 +146,7 @@ async function begin() {
     return;
   }
   notice("");
+  asked.show(state.info.asked);
   showInfo();
   const places = state.info.positions;
   const first = places.find((/** @type {any} */ place) => place.method === "solitary_wave") ?? places[0];
@@ -163,6 +167,7 @@ function everything() {
 
 /** @param {string} topic @param {any} event */
 function onEvent(topic, event) {
+  if (topic === "service") asked.hear(event);
   if (!state.info) return;
   if (topic === "alarms") dirty.alarms = true;
   if (topic === "service") dirty.info = true;
@@ -214,7 +219,7 @@ async function refresh() {
   dirty.environment = false;
   const readings = [...changed].map((position) => readTrend(position, whole.has(position)));
   if (withAlarms) readings.push(all("/alarms?limit=200").then((items) => alarmList.update(items)));
-  if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), showInfo())));
+  if (withInfo) readings.push(get("/info").then((info) => void ((state.info = info), asked.show(info.asked), showInfo())));
   readings.push(get("/transducers").then((answer) => (tiles.update(answer), retired.update(answer), showClock(answer.as_of))));
   if (withEnvironment) readings.push(readEnvironment());
   await Promise.all(readings);

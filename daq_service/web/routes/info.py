@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter
 
 from daq_service.acquisition import schedule
+from daq_service.catalogue import Catalogue
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import Info, problems
 from daq_service.web.answers.version import distribution_version
-from daq_service.web.context import ContextOf
+from daq_service.web.context import ContextOf, Freshness
+from hardware_drivers.nanoseconds import NS_PER_S
 
 router = APIRouter(tags=["info"])
 RIG_LABELS = {
     "simulated": "physics twin",
     "playback": "playback of recorded shots",
     "laboratory": "laboratory rig",
+    "mixed": "mixed rig",
 }
 
 
@@ -34,6 +39,11 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "configuration_hash": row.configuration_hash,
             "rig": settings.rig.kind,
             "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
+            "rig_identity": {} if started is None else started.payload.get("rig_identity", {}),
+            "instruments": [
+                {"name": name, "kind": item.kind, "serves": settings.rig.served_by(name)}
+                for name, item in settings.rig.instruments.items()
+            ],
             "clock": {
                 "kind": settings.clock.kind,
                 "epoch_utc": rfc3339(fresh.epoch_utc_ns),
@@ -65,8 +75,18 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 for name, place in settings.positions.items()
             ],
             "held": catalogue.held(),
+            "asked": _asked(catalogue, fresh),
             "dry_run": None if started is None else started.payload.get("dry_run"),
             "last_event_id": fresh.last_event_id,
             "as_of": fresh.as_of(),
         }
     )
+
+
+def _asked(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
+    """Tell what a person is asked to do now, while a recorder waits for it."""
+    told = catalogue.last_told("asked", "asked_over")
+    if told is None or told.kind != "asked" or fresh.recorder.word != "running":
+        return None
+    left_s = told.payload["within_s"] - (fresh.now_utc_ns - told.utc_ns) / NS_PER_S
+    return {**told.payload, "left_s": left_s} if left_s > 0.0 else None

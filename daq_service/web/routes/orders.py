@@ -83,7 +83,7 @@ def _written(context: Context, order: Order) -> Response:
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
         positions=context.settings.names_of(SOLITARY_WAVE),
-        has_supply=context.settings.rig.supply is not None,
+        has_supply=context.settings.rig.driven is not None,
         alarms=catalogue.rows(AlarmRow),
     )
     refusal = order.forbidden(facts)

@@ -21,7 +21,7 @@ from daq_service.web.context import Context, ContextOf
 from daq_service.web.streams.hub import EventHub
 
 router = APIRouter(tags=["stream"])
-TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "service")
+TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service")
 LARGEST_CHUNK_EVENTS = 32
 """About 20 kB: what waits for a client that does not read stays small."""
 MOST_CLIENTS = 2000

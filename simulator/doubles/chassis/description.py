@@ -24,8 +24,8 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 class BoardParameters:
     """One board in the chassis."""
 
-    serial_number: Annotated[int, Ge(1), Le(0xFFFFFFFF)]
-    """What a driver finds the board by."""
+    serial_number: Annotated[int, Ge(0), Le(0xFFFFFFFF)]
+    """What a driver finds the board by; NI's simulated devices have 0."""
     product: str
     """One of `boards.BOARD_TYPES`."""
     name: str
@@ -46,6 +46,9 @@ class BoardParameters:
     """Of the board's own sensor."""
     calibrated: str = "2026-01-12T09:30"
     """Last self-calibration before the double started, ISO time to the minute."""
+    simulated: bool = False
+    """Behaves as a device that NI's own driver simulates: no calibration to tell of, every task done at once,
+    full-scale sine waves whatever the trigger, no line that moves."""
 
     def __post_init__(self) -> None:
         if self.product not in BOARD_TYPES:

@@ -106,6 +106,9 @@ class CounterOutput:
         """Plan the pulse and the strike that it leads to."""
         run: Generation = task.run
         channel: PulseChannel = task.channel
+        if channel.device.parameters.simulated:  # done at once, and no line moves
+            run.begin_ns, run.pulse = at_ns, Pulse(line=channel.line, start_ns=at_ns, end_ns=at_ns)
+            return
         start_ns = at_ns + _ns(channel.initial_delay_s)
         pulse = Pulse(line=channel.line, start_ns=start_ns, end_ns=start_ns + _ns(channel.high_s))
         run.begin_ns, run.pulse, run.strike = at_ns, pulse, _strike(bench, channel, pulse)

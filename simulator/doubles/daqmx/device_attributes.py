@@ -20,8 +20,8 @@ _SYSTEM: Mapping[str, Callable[[Bench], object]] = {
 _DEVICE: Mapping[str, Callable[[Device], object]] = {
     "Dev.ProductType": lambda device: device.kind.product,
     "Dev.SerialNum": lambda device: device.serial_number,
-    # A double passes for hardware: `doctor` and drivers shall take the real path.
-    "Dev.IsSimulated": lambda device: 0,
+    # A double passes for hardware, if it is not told otherwise: drivers shall take the real path.
+    "Dev.IsSimulated": lambda device: int(device.parameters.simulated),
     "Dev.Terminals": lambda device: listed(terminals(device.kind, device.name)),
     "Dev.AI.PhysicalChans": lambda device: listed(
         f"{device.name}/ai{n}" for n in range(device.kind.analog_inputs)
@@ -39,7 +39,7 @@ _DEVICE: Mapping[str, Callable[[Device], object]] = {
 _CALIBRATION: Mapping[str, Callable[[Device], object]] = {
     "SelfCal.Supported": lambda device: 1,
     "SelfCal.LastTemp": lambda device: device.calibration_temperature_c,
-    "Cal.DevTemp": lambda device: device.parameters.temperature_c,
+    "Cal.DevTemp": lambda device: device.temperature_c,
 }
 
 

@@ -67,8 +67,11 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """`DAQmxGetSelfCalLastDateAndTime`."""
-    when = bench.devices.find(arguments["device_name"]).calibrated
+    """`DAQmxGetSelfCalLastDateAndTime`; of a simulated device as NI's driver answers."""
+    device = bench.devices.find(arguments["device_name"])
+    if device.parameters.simulated:
+        raise Status(INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
+    when = device.calibrated
     return {part: getattr(when, part) for part in ("year", "month", "day", "hour", "minute")}
 
 

@@ -30,7 +30,7 @@ class Device:
         self.name = parameters.name
         self.plugged = True
         self.calibrated = datetime.fromisoformat(parameters.calibrated)
-        self.calibration_temperature_c = parameters.temperature_c
+        self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v = 0.0
         self.power_up_states: dict[str, int] = {}
 
@@ -44,6 +44,11 @@ class Device:
         """The product's figures."""
         return self.parameters.kind
 
+    @property
+    def temperature_c(self) -> float:
+        """What its own sensor tells; a simulated one has none, and tells 0."""
+        return 0.0 if self.parameters.simulated else self.parameters.temperature_c
+
     def calibration(self, range_v: float) -> Calibration:
         """Scaling polynomial in one range, as it is now."""
         adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
@@ -52,7 +57,7 @@ class Device:
     def self_calibrate(self, now: datetime) -> None:
         """Adjust to the board's temperature: the polynomial changes a little."""
         self.calibrated = now
-        self.calibration_temperature_c = self.parameters.temperature_c
+        self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v += self.parameters.self_calibration_shift_v
 
 

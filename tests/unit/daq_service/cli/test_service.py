@@ -87,8 +87,8 @@ def test_a_unit_that_systemd_does_not_understand_is_noticed(config: Path) -> Non
 
 def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) -> None:
     recorder = units(config)["record"]["Service"]
-    rig = load_settings(config).rig
-    deadline_s = longest_call_s(rig) + rig.stall_timeout_s
+    settings = load_settings(config)
+    deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
     assert recorder["Type"] == "notify"
     assert int(recorder["WatchdogSec"]) == math.ceil(deadline_s)
     assert int(recorder["TimeoutStartSec"]) > deadline_s

@@ -49,6 +49,19 @@ def test_a_log_has_a_line_a_set_but_at_most_one_a_minute(capsys: pytest.CaptureF
     ]
 
 
+def test_what_a_person_shall_do_is_one_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    log = Log()
+    asked = {"text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0}
+    with log.tell:
+        log.after(0.0, "asked", **asked, within_s=400.0)
+        log.after(8.0, "asked_over")
+        log.after(0.0, "asked", text="close the door", within_s=30.0)
+    assert lines(capsys) == [
+        "strike C now (position C, shot 7): within 7 min",
+        "close the door: within 30 s",
+    ]
+
+
 def test_alarms_are_told_when_they_stand_and_when_they_do_not(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.tell:

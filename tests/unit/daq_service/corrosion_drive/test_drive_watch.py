@@ -5,7 +5,7 @@ from support.serial_rig import TestClock
 
 from daq_service.alarms.states import Condition, Moment, acknowledge, update
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.settings.tree import RigSettings
+from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import SupplyReading

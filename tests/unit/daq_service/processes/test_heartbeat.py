@@ -71,6 +71,19 @@ def test_a_beat_tells_what_is_done_and_until_when(tmp_path: Path) -> None:
     assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
+def test_a_long_wait_is_told_when_it_begins_however_dear_a_beat_is(tmp_path: Path) -> None:
+    clock = FakeMonotonic()
+    clock.cost_ns = NS_PER_S // 100
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    heartbeat.beat("taking set 3")
+    clock.cost_ns = 0
+    heartbeat.beat("told later: the last beat was dear")
+    heartbeat.beat("waiting for a person", at_once=True)
+    beat = read_heartbeat(tmp_path)
+    assert beat is not None
+    assert (beat.doing, beat.mono_ns) == ("waiting for a person", clock.now_ns)
+
+
 def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)

@@ -14,7 +14,6 @@ from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
 from daq_service.recording.backlog import Backlog
 from daq_service.settings.tree import StorageSettings
-from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
 
@@ -717,37 +716,22 @@ class Calibrated:
         return {"0x1234": "calibrated"}
 
 
-def with_boards(interval_h):
-    boards = DaqmxParameters(
-        transducers={
-            name: TransducerWiring(
-                board_serial="1", input=f"ai{k}", counter=f"ctr{k}", output_terminal=f"PFI1{k}"
-            )
-            for k, name in enumerate(TRANSDUCERS)
-        },
-        self_calibration_interval_h=interval_h,
-    )
-    settings = memory_settings()
-    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"daqmx": boards})})
-
-
 @pytest.mark.parametrize(("interval_h", "times"), [(1.0, 6), (2.5, 3), (0.0, 0)])
 def test_boards_calibrate_themselves_as_often_as_configured(line, interval_h, times):
-    line.settings = with_boards(interval_h)
     boards = Calibrated()
-    line.run(self_calibrating=boards)
+    line.run(self_calibrating=boards, self_calibration_interval_h=interval_h)
     assert boards.count == times
     assert len(told(line, "self_calibrated")) == times
 
 
 def test_a_failed_self_calibration_is_told_and_ends_the_test_only_where_it_can_never_work(line):
-    line.settings = with_boards(24.0)
-    line.run(self_calibrating=Calibrated(BusyError("MAX holds the board")))
+    boards = Calibrated(BusyError("MAX holds the board"))
+    line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
     assert told(line, "self_calibrated")[0].payload == {"failed": "MAX holds the board"}
     assert states(line, "B") == ["done"] * SETS
 
 
 def test_a_self_calibration_that_can_never_work_ends_the_test(line):
-    line.settings = with_boards(24.0)
+    boards = Calibrated(ConfigurationError("no such board"))
     with pytest.raises(RigError, match="self-calibration before set 0 failed: no such board"):
-        line.run(self_calibrating=Calibrated(ConfigurationError("no such board")))
+        line.run(self_calibrating=boards, self_calibration_interval_h=24.0)

@@ -11,7 +11,7 @@ from support.labview_files import write_set
 from daq_service.archive import FolderArchive, FolderSetReader, PositionRecord, SetRecord
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
-from daq_service.rig.playback import ArchivedShots, open_recording, playback_rig
+from daq_service.rig.playback import ArchivedShots, open_recording, playback_instruments
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.parameters import PlaybackParameters
@@ -200,7 +200,7 @@ def test_a_rig_refuses_positions_that_were_not_recorded(tmp_path):
     with open_recording(PlaybackParameters(source=tmp_path), tmp_path) as source:
 
         def rig(wanted, *, recorded_times=False):
-            return playback_rig(
+            return playback_instruments(
                 source,
                 SimulatedClock(source.epoch_utc_ns),
                 wanted=wanted,
@@ -212,8 +212,8 @@ def test_a_rig_refuses_positions_that_were_not_recorded(tmp_path):
         with pytest.raises(UsageError, match=r"does not fit the configuration: .*position 'E'"):
             rig({"E": "solitary_wave"})
         made = rig({"B": "solitary_wave", "A": "pulse_echo"}, recorded_times=True)
-        assert (made.kind, made.identity) == ("playback", {"recording": "here"})
-        with made:
-            # The second shot of B was recorded 1 ns past its planned time.
-            made.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
-            assert made.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001
+        assert made.identity == {"recording": "here"}
+        # The second shot of B was recorded 1 ns past its planned time.
+        assert made.clock is not None
+        made.clock.wait_until(DUE_UTC_NS + 4_000_000_000, lambda: True)
+        assert made.clock.utc_ns() == DUE_UTC_NS + 4_000_000_001

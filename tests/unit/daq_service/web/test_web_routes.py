@@ -402,3 +402,54 @@ def test_hours_get_their_time_beside_them():
 def test_everything_the_twin_measures_is_a_number_or_null(api):
     for column in get(api, "/api/v1/trends/B")["columns"].values():
         assert all(not isinstance(value, float) or math.isfinite(value) for value in column)
+
+
+ASKED = {
+    "text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0, "within_s": 60.0
+}  # fmt: skip
+
+
+def test_info_tells_what_a_person_shall_do_now_and_how_long_that_is_waited_for(tmp_path):
+    filled = FilledFolder(tmp_path, Settings())
+    filled.add_set(0, stored=False)
+    at_ns = filled.due[0].due_utc_ns
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+
+        def told():
+            return get(api, "/api/v1/info")["asked"]
+
+        assert told() is None
+        filled.say("asked", at_ns, **ASKED)
+        assert told() == {**ASKED, "left_s": 60.0}
+        filled.say("orders", at_ns + 45 * 10**9)
+        assert told()["left_s"] == 15.0
+        filled.say("orders", at_ns + 60 * 10**9)
+        assert told() is None, "too late"
+        filled.say("asked", at_ns + 61 * 10**9, **ASKED)
+        filled.say("asked_over", at_ns + 62 * 10**9)
+        assert told() is None, "done"
+        filled.say("asked", at_ns + 63 * 10**9, **ASKED)
+        filled.recorder_ends()
+        assert told() is None, "nobody waits"
+    filled.close()
+
+
+def test_info_names_the_instruments_of_a_mixed_rig_and_who_they_are(tmp_path):
+    rig = {
+        "kind": "mixed",
+        "instruments": {"scope": {"kind": "lab-scope", "range_v": 5.0}, "hammer": {"kind": "lab-hammer"}},
+        "positions": {"B": {"digitizer": "scope", "striker": "hammer"}},
+    }
+    positions = {"B": {"method": "solitary_wave"}}
+    filled = FilledFolder(tmp_path, Settings(rig=rig, positions=positions, clock={"kind": "wall"}))
+    filled.add_set(0, stored=False)
+    identity = {"scope": "lab-scope, lab-drivers 1.2", "scope.serial_number": "S-77"}
+    filled.say("recorder_started", filled.due[0].due_utc_ns, dry_run=False, rig_identity=identity)
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        info = get(api, "/api/v1/info")
+    filled.close()
+    assert (info["rig"], info["rig_label"], info["rig_identity"]) == ("mixed", "mixed rig", identity)
+    assert info["instruments"] == [
+        {"name": "scope", "kind": "lab-scope", "serves": {"digitizer": ["B"]}},
+        {"name": "hammer", "kind": "lab-hammer", "serves": {"striker": ["B"]}},
+    ]

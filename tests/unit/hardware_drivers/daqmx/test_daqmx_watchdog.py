@@ -8,6 +8,7 @@ import pytest
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
+from hardware_drivers.daqmx.look import findings
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 
@@ -71,5 +72,51 @@ def test_it_pulls_the_wired_lines_low():
         watchdog=WatchdogWiring(board_serial="01E18096", lines=("port2/line4", "port2/line5")),
     )
     connection = SimpleNamespace(watchdog=lambda device, role, timeout_s: Watchdog())
-    _commit_watchdog(connection, wired, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
+    watchdog = wired.watchdog_of("1E18096")
+    assert watchdog is not None
+    _commit_watchdog(connection, watchdog, SimpleNamespace(name="Dev1", label="PXIe-6396 01E18096"))
     assert guarded == [("Dev1/port2/line4", "LOW"), ("Dev1/port2/line5", "LOW")]
+
+
+def two_boards(**changes):
+    wiring = {
+        "B": TransducerWiring(board_serial="01E18096"),
+        "C": TransducerWiring(board_serial="01E18096", input="ai1", striker_serial="01E16086"),
+    }
+    return DaqmxParameters(transducers=wiring, **changes)
+
+
+def watchdog(serial, *lines):
+    return WatchdogWiring(board_serial=serial, lines=lines or ("port2/line4",))
+
+
+def test_each_board_that_drives_a_coil_has_its_own():
+    parameters = two_boards(watchdogs=(watchdog("1E18096"), watchdog("1E16086", "port2/line5")))
+    assert parameters.watchdog_of("01E18096").lines == ("port2/line4",)
+    assert parameters.watchdog_of("01e16086").lines == ("port2/line5",)
+    assert parameters.watchdog_of("BEEF") is None
+    assert two_boards(watchdog=watchdog("1E18096")).watchdog_of("01E16086") is None, "as it was before"
+
+
+def test_watchdogs_that_contradict_each_other_are_refused():
+    with pytest.raises(ValueError, match="watchdog and watchdogs are both given"):
+        two_boards(watchdog=watchdog("1E18096"), watchdogs=(watchdog("1E16086"),))
+    with pytest.raises(ValueError, match="watchdogs has board 01E18096 twice"):
+        two_boards(watchdogs=(watchdog("1E18096"), watchdog("01E18096")))
+    with pytest.raises(ValueError, match=r"watchdog.board_serial is BEEF; no coil is driven by that board"):
+        two_boards(watchdogs=(watchdog("1E18096"), watchdog("BEEF")))
+
+
+def test_a_board_that_drives_a_coil_without_one_is_worth_a_word():
+    def looked(**changes):
+        survey = SimpleNamespace(driver_version="", findings=(), boards=(), noise_rms_v={})
+        seen = findings(two_boards(**changes), lambda _: survey, shot_interval_s=4.0)
+        return {finding.subject: finding.state for finding in seen if "watchdog" in finding.subject}
+
+    assert looked() == {}
+    one = watchdog("1E18096")
+    assert looked(watchdog=one) == {"watchdog": "ok", "watchdog of board 01E16086": "warn"}
+    both = looked(watchdogs=(one, watchdog("1E16086", "port2/line5")))
+    assert both == {"watchdog of board 01E18096": "ok", "watchdog of board 01E16086": "fail"}, (
+        "PFI12 is line4"
+    )

@@ -14,8 +14,7 @@ from typing import Any, cast
 import pytest
 from support.small_experiment import run, small_settings
 
-from daq_service.cli.doctor.boards import board_checks, digital_name
-from daq_service.cli.doctor.check import Check, exit_code
+from daq_service.cli.doctor.check import Check, exit_code, told
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.software import software_checks
@@ -26,11 +25,17 @@ from daq_service.cli.forecast import stored_bytes
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import config_file
-from daq_service.settings.tree import RigSettings, Settings
-from hardware_drivers.daqmx.survey import BoardFacts, Finding
+from daq_service.settings.instruments import instruments_of
+from daq_service.settings.tree import Settings
+from hardware_drivers.daqmx.look import digital_name, findings
+from hardware_drivers.daqmx.survey import BoardFacts
+from hardware_drivers.kinds import Finding
 
 VALUES = tomllib.loads(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
 LABORATORY = Settings(**VALUES).rig
+PACKAGES = [
+    name for item in instruments_of(Settings(**VALUES)) for name in item.kind.packages(item.parameters)
+]
 
 
 def by_name(checks: Sequence[Check]) -> dict[str, Check]:
@@ -71,28 +76,32 @@ def test_what_is_not_ok_needs_a_remedy() -> None:
 
 
 def test_the_packages_of_this_environment_are_good() -> None:
-    checks = by_name(software_checks(LABORATORY))
+    checks = by_name(software_checks(PACKAGES))
     assert {check.state for check in checks.values()} == {"ok"}
     assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
     assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
 
 
 def test_a_rig_without_boards_asks_for_none_of_their_packages() -> None:
-    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(RigSettings())))
+    (twin,) = instruments_of(Settings())
+    assert list(twin.kind.packages(twin.parameters)) == []
+    assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(())))
 
 
 def test_a_missing_and_an_old_package_have_a_remedy() -> None:
     def installed(name: str) -> str:
-        if name == "niscope":
+        if name in ("niscope", "picosdk"):
             raise PackageNotFoundError(name)
         return {"nidaqmx": "0.9.0", "numpy": "1.26.4"}.get(name, "99.0")
 
-    checks = by_name(software_checks(LABORATORY, installed=installed))
+    checks = by_name(software_checks([*PACKAGES, "picosdk"], installed=installed))
+    assert checks["picosdk"].remedy == 'install it: python -m pip install "picosdk"', "no extra of ours"
     assert checks["niscope"].found == "not installed"
     assert "solimon[niscope]" in checks["niscope"].remedy
     assert checks["nidaqmx"].found == "0.9.0 (at least 1.0)"
     assert checks["numpy"].state == "fail"
-    assert {name for name, one in checks.items() if one.state == "fail"} == {"niscope", "nidaqmx", "numpy"}
+    failing = {name for name, one in checks.items() if one.state == "fail"}
+    assert failing == {"niscope", "nidaqmx", "numpy", "picosdk"}
 
 
 def test_a_package_that_does_not_load_is_named() -> None:
@@ -100,7 +109,7 @@ def test_a_package_that_does_not_load_is_named() -> None:
         if name == "numba":
             raise OSError("libLLVM: cannot open shared object file")
 
-    found = by_name(software_checks(RigSettings(), load=load))["compiled packages"]
+    found = by_name(software_checks((), load=load))["compiled packages"]
     assert (found.state, "numba does not load (OSError: libLLVM" in found.found) == ("fail", True)
     assert found.remedy.endswith("--force-reinstall numba")
 
@@ -433,7 +442,8 @@ class Found:
 
 def looked(found: Found, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
     assert LABORATORY.daqmx is not None
-    return by_name(board_checks(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s))
+    seen = findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
+    return by_name([told(finding) for finding in seen])
 
 
 @pytest.mark.parametrize(

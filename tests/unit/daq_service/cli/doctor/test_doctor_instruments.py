@@ -3,16 +3,24 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.niscope_rig import description, met_brain, needs_niscope, parameters
 from support.serial_rig import NO_TERMINALS, SerialRig
 
-from daq_service.cli.doctor.check import Check, exit_code
-from daq_service.cli.doctor.other_instruments import climate_checks, probe_checks, supply_checks
+from daq_service.cli.doctor.check import Check, exit_code, told
+from daq_service.clock import WallClock
+from hardware_drivers.kinds import Kind, Opening
+from hardware_drivers.niscope.kind import KIND as NISCOPE
 from hardware_drivers.niscope.parameters import ProbeWiring
+from hardware_drivers.serial_port.kinds import CLIMATE, SUPPLY
 
 on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
+
+
+def looked(kind: Kind[Any], parameters: Any) -> list[Check]:
+    return [told(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
 
 
 def by_name(checks: Sequence[Check]) -> dict[str, Check]:
@@ -27,7 +35,7 @@ def rig(tmp_path: Path) -> Iterator[SerialRig]:
 
 @on_terminals
 def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
-    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "DC SUPPLY DOUBLE" in checks["supply: identity"].found
     assert checks["supply: read-back"].found.endswith("output off")
@@ -39,7 +47,7 @@ def test_a_supply_is_asked_and_never_switched(rig: SerialRig) -> None:
 @on_terminals
 def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(True))
-    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert checks["supply: output"].state == "warn"
     assert checks["supply: output"].found.startswith("ON: ")
     assert [on for on, _ in rig.switched()] == [True], "the doctor left it as it was"
@@ -48,14 +56,14 @@ def test_a_drive_that_nobody_watches_is_worth_a_word(rig: SerialRig) -> None:
 @on_terminals
 def test_a_tripped_protection_fails(rig: SerialRig) -> None:
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip("CURR"))
-    checks = by_name(list(supply_checks(rig.supply_parameters)))
+    checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert checks["supply: read-back"].state == "fail"
     assert "CURR:PROT:TRIP?" in checks["supply: read-back"].found
 
 
 @on_terminals
 def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: SerialRig) -> None:
-    checks = list(supply_checks(replace(rig.supply_parameters, identity="KEYSIGHT,E36312A")))
+    checks = looked(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
     assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
     assert exit_code(checks) == 3
     assert set(rig.heard()) == {"*IDN?"}
@@ -63,19 +71,19 @@ def test_another_instrument_on_the_line_fails_and_is_asked_nothing_else(rig: Ser
 
 @on_terminals
 def test_the_climate_is_read(rig: SerialRig) -> None:
-    checks = by_name(list(climate_checks(rig.climate_parameters)))
+    checks = by_name(looked(CLIMATE, rig.climate_parameters))
     assert "CLIMATE PROBE DOUBLE" in checks["climate probe: identity"].found
     reading = checks["climate probe: reading"].values
     assert rig.climate.read(2.0).temperature_c == pytest.approx(float(str(reading["temperature_c"])), abs=0.1)
     rig.instruments.climate_link.unplug()
-    (gone,) = climate_checks(rig.climate_parameters)
+    (gone,) = looked(CLIMATE, rig.climate_parameters)
     assert (gone.state, gone.remedy != "") == ("fail", True)
 
 
 @needs_niscope
 def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
     with met_brain(description()):
-        checks = by_name(list(probe_checks(parameters())))
+        checks = by_name(looked(NISCOPE, parameters()))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "at PXI1Slot5, channel 0" in checks["probe A: board"].found
     assert "2048 samples at 100 MS/s, mean of 16" in checks["probe A: record"].found
@@ -87,7 +95,7 @@ def test_a_probe_s_board_is_named_and_its_record_looked_at() -> None:
 @needs_niscope
 def test_an_echo_beyond_its_range_is_worth_a_word() -> None:
     with met_brain(description()):
-        checks = by_name(list(probe_checks(parameters(range_v=0.2))))
+        checks = by_name(looked(NISCOPE, parameters(range_v=0.2)))
     assert checks["probe A: record"].state == "warn"
     assert checks["probe A: record"].values["clipped"] is True
 
@@ -98,7 +106,7 @@ def test_a_missing_board_hides_no_other() -> None:
         parameters(), probes={"X": ProbeWiring(resource="PXI1Slot9"), "A": parameters().probes["A"]}
     )
     with met_brain(description()):
-        checks = by_name(list(probe_checks(both)))
+        checks = by_name(looked(NISCOPE, both))
     assert checks["probe X: board"].state == "fail"
     assert checks["probe A: record"].state == "ok"
 
@@ -106,7 +114,7 @@ def test_a_missing_board_hides_no_other() -> None:
 @on_terminals
 def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> None:
     with SerialRig(tmp_path, dialect="korad", way="tcp") as rig:
-        checks = by_name(list(supply_checks(rig.supply_parameters)))
+        checks = by_name(looked(SUPPLY, rig.supply_parameters))
     assert checks["supply: identity"].found.startswith("KORAD, KA3005P")
     assert checks["supply: read-back"].state == "warn"
     assert "dialect korad asks no protection" in checks["supply: read-back"].found
@@ -117,9 +125,9 @@ def test_a_protection_that_cannot_be_asked_for_is_a_warning(tmp_path: Path) -> N
 def test_an_address_where_nobody_listens_is_told_from_an_instrument_that_is_silent(tmp_path: Path) -> None:
     with SerialRig(tmp_path, way="tcp", line={"reply_timeout_s": 0.1}) as rig:
         rig.instruments.supply_link.inject(silent=True)
-        (silent,) = supply_checks(rig.supply_parameters)
+        (silent,) = looked(SUPPLY, rig.supply_parameters)
         rig.instruments.supply_link.unplug()
-        (absent,) = supply_checks(rig.supply_parameters)
+        (absent,) = looked(SUPPLY, rig.supply_parameters)
     assert (silent.state, absent.state) == ("fail", "fail")
     assert "does not answer *IDN? within 0.1 s" in silent.found
     assert "takes no connection" in absent.found

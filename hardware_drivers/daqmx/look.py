@@ -1,4 +1,4 @@
-"""NI-DAQmx boards and the transducers wired to them, from what the driver's `survey` finds.
+"""What `solimon doctor` says of NI-DAQmx boards and the transducers wired to them, from what `survey` finds.
 
 Nothing strikes: the survey commits tasks, which connects the coils' outputs at their low idle level, and
 starts no counter.
@@ -11,11 +11,11 @@ import socket
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from daq_service.cli.doctor.check import HELD, Check, Value
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
+from hardware_drivers.kinds import Finding
 
 if TYPE_CHECKING:
-    from hardware_drivers.daqmx.survey import BoardFacts, Finding, Survey
+    from hardware_drivers.daqmx.survey import BoardFacts, Survey
 
 OLDEST_DRIVER = (20, 1)
 """NI-DAQmx below this is not supported: the first release with all of Windows and today's Linux systems."""
@@ -36,75 +36,77 @@ TOLD_OF_A_BOARD = (
 LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
 
 
-def board_checks(
+def findings(
     parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey], *, shot_interval_s: float
-) -> list[Check]:
+) -> list[Finding]:
     """Look at driver, boards and every transducer's wiring."""
-    checks = [_duty(parameters.pulse_s, shot_interval_s)]
+    strikes = any(wiring.strikes for wiring in parameters.transducers.values())
+    found = [_duty(parameters.pulse_s, shot_interval_s)] if strikes else []
     if parameters.transport == "grpc":
-        checks.append(_server(parameters.grpc_address))
-        if checks[-1].state == "fail":
-            return checks
-    found = survey(parameters)
-    if found.driver_version:
-        checks.append(_driver(found.driver_version))
-    checks += [_told(finding, found, parameters) for finding in found.findings]
-    if parameters.watchdog is not None:
-        checks.append(_watchdog(parameters, parameters.watchdog))
-    return checks
+        found.append(_server(parameters.grpc_address))
+        if found[-1].state == "fail":
+            return found
+    looked = survey(parameters)
+    if looked.driver_version:
+        found.append(_driver(looked.driver_version))
+    found += [_told(finding, looked, parameters) for finding in looked.findings]
+    found += [_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs]
+    if parameters.all_watchdogs:
+        found += _unwatched(parameters)
+    return found
 
 
-def _duty(pulse_s: float, shot_interval_s: float) -> Check:
+def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
     """Part of the time that a coil is on while its transducer is struck."""
     part = pulse_s / shot_interval_s
-    return Check(
-        area="rig",
-        name="coils: duty cycle",
+    return Finding(
+        subject="coils",
+        check="duty cycle",
         state="ok" if part <= LARGEST_DUTY else "warn",
-        found=f"{part:.1%}: on for {pulse_s:g} s of {shot_interval_s:g} s (at most {LARGEST_DUTY:.0%})",
+        detail=f"{part:.1%}: on for {pulse_s:g} s of {shot_interval_s:g} s (at most {LARGEST_DUTY:.0%})",
         remedy="shorten pulse_s or lengthen shot_interval_s, or measure that your coils stay cool",
         values={"duty": part, "pulse_s": pulse_s},
     )
 
 
-def _server(address: str) -> Check:
+def _server(address: str) -> Finding:
     """Connect and leave: a server that is not there is told at once, not by every call's deadline."""
     host, _, port = address.rpartition(":")
     try:
         with socket.create_connection((host.strip("[]"), int(port)), timeout=SERVER_TIMEOUT_S):
             pass
     except OSError as error:
-        return Check(
-            area="rig",
-            name="gRPC server",
+        return Finding(
+            subject="gRPC server",
+            check="",
             state="fail",
-            found=f"{address} does not take a connection ({error})",
+            detail=f"{address} does not take a connection ({error})",
             remedy="start NI's gRPC device server on the chassis computer, open its port in the firewall, or "
             "correct grpc_address in [rig.daqmx]",
         )
-    return Check(area="rig", name="gRPC server", found=f"{address} takes a connection")
+    return Finding(subject="gRPC server", check="", state="ok", detail=f"{address} takes a connection")
 
 
-def _driver(text: str) -> Check:
+def _driver(text: str) -> Finding:
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
-    return Check(
-        area="rig",
-        name="driver: version",
+    return Finding(
+        subject="driver",
+        check="version",
         state="ok" if fits else "fail",
-        found=f"NI-DAQmx {text} (at least {oldest})",
+        detail=f"NI-DAQmx {text} (at least {oldest})",
         remedy="install a newer NI-DAQmx: docs/how-to/install-the-ni-driver.md",
         values={"driver_version": text, "oldest": oldest},
     )
 
 
-def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Check:
+def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
     state, remedy = finding.state, finding.remedy
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
     kind, _, which = finding.subject.partition(" ")
     if state == "fail" and kind == "board" and int(which, 16) not in _wanted(parameters):
         state = "warn"  # somebody else's board
-    values: dict[str, Value] = {}
+    values: dict[str, float | str | bool | None] = {}
     detail = finding.detail
     if kind == "transducer":
         if "as asked" in detail:
@@ -115,14 +117,14 @@ def _told(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Check
     if kind == "board":
         values = _facts(next((board for board in found.boards if board.serial == which), None))
     if owned:
-        detail, remedy = f"{detail}; {remedy}", HELD  # the owner may stand in either
-    return Check(
-        # Whoever holds the boards stands where a recorder does.
-        area="recorder" if owned else "rig",
-        name=f"{finding.subject}: {finding.check}",
+        detail = f"{detail}; {remedy}"  # the owner may stand in either
+    return Finding(
+        subject=finding.subject,
+        check=finding.check,
         state=state,
-        found=detail,
+        detail=detail,
         remedy=remedy or LOOK_UP,
+        held=owned,
         values=values,
     )
 
@@ -133,7 +135,7 @@ def _wanted(parameters: DaqmxParameters) -> set[int]:
     return {int(serial, 16) for wiring in wirings for serial in (wiring.board_serial, wiring.coil_serial)}
 
 
-def _facts(board: BoardFacts | None) -> dict[str, Value]:
+def _facts(board: BoardFacts | None) -> dict[str, float | str | bool | None]:
     if board is None:
         return {}
     return {name: getattr(board, name) for name in TOLD_OF_A_BOARD}
@@ -153,23 +155,41 @@ def _asked(parameters: DaqmxParameters, position: str, check: str) -> str:
     return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
 
 
-def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Check:
+def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
     """Each coil of the board must be among the lines that the watchdog pulls low."""
     board = int(watchdog.board_serial, 16)
     uncovered = [
         f"{wiring.output_terminal} (position {position})"
         for position, wiring in parameters.transducers.items()
-        if int(wiring.coil_serial, 16) == board and digital_name(wiring.output_terminal) not in watchdog.lines
+        if wiring.strikes
+        and int(wiring.coil_serial, 16) == board
+        and digital_name(wiring.output_terminal) not in watchdog.lines
     ]
     covered = f"{', '.join(watchdog.lines)} of board {board:08X} go low after {watchdog.timeout_s:g} s"
-    return Check(
-        area="rig",
-        name="watchdog",
+    return Finding(
+        subject="watchdog" if parameters.watchdogs is None else f"watchdog of board {board:08X}",
+        check="",
         state="fail" if uncovered else "ok",
-        found=f"{covered}; not covered: {', '.join(uncovered)}" if uncovered else covered,
+        detail=f"{covered}; not covered: {', '.join(uncovered)}" if uncovered else covered,
         remedy="add their lines to [rig.daqmx.watchdog] (X Series: PFI12 is port2/line4)",
         values={"timeout_s": watchdog.timeout_s},
     )
+
+
+def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
+    """Name boards that drive coils without a watchdog while others have one."""
+    coils = {int(its.coil_serial, 16) for its in parameters.transducers.values() if its.strikes}
+    return [
+        Finding(
+            subject=f"watchdog of board {serial:08X}",
+            check="",
+            state="warn",
+            detail="none, though this board drives coils; the counter alone ends its pulses",
+            remedy="give it its own [[rig.daqmx.watchdogs]], if it is an X Series board",
+        )
+        for serial in sorted(coils)
+        if parameters.watchdog_of(f"{serial:X}") is None
+    ]
 
 
 def digital_name(terminal: str) -> str:

@@ -14,32 +14,37 @@ TIMEOUT_S = 10.0
 class ClimateProbeContract:
     """Tell air temperature and humidity, dated."""
 
-    AIR = (22.0, 0.45)
-    """Temperature in degrees Celsius and relative humidity at the probe."""
     TOLERANCE = (1.0, 0.05)
     """How far the probe may be off: of the order of a good sensor's error."""
 
     @pytest.fixture
     def climate(self) -> ClimateProbe:
-        """Return the instrument under test in air of temperature and humidity `AIR`."""
+        """Return the instrument under test in the air of `air`."""
         raise NotImplementedError
 
-    def test_is_a_climate_probe(self, climate):
+    @pytest.fixture
+    def air(self) -> tuple[float, float]:
+        """Temperature in degrees Celsius and relative humidity at the probe."""
+        return 22.0, 0.45
+
+    def test_is_a_climate_probe(self, climate: ClimateProbe) -> None:
         assert isinstance(climate, ClimateProbe)
 
-    def test_a_reading_is_in_degrees_celsius_and_a_fraction(self, climate):
+    def test_a_reading_is_in_degrees_celsius_and_a_fraction(
+        self, climate: ClimateProbe, air: tuple[float, float]
+    ) -> None:
         reading = climate.read(TIMEOUT_S)
         assert isinstance(reading, ClimateReading)
-        assert abs(reading.temperature_c - self.AIR[0]) <= self.TOLERANCE[0]
-        assert abs(reading.relative_humidity - self.AIR[1]) <= self.TOLERANCE[1]
+        assert abs(reading.temperature_c - air[0]) <= self.TOLERANCE[0]
+        assert abs(reading.relative_humidity - air[1]) <= self.TOLERANCE[1]
 
-    def test_readings_are_dated_in_order(self, climate):
+    def test_readings_are_dated_in_order(self, climate: ClimateProbe) -> None:
         stamps = [climate.read(TIMEOUT_S).stamp for _ in range(3)]
         assert all(stamp.utc_ns > 0 for stamp in stamps)
         assert len({stamp.boot_id for stamp in stamps}) == 1
         times = [stamp.mono_ns for stamp in stamps]
         assert times == sorted(times)
 
-    def test_no_time_is_no_order(self, climate):
+    def test_no_time_is_no_order(self, climate: ClimateProbe) -> None:
         with pytest.raises(ConfigurationError, match="timeout_s"):
             climate.read(0.0)

@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from hardware_drivers.conformance.bench import Order
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import PowerSupply
 from hardware_drivers.measurement import SupplyReading
@@ -16,20 +17,25 @@ TIMEOUT_S = 10.0
 class PowerSupplyContract:
     """Measure; switch off; on only by `energise`, within the caps."""
 
-    VOLTAGE_CAP_V = 12.0
-    CURRENT_CAP_A = 2.0
-    ORDER = (8.0, 1.5)
-    """Voltage and limit within the caps, at which the load leaves the supply holding its voltage."""
-
     @pytest.fixture
     def supply(self) -> PowerSupply:
         """Return the instrument under test, its output switched on by the test's own means."""
         raise NotImplementedError
 
-    def test_is_a_power_supply(self, supply):
+    @pytest.fixture
+    def caps(self) -> Order:
+        """Return the caps it was configured with: V and A."""
+        return 12.0, 2.0
+
+    @pytest.fixture
+    def order(self) -> Order:
+        """Voltage and limit within the caps, at which the load leaves the supply holding its voltage."""
+        return 8.0, 1.5
+
+    def test_is_a_power_supply(self, supply: PowerSupply) -> None:
         assert isinstance(supply, PowerSupply)
 
-    def test_a_reading_is_measured_and_dated(self, supply):
+    def test_a_reading_is_measured_and_dated(self, supply: PowerSupply) -> None:
         reading = supply.read(TIMEOUT_S)
         assert isinstance(reading, SupplyReading)
         assert reading.output_on
@@ -37,22 +43,22 @@ class PowerSupplyContract:
         assert math.isfinite(reading.current_a)
         assert reading.stamp.utc_ns > 0
 
-    def test_safe_means_off(self, supply):
+    def test_safe_means_off(self, supply: PowerSupply) -> None:
         supply.make_safe()
         assert not supply.read(TIMEOUT_S).output_on
 
-    def test_making_safe_is_harmless_when_off(self, supply):
+    def test_making_safe_is_harmless_when_off(self, supply: PowerSupply) -> None:
         supply.make_safe()
         supply.make_safe()
         assert not supply.read(TIMEOUT_S).output_on
 
-    def test_reading_never_switches_it_on_again(self, supply):
+    def test_reading_never_switches_it_on_again(self, supply: PowerSupply) -> None:
         supply.make_safe()
         assert not any(supply.read(TIMEOUT_S).output_on for _ in range(3))
 
-    def test_energise_switches_on_what_was_asked_for(self, supply):
+    def test_energise_switches_on_what_was_asked_for(self, supply: PowerSupply, order: Order) -> None:
         supply.make_safe()
-        voltage_v, current_limit_a = self.ORDER
+        voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
         reading = supply.read(TIMEOUT_S)
         assert reading.output_on
@@ -60,31 +66,35 @@ class PowerSupplyContract:
         assert reading.voltage_v == pytest.approx(voltage_v, rel=0.01)
         assert 0.0 < reading.current_a <= current_limit_a
 
-    def test_an_order_replaces_the_one_before(self, supply):
-        voltage_v, current_limit_a = self.ORDER
+    def test_an_order_replaces_the_one_before(self, supply: PowerSupply, order: Order) -> None:
+        voltage_v, current_limit_a = order
         supply.energise(voltage_v, current_limit_a)
         supply.energise(voltage_v / 2, current_limit_a)
         assert supply.read(TIMEOUT_S).voltage_v == pytest.approx(voltage_v / 2, rel=0.01)  # as above
 
-    def test_beyond_the_caps_it_stays_off(self, supply):
+    def test_beyond_the_caps_it_stays_off(self, supply: PowerSupply, caps: Order, order: Order) -> None:
         supply.make_safe()
-        voltage_v, current_limit_a = self.ORDER
+        voltage_v, current_limit_a = order
         for refused in (
-            (self.VOLTAGE_CAP_V * 1.001, current_limit_a),
-            (voltage_v, self.CURRENT_CAP_A * 1.001),
+            (caps[0] * 1.001, current_limit_a),
+            (voltage_v, caps[1] * 1.001),
             (-voltage_v, current_limit_a),
             (voltage_v, 0.0),
             (math.nan, current_limit_a),
         ):
             with pytest.raises(ConfigurationError) as refusal:
                 supply.energise(*refused)
-            value = next(value for value in refused if value not in self.ORDER)
+            value = next(value for value in refused if value not in order)
             assert f"{value:g}" in str(refusal.value), "the message names the refused value"
             assert not supply.read(TIMEOUT_S).output_on
 
-    def test_it_says_who_it_is(self, supply):
+    def test_it_says_who_it_is(self, supply: PowerSupply) -> None:
         identity = supply.identity()
         assert identity["maker"]
         assert identity["model"]
         assert all(isinstance(text, str) for text in identity.values())
         assert supply.identity() == identity
+
+    def test_no_time_is_no_order(self, supply: PowerSupply) -> None:
+        with pytest.raises(ConfigurationError, match="timeout_s"):
+            supply.read(0.0)

@@ -1,0 +1,1 @@
+"""``certify``: what a test went through, with a verdict: `evidence`, `facts`, `criteria`, then `page`."""

@@ -1,0 +1,129 @@
+"""A number of a certificate: its unit, how it was found, or why there is none; and the statistics behind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+WARM_UP, WARM_UP_SETS = 0.2, 10
+"""First part of a recorder's sets, and so many at least: it imports, compiles, fills its caches, freezes
+baselines."""
+FEWEST_READINGS = 30
+"""A slope of fewer says nothing."""
+MOST_BLOCKS = 300
+"""Readings of a long test are put together, neighbours to their median: all pairs of them are looked at."""
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quantity:
+    """One number.
+
+    Attributes
+    ----------
+    name
+        Key in the JSON, with the unit at its end where it has one.
+    text, unit, how
+        What it is, in words; its unit, "1" for a mere number; how it was computed.
+    value
+        None: there is none, and ``missing`` says why.
+    low, high
+        Ends of its interval; None: it is known as it stands.
+    applies
+        False: nothing of the kind can be measured here, so no criterion asks for it.
+    """
+
+    name: str
+    section: str
+    text: str
+    unit: str
+    how: str
+    value: float | int | None = None
+    low: float | None = None
+    high: float | None = None
+    missing: str = ""
+    applies: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Table:
+    """Things that happened, a row each; units stand in the names of the columns."""
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[Any, ...]]
+    empty: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Series:
+    """One number over the hours of the test.
+
+    Attributes
+    ----------
+    hours, values
+        Shape (n,); a reading that the system did not give is left out.
+    label, others
+        What it is called beside further lines, and these by their names: hours and values.
+    steps
+        It stays between two readings.
+    missing
+        Why there is nothing to show.
+    """
+
+    name: str
+    title: str
+    unit: str
+    how: str
+    hours: Sequence[float] = ()
+    values: Sequence[float] = ()
+    others: dict[str, tuple[Sequence[float], Sequence[float]]] | None = None
+    label: str = "measured"
+    steps: bool = False
+    missing: str = ""
+
+
+def quantile(values: Sequence[float], part: float) -> float:
+    """Smallest of the values that at least this part of them does not exceed."""
+    return float(np.quantile(np.asarray(values, dtype=np.float64), part, method="inverted_cdf"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Growth:
+    """Slope a 1,000 sets with the ends of its interval, and of how many readings."""
+
+    slope: float
+    low: float
+    high: float
+    n: int
+
+
+def growth(set_indices: Sequence[int], values: Sequence[float]) -> Growth | None:
+    """Median of the slopes of all pairs (Theil and Sen) with its 95 % interval (Sen 1968).
+
+    A step or a burst moves it little. Neighbours are alike, so the interval of a short test is too narrow
+    where memory moves in waves; medians of neighbours in a long one are less so.
+
+    Returns
+    -------
+    Growth or None
+        None of fewer than `FEWEST_READINGS`.
+    """
+    if len(values) < FEWEST_READINGS:
+        return None
+    from scipy.stats import theilslopes
+
+    blocks = min(len(values), MOST_BLOCKS)
+    x = [float(np.median(part)) for part in np.array_split(np.asarray(set_indices, dtype=np.float64), blocks)]
+    y = [float(np.median(part)) for part in np.array_split(np.asarray(values, dtype=np.float64), blocks)]
+    found = theilslopes(y, x, alpha=CONFIDENCE)
+    return Growth(
+        slope=1e3 * float(found.slope),
+        low=1e3 * float(found.low_slope),
+        high=1e3 * float(found.high_slope),
+        n=len(values),
+    )

@@ -1,0 +1,91 @@
+"""Instruments of a mixed rig behind one Protocol each: a shot goes to those that serve its position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from typing import TypeVar
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.instruments import Acquired, Asking, Digitizer, Echo, PulseEchoUnit, Striker
+from hardware_drivers.measurement import ShotKey
+
+T = TypeVar("T")
+
+
+class Strikers:
+    """Strikers by their positions."""
+
+    def __init__(self, strikers: Mapping[str, Striker], asking: Asking) -> None:
+        self._strikers, self._asking = strikers, asking
+
+    def strike(self, key: ShotKey) -> None:
+        """Let the position's own striker strike, or ask for it."""
+        striker = _of(self._strikers, key, "striker")
+        self._asking.about(key)
+        striker.strike(key)
+
+    def make_safe(self) -> None:
+        """De-energise all of them: one that fails keeps no other from it, and its error is raised then."""
+        with ExitStack() as every:
+            every.callback(self._asking.ask, "")
+            for striker in _each(self._strikers):
+                every.callback(striker.make_safe)
+
+
+class Digitizers:
+    """Digitizers by their positions."""
+
+    def __init__(self, digitizers: Mapping[str, Digitizer], asking: Asking) -> None:
+        self._digitizers, self._asking = digitizers, asking
+        self._armed: ShotKey | None = None
+
+    def arm(self, key: ShotKey) -> None:
+        """Arm the position's own digitizer."""
+        digitizer = _of(self._digitizers, key, "digitizer")
+        if self._armed is not None:
+            raise ConfigurationError(f"already armed for {self._armed}; read or disarm first")
+        digitizer.arm(key)
+        self._armed = key
+
+    def read(self, timeout_s: float) -> Acquired:
+        """Read the armed one; what was asked of a person is over then."""
+        key, self._armed = self._armed, None
+        if key is None:
+            raise ConfigurationError("not armed; arm before the strike, then read")
+        try:
+            return self._digitizers[key.position].read(timeout_s)
+        finally:
+            self._asking.ask("")
+
+    def disarm(self) -> None:
+        """Disarm all of them."""
+        self._armed = None
+        with ExitStack() as every:
+            for digitizer in _each(self._digitizers):
+                every.callback(digitizer.disarm)
+
+
+class PulseEchoUnits:
+    """Pulse-echo units by their positions."""
+
+    def __init__(self, units: Mapping[str, PulseEchoUnit]) -> None:
+        self._units = units
+
+    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        """Let the position's own unit fire."""
+        return _of(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
+
+
+def _of(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
+    if key.position not in instruments:
+        raise ConfigurationError(
+            f"no {what} at position {key.position!r}; there are: {', '.join(instruments) or 'none'}; name "
+            f"one in [rig.positions.{key.position}]"
+        )
+    return instruments[key.position]
+
+
+def _each(instruments: Mapping[str, T]) -> list[T]:
+    """Give each instrument once."""
+    return list({id(instrument): instrument for instrument in instruments.values()}.values())

@@ -1,0 +1,175 @@
+"""The instruments that a configuration names: their kinds, their parameters, what each serves.
+
+Every kind of rig comes to the same list, and whoever opens or checks instruments goes by it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from daq_service.errors import UsageError
+from daq_service.settings.mixed import InstrumentSettings, MixedRig
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import Kind, Role
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.plug_ins import Offer, find_kind, offers
+
+TEXT: Mapping[Role, str] = {"supply": "text-supply", "climate": "text-climate"}
+"""Kinds of `[rig.supply]` and `[rig.climate]`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instrument:
+    """One instrument of a rig, not opened.
+
+    Attributes
+    ----------
+    table
+        Where its parameters stand in the configuration.
+    serves
+        Positions of each role that it has; none of supply and climate.
+    parameters
+        As its kind validated them.
+    """
+
+    name: str
+    table: str
+    kind: Kind[Any]
+    offer: Offer
+    parameters: Any
+    serves: Mapping[Role, tuple[str, ...]]
+
+
+class ParametersError(ValueError):
+    """Parameters that a kind refuses.
+
+    Attributes
+    ----------
+    problems
+        As `pydantic.ValidationError.errors` gives them, each with its place in the whole configuration.
+    keys
+        What the kind knows.
+    """
+
+    def __init__(self, table: str, error: ValidationError, keys: list[str]) -> None:
+        super().__init__(f"[{table}] is refused: {error}")
+        where = tuple(table.split("."))
+        self.problems = [{**problem, "loc": (*where, *problem["loc"])} for problem in error.errors()]
+        self.keys = keys
+
+
+def instruments_of(settings: Settings) -> list[Instrument]:
+    """Find the kind of each instrument and let it validate its parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        A kind is not there or cannot be imported; an instrument has no such role, or nobody uses it.
+    ParametersError
+        A kind refuses its parameters.
+    """
+    rig = settings.rig
+    found = []
+    if rig.kind == "mixed":
+        _require_roles(rig)
+        for name, item in rig.instruments.items():
+            table = f"rig.instruments.{name}"
+            found.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
+            if not found[-1].serves:
+                raise ConfigurationError(
+                    f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
+                )
+    else:
+        transducers, probes = (tuple(settings.names_of(method)) for method in (SOLITARY_WAVE, PULSE_ECHO))
+        wanted: dict[Role, tuple[str, ...]] = {"digitizer": transducers, "striker": transducers}
+        of_probes: dict[Role, tuple[str, ...]] = {"pulse_echo": probes} if probes else {}
+        if rig.kind == "daqmx":
+            if rig.niscope is not None:
+                found.append(_instrument("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
+        else:
+            wanted |= of_probes
+        table = f"rig.{rig.kind}"
+        found.insert(0, _instrument(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
+    for role, kind in TEXT.items():
+        parameters = getattr(rig, role)
+        if parameters is not None:
+            found.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
+    return found
+
+
+def configured(settings: Settings) -> list[Instrument]:
+    """Give the instruments of a configuration, not opened.
+
+    Raises
+    ------
+    UsageError
+        One cannot be had as configured: the cause and the remedy.
+    """
+    try:
+        return instruments_of(settings)
+    except (ConfigurationError, ParametersError) as error:
+        raise UsageError(str(error)) from error
+
+
+def with_defaults(settings: Settings) -> Settings:
+    """Fill in what the kinds of a mixed rig have as defaults; raises as `instruments_of`."""
+    if settings.rig.kind != "mixed":
+        return settings
+    filled = {
+        item.name: InstrumentSettings(kind=item.offer.name, **plain(item))
+        for item in instruments_of(settings)
+        if item.name in settings.rig.instruments
+    }
+    return settings.model_copy(update={"rig": settings.rig.model_copy(update={"instruments": filled})})
+
+
+def plain(instrument: Instrument) -> dict[str, Any]:
+    """Every parameter, ready for JSON."""
+    adapter: TypeAdapter[Any] = TypeAdapter(instrument.kind.parameters)
+    values: dict[str, Any] = adapter.dump_python(instrument.parameters, mode="json")
+    return values
+
+
+def _instrument(
+    name: str, table: str, kind_name: str, values: Any, serves: Mapping[Role, tuple[str, ...]]
+) -> Instrument:
+    try:
+        kind, offer = find_kind(kind_name)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{table}: {error}") from error
+    adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
+    try:
+        parameters = adapter.validate_python({} if values is None else values)
+    except ValidationError as error:
+        known = adapter.json_schema().get("properties", {})
+        raise ParametersError(table, error, sorted(known)) from error
+    try:
+        if serves:
+            kind.require(parameters, serves)
+    except ValueError as error:
+        raise ConfigurationError(f"{table}: {error}") from error
+    return Instrument(name=name, table=table, kind=kind, offer=offer, parameters=parameters, serves=serves)
+
+
+def _require_roles(rig: MixedRig) -> None:
+    """Refuse an instrument that cannot be what it is used as."""
+    known = offers()
+    for name, item in rig.instruments.items():
+        offer = known.get(item.kind)  # one that is unknown is told with its parameters
+        serves = rig.served_by(name)
+        for role in serves:
+            if offer is not None and role not in offer.roles:
+                raise ConfigurationError(
+                    f"{rig.key_of(name, role)} is {name!r}, whose kind {item.kind!r} is a "
+                    f"{' and '.join(offer.roles)}, not a {role}; name another instrument"
+                )
+        if "supply" in serves and len(serves) > 1:
+            raise ConfigurationError(
+                f"rig.drive.instrument is {name!r}, which is a {' and '.join(serves)}, too; the drive has a "
+                "process of its own, so its instrument can be nothing else: name one of its own"
+            )

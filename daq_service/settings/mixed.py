@@ -1,0 +1,171 @@
+"""A rig of several instruments: which there are, and which of them serves each position."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from hardware_drivers.drive_parameters import NamedClimateProbe, NamedSupply
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import Role
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+from hardware_drivers.plug_ins import find_kind
+
+NEEDED: Mapping[str, tuple[Role, ...]] = {
+    SOLITARY_WAVE: ("digitizer", "striker"),
+    PULSE_ECHO: ("pulse_echo",),
+}
+"""Roles that a position of each method needs."""
+KEYS_BESIDE: Mapping[Role, str] = {"supply": "drive", "climate": "air"}
+"""Tables of what serves no position."""
+
+
+class InstrumentSettings(BaseModel):
+    """One instrument of a mixed rig: `kind`, and the keys of that kind."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    kind: str = Field(min_length=1, max_length=100)
+    """What it is: `daqmx`, `niscope`, or a name that an installed package offers."""
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What its kind is told, as plain values."""
+        return self.model_dump(mode="json", exclude={"kind"})
+
+    def measured(self) -> dict[str, Any]:
+        """Give what the data depend on: all but how the instrument is reached."""
+        try:
+            kind, _ = find_kind(self.kind)
+        except ConfigurationError:
+            return self.model_dump(mode="json")  # a reader has no need of its package
+        return without(self.model_dump(mode="json"), kind.reached_by)
+
+
+class PlaceSettings(BaseModel):
+    """Instruments of one position, by their names in `[rig.instruments]`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    digitizer: str = ""
+    """Samples the transducer."""
+    striker: str = ""
+    """Lifts and drops its striker."""
+    pulse_echo: str = ""
+    """Fires the ultrasonic probe."""
+
+    @property
+    def names(self) -> set[str]:
+        """Instruments that serve this position."""
+        return {name for _, name in self if name}
+
+
+class MixedRig(BaseModel):
+    """Tables of a rig of several instruments."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    instruments: dict[str, InstrumentSettings] = Field(default_factory=dict)
+    """Instruments of a `mixed` rig by a name of your own; each is opened once, whatever it serves."""
+    positions: dict[str, PlaceSettings] = Field(default_factory=dict)
+    """Which instruments serve each position of a `mixed` rig."""
+    drive: NamedSupply | None = None
+    """Electrochemical drive of a `mixed` rig by one of its instruments, instead of `[rig.supply]`."""
+    air: NamedClimateProbe | None = None
+    """Thermometer and hygrometer of a `mixed` rig among its instruments, instead of `[rig.climate]`."""
+
+    @field_validator("instruments")
+    @classmethod
+    def _plain_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
+        for name in instruments:
+            if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
+                raise ValueError(f"instrument name {name!r}: use up to 40 ASCII letters, digits, - and _")
+        return instruments
+
+    @model_validator(mode="after")
+    def _names_instruments(self) -> Self:
+        named = {
+            f"positions.{at}.{role}": name
+            for at, place in self.positions.items()
+            for role, name in place
+            if name
+        }
+        named |= {f"{key}.instrument": its.instrument for key, its in self._beside().items()}
+        for key, name in named.items():
+            if name not in self.instruments:
+                raise ValueError(
+                    f"rig.{key} is {name!r}; there are: {', '.join(self.instruments) or 'none'}; add "
+                    f"[rig.instruments.{name}], or correct the name"
+                )
+        return self
+
+    def _beside(self) -> dict[str, NamedSupply | NamedClimateProbe]:
+        """Tables of what serves no position."""
+        return {key: its for key, its in (("drive", self.drive), ("air", self.air)) if its is not None}
+
+    def served_by(self, name: str) -> dict[Role, tuple[str, ...]]:
+        """Positions that an instrument serves, by role."""
+        served: dict[Role, tuple[str, ...]] = {}
+        for roles in NEEDED.values():
+            for role in roles:
+                names = [at for at, place in self.positions.items() if getattr(place, role) == name]
+                if names:
+                    served[role] = tuple(names)
+        if self.drive is not None and self.drive.instrument == name:
+            served["supply"] = ()
+        if self.air is not None and self.air.instrument == name:
+            served["climate"] = ()
+        return served
+
+    def key_of(self, name: str, role: Role) -> str:
+        """Name the first key that makes an instrument what it is used as."""
+        if role in KEYS_BESIDE:
+            return f"rig.{KEYS_BESIDE[role]}.instrument"
+        position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
+        return f"rig.positions.{position}.{role}"
+
+    def require_places(self, methods: Mapping[str, str]) -> None:
+        """Refuse a position without its instruments, and places and roles that there are not.
+
+        Parameters
+        ----------
+        methods
+            Positions of the experiment and how each is monitored.
+
+        Raises
+        ------
+        ValueError
+            Key, value and remedy.
+        """
+        for position, method in methods.items():
+            place = self.positions.get(position, PlaceSettings())
+            for role, name in place:
+                if role in NEEDED[method] and not name:
+                    raise ValueError(
+                        f"rig.positions.{position}.{role} is missing; a {method} position needs "
+                        f"{' and '.join(NEEDED[method])}: name an instrument of [rig.instruments]"
+                    )
+                if name and role not in NEEDED[method]:
+                    raise ValueError(
+                        f"rig.positions.{position}.{role} is {name!r}, but {position} is a {method} "
+                        f"position, which needs {' and '.join(NEEDED[method])}; take the key out"
+                    )
+        if unknown := [name for name in self.positions if name not in methods]:
+            raise ValueError(
+                f"rig.positions.{unknown[0]} is no position of [positions], which has: {', '.join(methods)}; "
+                "add it there, or take it out here"
+            )
+
+
+def without(values: Mapping[str, Any], paths: frozenset[str]) -> dict[str, Any]:
+    """Nested tables less the keys at these dotted paths."""
+    kept = {}
+    for name, value in values.items():
+        if name in paths:
+            continue
+        below = frozenset(path.removeprefix(f"{name}.") for path in paths if path.startswith(f"{name}."))
+        kept[name] = without(value, below) if below and isinstance(value, Mapping) else value
+    return kept

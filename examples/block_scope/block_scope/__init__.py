@@ -1,0 +1,1 @@
+"""A block-mode oscilloscope as a digitizer of solimon."""

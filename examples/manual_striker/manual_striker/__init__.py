@@ -1,0 +1,1 @@
+"""Strikers of solimon that need no NI counter: a person, and a relay board."""

@@ -1,0 +1,49 @@
+"""A person who is asked."""
+
+import pytest
+from manual_striker.hand import KIND, HandParameters
+from pydantic import ValidationError
+
+from hardware_drivers.conformance.bench import MachineClock
+from hardware_drivers.kinds import Opening
+from hardware_drivers.measurement import ShotKey
+
+KEY = ShotKey(position="C", set_index=0, shot_index=0)
+
+
+@pytest.fixture
+def asked():
+    return []
+
+
+@pytest.fixture
+def opening(asked):
+    return Opening(clock=MachineClock(), serves={"striker": ("C", "D")}, ask=asked.append)
+
+
+def test_a_strike_asks_for_it_and_leaving_takes_it_back(opening, asked):
+    with KIND.open(HandParameters(), opening) as its:
+        its.striker.strike(KEY)
+        assert asked == ["strike C now"]
+        assert its.identity == {"struck_by": "a person"}
+    assert asked == ["strike C now", ""]
+
+
+def test_the_words_are_the_laboratory_s_own(opening, asked):
+    with KIND.open(HandParameters(words="jetzt {position} anschlagen", who="night shift"), opening) as its:
+        its.striker.strike(KEY)
+        assert its.identity == {"struck_by": "night shift"}
+    assert asked[0] == "jetzt C anschlagen"
+
+
+@pytest.mark.parametrize("words", ["strike now", "{position} {shot}", "{position.__class__}", "{position"])
+def test_words_that_cannot_be_filled_in_are_refused(words):
+    with pytest.raises(ValidationError, match="words"):
+        HandParameters(words=words)
+
+
+def test_a_look_reminds_of_what_a_person_can_keep(opening):
+    (finding,) = KIND.check(HandParameters(), opening)
+    assert finding.state == "warn"
+    assert "C, D" in finding.detail
+    assert "read_timeout_s" in finding.remedy

@@ -1,0 +1,191 @@
+"""What every digitizer must do: inherit `DigitizerContract` and give its fixtures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hardware_drivers.conformance.bench import Keys, Strike
+from hardware_drivers.conformance.records import require_record
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
+from hardware_drivers.instruments import Acquired, Digitizer
+from hardware_drivers.measurement import ShotKey
+
+SHORT_TIMEOUT_S = 0.01
+"""Waiting for a strike that never comes."""
+OVERRUN_S = 20.0
+"""A read may end so much later on a busy machine; one that waits for the strike itself never ends."""
+
+
+class DigitizerContract:
+    """Arm, strike, read; everything else is refused or harmless."""
+
+    @pytest.fixture
+    def digitizer(self) -> Digitizer:
+        """Return the instrument under test, disarmed."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def strike(self, digitizer: Digitizer) -> Strike:
+        """Return what makes the key's transducer trigger the digitizer under test."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def keys(self) -> Keys:
+        """Return two shots of one position the instrument knows."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def unknown_key(self) -> ShotKey:
+        """Return a shot of a position the instrument does not know."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def timeout_s(self) -> float:
+        """Long enough for the instrument to deliver what has been struck."""
+        return 1.0
+
+    @pytest.fixture
+    def longest_read_s(self) -> float:
+        """How long a read of `SHORT_TIMEOUT_S` may take."""
+        return SHORT_TIMEOUT_S + OVERRUN_S
+
+    @pytest.fixture
+    def monotonic_s(self) -> Callable[[], float]:
+        """Return the clock that deadlines go by."""
+        return time.monotonic
+
+    def test_is_a_digitizer(self, digitizer: Digitizer) -> None:
+        assert isinstance(digitizer, Digitizer)
+
+    def test_a_strike_on_an_armed_digitizer_is_recorded(
+        self,
+        digitizer: Digitizer,
+        strike: Strike,
+        keys: Keys,
+        timeout_s: float,
+    ) -> None:
+        digitizer.arm(keys[0])
+        strike(keys[0])
+        acquired = digitizer.read(timeout_s)
+        assert isinstance(acquired, Acquired)
+        waveform = acquired.waveform
+        assert 0 < waveform.pretrigger_samples < waveform.counts.size
+        assert waveform.counts.min() < waveform.counts.max()
+
+    def test_counts_are_read_only_codes_of_their_calibration(
+        self,
+        digitizer: Digitizer,
+        strike: Strike,
+        keys: Keys,
+        timeout_s: float,
+    ) -> None:
+        digitizer.arm(keys[0])
+        strike(keys[0])
+        acquired = digitizer.read(timeout_s)
+        require_record(acquired)
+        lowest, highest = acquired.waveform.calibration.full_scale_counts
+        counts = acquired.waveform.counts
+        assert lowest <= counts.min() <= counts.max() <= highest, "codes fit the resolution"
+
+    def test_records_of_one_position_have_one_shape_and_calibration(
+        self,
+        digitizer: Digitizer,
+        strike: Strike,
+        keys: Keys,
+        timeout_s: float,
+    ) -> None:
+        waveforms = []
+        for key in keys:
+            digitizer.arm(key)
+            strike(key)
+            waveforms.append(digitizer.read(timeout_s).waveform)
+        first, second = waveforms
+        assert first.counts.shape == second.counts.shape
+        assert first.counts.dtype == second.counts.dtype
+        assert first.sample_rate_hz == second.sample_rate_hz
+        assert first.pretrigger_samples == second.pretrigger_samples
+        np.testing.assert_array_equal(first.calibration.coefficients_v, second.calibration.coefficients_v)
+
+    def test_an_unknown_position_is_refused_by_name(self, digitizer: Digitizer, unknown_key: ShotKey) -> None:
+        with pytest.raises(ConfigurationError, match=unknown_key.position):
+            digitizer.arm(unknown_key)
+        with pytest.raises(ConfigurationError):
+            digitizer.read(SHORT_TIMEOUT_S)
+
+    def test_arming_twice_is_refused(self, digitizer: Digitizer, keys: Keys) -> None:
+        digitizer.arm(keys[0])
+        with pytest.raises(ConfigurationError):
+            digitizer.arm(keys[1])
+
+    def test_reading_unarmed_is_refused(self, digitizer: Digitizer) -> None:
+        with pytest.raises(ConfigurationError):
+            digitizer.read(SHORT_TIMEOUT_S)
+
+    def test_reading_disarms(
+        self,
+        digitizer: Digitizer,
+        strike: Strike,
+        keys: Keys,
+        timeout_s: float,
+    ) -> None:
+        digitizer.arm(keys[0])
+        strike(keys[0])
+        digitizer.read(timeout_s)
+        with pytest.raises(ConfigurationError):
+            digitizer.read(SHORT_TIMEOUT_S)
+        digitizer.arm(keys[1])
+
+    def test_no_strike_times_out_and_disarms(self, digitizer: Digitizer, keys: Keys) -> None:
+        digitizer.arm(keys[0])
+        with pytest.raises(AcquisitionTimeoutError):
+            digitizer.read(SHORT_TIMEOUT_S)
+        with pytest.raises(ConfigurationError):
+            digitizer.read(SHORT_TIMEOUT_S)
+        digitizer.arm(keys[0])
+
+    def test_waiting_is_bounded_by_its_timeout(
+        self,
+        digitizer: Digitizer,
+        keys: Keys,
+        longest_read_s: float,
+        monotonic_s: Callable[[], float],
+    ) -> None:
+        digitizer.arm(keys[0])
+        began_s = monotonic_s()
+        with pytest.raises(AcquisitionTimeoutError):
+            digitizer.read(SHORT_TIMEOUT_S)
+        took_s = monotonic_s() - began_s
+        assert took_s <= longest_read_s, f"read({SHORT_TIMEOUT_S:g}) came back after {took_s:.1f} s"
+
+    def test_no_time_is_no_order(self, digitizer: Digitizer, keys: Keys) -> None:
+        digitizer.arm(keys[0])
+        with pytest.raises(ConfigurationError, match="timeout_s"):
+            digitizer.read(0.0)
+
+    def test_a_strike_before_arming_is_lost(self, digitizer: Digitizer, strike: Strike, keys: Keys) -> None:
+        strike(keys[0])
+        digitizer.arm(keys[0])
+        with pytest.raises(AcquisitionTimeoutError):
+            digitizer.read(SHORT_TIMEOUT_S)
+
+    def test_disarming_forgets_the_strike(self, digitizer: Digitizer, strike: Strike, keys: Keys) -> None:
+        digitizer.arm(keys[0])
+        strike(keys[0])
+        digitizer.disarm()
+        digitizer.arm(keys[1])
+        with pytest.raises(AcquisitionTimeoutError):
+            digitizer.read(SHORT_TIMEOUT_S)
+
+    def test_disarming_is_harmless_at_any_time(self, digitizer: Digitizer, keys: Keys) -> None:
+        digitizer.disarm()
+        digitizer.disarm()
+        digitizer.arm(keys[0])
+        digitizer.disarm()
+        digitizer.disarm()
+        with pytest.raises(ConfigurationError):
+            digitizer.read(SHORT_TIMEOUT_S)
+        digitizer.arm(keys[0])

@@ -1,0 +1,136 @@
+"""What every kind of instrument must do before and around its roles: `KindContract`."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, suppress
+from importlib.metadata import packages_distributions
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.instruments import ClimateProbe, Digitizer, PowerSupply, PulseEchoUnit, Striker
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
+
+PROTOCOLS: Mapping[Role, type] = {
+    "digitizer": Digitizer,
+    "striker": Striker,
+    "pulse_echo": PulseEchoUnit,
+    "supply": PowerSupply,
+    "climate": ClimateProbe,
+}
+NO_KEY = "solimon_knows_no_such_key"
+Open = Callable[[], AbstractContextManager[Opened]]
+
+
+class KindContract:
+    """Parameters that refuse what they do not know; opened, left and opened again."""
+
+    @pytest.fixture
+    def kind(self) -> Kind[Any]:
+        """Return the kind under test."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def table(self) -> Mapping[str, Any]:
+        """Return its parameters as a configuration gives them."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def module(self) -> str:
+        """Return the module that its entry points name."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def parameters(self, kind: Kind[Any], table: Mapping[str, Any]) -> Any:
+        """Return them validated."""
+        return TypeAdapter(kind.parameters).validate_python(table)
+
+    @pytest.fixture
+    def opening(self) -> Opening:
+        """Return what it is told when it is opened."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
+        """Return what opens the instrument."""
+        return lambda: kind.open(parameters, opening)
+
+    def test_unknown_parameters_are_refused(self, kind: Kind[Any], table: Mapping[str, Any]) -> None:
+        with pytest.raises(ValidationError, match=NO_KEY):
+            TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
+
+    def test_parameters_cannot_be_changed(self, parameters: Any) -> None:
+        for name in TypeAdapter(type(parameters)).dump_python(parameters):
+            with pytest.raises((AttributeError, ValidationError)):
+                setattr(parameters, name, getattr(parameters, name))
+
+    def test_parameters_are_the_same_after_they_were_stored(self, kind: Kind[Any], parameters: Any) -> None:
+        adapter = TypeAdapter(kind.parameters)
+        stored = adapter.dump_json(parameters)
+        assert adapter.dump_json(adapter.validate_json(stored)) == stored
+
+    def test_what_it_says_of_its_parameters_is_sound(self, kind: Kind[Any], parameters: Any) -> None:
+        keys = TypeAdapter(kind.parameters).dump_python(parameters)
+        assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
+        assert all(isinstance(name, str) and name for name in kind.packages(parameters))
+        longest_s = kind.longest_call_s(parameters)
+        assert math.isfinite(longest_s)
+        assert longest_s >= 0.0
+
+    def test_reading_a_configuration_imports_none_of_its_packages(
+        self, kind: Kind[Any], parameters: Any, module: str
+    ) -> None:
+        needed = {_plain(name) for name in kind.packages(parameters)}
+        if not needed:
+            return
+        heavy = [name for name, by in packages_distributions().items() if needed & set(map(_plain, by))]
+        program = f"import {module}, sys; print(*(name for name in {heavy!r} if name in sys.modules))"
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert done.stdout.split() == [], f"importing {module} imports them too; import them in `open`"
+
+    def test_opened_it_has_the_roles_that_were_asked_of_it(self, open_kind: Open, opening: Opening) -> None:
+        with open_kind() as opened:
+            for role in opening.serves:
+                assert isinstance(getattr(opened, role), PROTOCOLS[role]), f"it opens no {role}"
+
+    def test_it_says_who_it_is(self, open_kind: Open) -> None:
+        with open_kind() as opened:
+            identity = opened.identity
+        assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
+
+    def test_looking_at_it_ends_in_findings_with_remedies(
+        self, kind: Kind[Any], parameters: Any, opening: Opening
+    ) -> None:
+        found: list[Finding] = []
+        with suppress(InstrumentError):  # ends the look as a failed finding
+            found.extend(kind.check(parameters, opening))
+        assert all(isinstance(finding, Finding) for finding in found)
+        assert [finding for finding in found if finding.state != "ok" and not finding.remedy] == []
+
+    def test_left_it_can_be_opened_again(self, open_kind: Open, opening: Opening) -> None:
+        for _ in range(3):
+            with open_kind() as opened:
+                assert all(getattr(opened, role) is not None for role in opening.serves)
+
+    def test_left_by_an_error_it_lets_the_error_through_and_can_be_opened_again(
+        self, open_kind: Open, opening: Opening
+    ) -> None:
+        with pytest.raises(_FailureAtTheRigError), open_kind():
+            raise _FailureAtTheRigError
+        with open_kind() as opened:
+            assert all(getattr(opened, role) is not None for role in opening.serves)
+
+
+class _FailureAtTheRigError(Exception):
+    """Anything that goes wrong elsewhere while the instrument is open."""
+
+
+def _plain(distribution: str) -> str:
+    return distribution.lower().replace("_", "-")

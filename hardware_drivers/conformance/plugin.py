@@ -1,0 +1,133 @@
+"""Plugin of pytest: options that name an instrument, and a summary of the rules that it kept or broke."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from hardware_drivers.conformance.bench import Double
+    from hardware_drivers.conformance.choice import Chosen
+
+# Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
+_HERE = Path(__file__).parent
+pytest.register_assert_rewrite(
+    *(f"{__package__}.{file.stem}" for file in (*_HERE.glob("*_contract.py"), _HERE / "records.py"))
+)
+
+SUITES = "hardware_drivers.conformance.test_instrument"
+RULE_TIMEOUT_S = 120.0
+"""A rule whose call has not come back by then is broken: it has no bound."""
+CHOSEN: pytest.StashKey[Chosen] = pytest.StashKey()
+DOUBLE: pytest.StashKey[Double | None] = pytest.StashKey()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add what `choice` and the suites ask for."""
+    group = parser.getgroup("solimon", "an instrument against solimon's rules")
+    group.addoption("--solimon-kind", metavar="NAME", help="kind of instrument, as its entry points call it")
+    group.addoption(
+        "--solimon-config",
+        metavar="FILE",
+        type=Path,
+        help="TOML file with [rig.instruments.NAME] and [rig.positions.NAME] as for `solimon run`; without "
+        "one the kind's own defaults are proved",
+    )
+    group.addoption(
+        "--solimon-double",
+        metavar="MODULE:NAME",
+        help="a hardware_drivers.conformance.bench.Double that takes the instrument's place",
+    )
+    group.addoption(
+        "--solimon-strike",
+        action="store_true",
+        help="let strikers of a real rig move and probes fire; only with a person beside the rig",
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Find what the options name before anything is collected."""
+    kind, where = config.getoption("--solimon-kind"), config.getoption("--solimon-double")
+    if not kind:
+        return
+    from hardware_drivers.conformance.choice import choose, find_double
+    from hardware_drivers.errors import ConfigurationError
+
+    try:
+        config.stash[CHOSEN] = choose(kind, config.getoption("--solimon-config"))
+        config.stash[DOUBLE] = find_double(where) if where else None
+    except ConfigurationError as error:
+        raise pytest.UsageError(str(error)) from error
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Make one test of each way in which the double can fail."""
+    if metafunc.module.__name__ == SUITES and "fault" in metafunc.fixturenames:
+        metafunc.parametrize("fault", _faults(metafunc.config))
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the suites of roles that the instrument does not have here; bound each rule."""
+    ours = [item for item in items if _suite(item) is not None]
+    if not ours:
+        return
+    if CHOSEN not in config.stash:
+        raise pytest.UsageError("which instrument? give --solimon-kind NAME, as its entry points call it")
+    out = [item for item in ours if not _is_asked(item, config)]
+    items[:] = [item for item in items if item not in out]
+    config.hook.pytest_deselected(items=out)
+    for item in ours:
+        item.user_properties.append(("solimon_suite", _suite(item)))
+        if config.pluginmanager.has_plugin("timeout") and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(RULE_TIMEOUT_S))
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Tell suite by suite how many rules were kept, and each broken one by its name."""
+    told: dict[str, dict[str, list[str]]] = {}
+    for outcome in ("passed", "failed", "error", "skipped"):
+        for report in terminalreporter.getreports(outcome):
+            suite = dict(getattr(report, "user_properties", ())).get("solimon_suite")
+            if suite is not None:
+                rules = told.setdefault(str(suite), {}).setdefault(outcome, [])
+                rules.append(_rule(report.nodeid))
+    if not told:
+        return
+    chosen = config.stash[CHOSEN]
+    terminalreporter.section(f"solimon's rules: {chosen.offer.name}, {chosen.offer.distributions[0]}")
+    for suite, by_outcome in told.items():
+        broken = [*by_outcome.get("failed", []), *by_outcome.get("error", [])]
+        untried = len(by_outcome.get("skipped", []))
+        counts = f"{suite}: {len(by_outcome.get('passed', []))} kept, {len(broken)} broken"
+        terminalreporter.line(f"{counts}, {untried} not tried" if untried else counts)
+        for rule in broken:
+            terminalreporter.line(f"  broken: {rule}", red=True)
+    if missing := [role for role in chosen.offer.roles if role not in chosen.serves]:
+        terminalreporter.line(f"not proved: {', '.join(missing)}; no position of the configuration names it")
+    if not _faults(config):
+        terminalreporter.line("not proved: what it does when it fails; no double knows how")
+
+
+def _faults(config: pytest.Config) -> tuple[str, ...]:
+    double = config.stash.get(DOUBLE, None)
+    return () if double is None else double.faults
+
+
+def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
+    """Tell whether the instrument has the suite's role, and a double can fail where that is the rule."""
+    if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
+        return False
+    return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}
+
+
+def _suite(item: pytest.Item) -> str | None:
+    """Role whose suite a test belongs to, ``kind`` or ``safety``; None: no test of ours."""
+    cls = getattr(item, "cls", None)
+    return cls.suite if cls is not None and cls.__module__ == SUITES else None
+
+
+def _rule(nodeid: str) -> str:
+    """Tell the rule in words: the name of its test."""
+    return nodeid.rpartition("::")[2].removeprefix("test_").replace("_", " ")

@@ -1,0 +1,27 @@
+"""What holds for every record, whoever took it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hardware_drivers.instruments import Acquired
+
+RANGE_FRACTION = 0.25
+"""Full scale in volts is the range within this: boards reach up to a fifth beyond it, an ADC of few bits a
+little less; a wrong unit or resolution is off by a factor of two at least."""
+
+
+def require_record(acquired: Acquired) -> None:
+    """Fail unless counts, calibration and what is told of them make a record that can be kept."""
+    waveform, calibration = acquired.waveform, acquired.waveform.calibration
+    assert waveform.counts.dtype in (np.int16, np.int32), "counts are integers"
+    assert not waveform.counts.flags.writeable, "counts are read-only"
+    assert np.isfinite(calibration.coefficients_v).all(), "the calibration is made of numbers"
+    top_v = float(calibration.volts(np.array([calibration.full_scale_counts[1]], dtype=np.int32))[0])
+    assert abs(abs(top_v) / calibration.range_v - 1.0) <= RANGE_FRACTION, (
+        f"the highest code is {top_v:g} V by the calibration, its range is {calibration.range_v:g} V"
+    )
+    assert all(isinstance(value, float) for value in acquired.truth.values()), "what is true is a number"
+    assert all(isinstance(value, (float, str)) for value in acquired.settings.values()), (
+        "settings are numbers (float) and texts"
+    )

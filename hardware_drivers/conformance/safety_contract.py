@@ -1,0 +1,175 @@
+"""What every kind must do when it is left in the middle, or its instrument fails: `SafetyContract`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any
+
+import pytest
+
+from hardware_drivers.conformance.bench import Bench
+from hardware_drivers.conformance.kind_contract import Open
+from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
+from hardware_drivers.kinds import Opened, Opening, Role
+from hardware_drivers.measurement import ShotKey
+
+TIMEOUT_S = 0.05
+"""What a fault swallows is not waited for."""
+WHOLE_TIMEOUT_S = 30.0
+"""Of an instrument that is well again: reached on a machine that hangs, not on one that is busy."""
+AT_REST = ("arm", "disarm", "make_safe", "measure")
+"""Calls that an instrument must take although nobody strikes."""
+Call = Callable[[], object]
+
+
+class SafetyContract:
+    """Errors are solimon's own; afterwards nothing is armed, every coil is off, and it opens again."""
+
+    @pytest.fixture
+    def bench(self) -> Bench:
+        """Return what can make the instrument fail, and tells what its coils did."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def opening(self) -> Opening:
+        """Return what the instrument is told when it is opened."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def open_kind(self) -> Open:
+        """Return what opens the instrument."""
+        raise NotImplementedError
+
+    @pytest.fixture
+    def fault(self) -> str:
+        """Return how it fails."""
+        raise NotImplementedError
+
+    def test_left_in_the_middle_it_is_safe(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
+        with open_kind() as opened:
+            for _, call in _calls(opened, opening, ("arm", "strike"), WHOLE_TIMEOUT_S):
+                call()
+        assert _coils_on(bench) == []
+        with open_kind() as opened:
+            for _, call in _calls(opened, opening, ("arm",)):
+                call()
+
+    def test_opening_fails_by_errors_of_hardware_drivers_only(
+        self, bench: Bench, open_kind: Open, fault: str
+    ) -> None:
+        def open_it() -> None:
+            with open_kind():
+                """Opened all the same: a fault that only calls will tell."""
+
+        with _failing(bench, fault):
+            _error_of("opening", open_it)
+
+    def test_calls_fail_by_errors_of_hardware_drivers_only(
+        self, bench: Bench, open_kind: Open, opening: Opening, fault: str
+    ) -> None:
+        told = {}
+        with _lost(open_kind) as opened, _failing(bench, fault):
+            for name, call in _calls(opened, opening):
+                told[name] = _error_of(name, call)
+        assert any(told.values()), (
+            f"no call told of the fault {fault!r}: {', '.join(told) or 'none was made'}"
+        )
+
+    def test_after_an_error_nothing_is_armed(
+        self, bench: Bench, open_kind: Open, opening: Opening, fault: str
+    ) -> None:
+        with _lost(open_kind) as opened:
+            if opened.digitizer is None or "digitizer" not in opening.serves:
+                pytest.skip("it is no digitizer")
+            opened.digitizer.arm(_key("digitizer", opening))
+            read = opened.digitizer.read
+            with _failing(bench, fault):
+                first = _error_of("read", lambda: read(TIMEOUT_S))
+            assert first is not None, f"read told nothing of the fault {fault!r}"
+            second = _error_of("read", lambda: read(TIMEOUT_S))
+            assert second is not None, "there was nothing to read any more"
+            assert not isinstance(second, AcquisitionTimeoutError), "it waited again: still armed"
+
+    def test_after_an_error_every_coil_is_off(
+        self, bench: Bench, open_kind: Open, opening: Opening, fault: str
+    ) -> None:
+        if bench.coil_levels is None:
+            pytest.skip("it has no coil, or nobody knows what its coils did")
+        with _lost(open_kind) as opened, _failing(bench, fault):
+            for name, call in _calls(opened, opening, ("strike", "make_safe")):
+                _error_of(name, call)
+                assert _coils_on(bench) == [], f"after {name}"
+        assert _coils_on(bench) == []
+
+    def test_after_a_fault_it_can_be_opened_again(
+        self, bench: Bench, open_kind: Open, opening: Opening, fault: str
+    ) -> None:
+        with ExitStack() as still, _lost(open_kind) as opened:
+            # Ended last: the instrument is left while it fails.
+            still.enter_context(_failing(bench, fault))
+            for name, call in _calls(opened, opening):
+                _error_of(name, call)
+        with open_kind() as opened:
+            for _, call in _calls(opened, opening, AT_REST, WHOLE_TIMEOUT_S):
+                call()
+
+
+@contextmanager
+def _lost(open_kind: Open) -> Iterator[Opened]:
+    """Open what will fail: leaving it may tell of that."""
+    with ExitStack() as stack:
+        yield stack.enter_context(open_kind())
+        with suppress(InstrumentError):
+            stack.close()
+
+
+def _failing(bench: Bench, fault: str) -> Any:
+    assert bench.fault is not None, "a double that names faults gives Bench.fault"
+    return bench.fault(fault)
+
+
+def _error_of(name: str, call: Call) -> InstrumentError | None:
+    """Make a call; an error that is not of `hardware_drivers.errors` breaks the rule."""
+    try:
+        call()
+    except InstrumentError as error:
+        return error
+    except Exception as error:
+        raise AssertionError(
+            f"{name} raised {type(error).__name__}: {error}; raise an InstrumentError"
+        ) from error
+    return None
+
+
+def _key(role: Role, opening: Opening) -> ShotKey:
+    return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
+
+
+def _calls(
+    opened: Opened, opening: Opening, only: tuple[str, ...] = (), timeout_s: float = TIMEOUT_S
+) -> Iterator[tuple[str, Call]]:
+    """Give the calls of every role that is asked of it, in the order of a shot; each by its name."""
+    made: dict[str, list[Call]] = {
+        name: [] for name in ("arm", "strike", "read", "disarm", "make_safe", "measure")
+    }
+    if (digitizer := opened.digitizer) is not None and "digitizer" in opening.serves:
+        made["arm"].append(lambda: digitizer.arm(_key("digitizer", opening)))
+        made["read"].append(lambda: digitizer.read(timeout_s))
+        made["disarm"].append(digitizer.disarm)
+    if (striker := opened.striker) is not None and "striker" in opening.serves:
+        made["strike"].append(lambda: striker.strike(_key("striker", opening)))
+        made["make_safe"].append(striker.make_safe)
+    if (pulse_echo := opened.pulse_echo) is not None and "pulse_echo" in opening.serves:
+        made["strike"].append(lambda: pulse_echo.acquire(_key("pulse_echo", opening), timeout_s))
+    if (supply := opened.supply) is not None and "supply" in opening.serves:
+        made["measure"].append(lambda: supply.read(timeout_s))
+        made["make_safe"].append(supply.make_safe)
+    if (climate := opened.climate) is not None and "climate" in opening.serves:
+        made["measure"].append(lambda: climate.read(timeout_s))
+    return ((name, call) for name, calls in made.items() if name in (only or made) for call in calls)
+
+
+def _coils_on(bench: Bench) -> list[str]:
+    levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
+    return [position for position, on in levels.items() if on]

@@ -1,0 +1,255 @@
+"""Every rule, for the instrument that the options of the command name."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import pytest
+from pydantic import TypeAdapter
+
+from hardware_drivers.conformance.bench import Bench, CoilLevels, Keys, MachineClock, Order, Strike
+from hardware_drivers.conformance.choice import Chosen
+from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
+from hardware_drivers.conformance.digitizer_contract import OVERRUN_S, SHORT_TIMEOUT_S, DigitizerContract
+from hardware_drivers.conformance.kind_contract import KindContract, Open
+from hardware_drivers.conformance.plugin import CHOSEN, DOUBLE
+from hardware_drivers.conformance.power_supply_contract import PowerSupplyContract
+from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
+from hardware_drivers.conformance.safety_contract import SafetyContract
+from hardware_drivers.conformance.striker_contract import StrikerContract
+from hardware_drivers.instruments import ClimateProbe, Digitizer, PowerSupply, PulseEchoUnit, Striker
+from hardware_drivers.kinds import Kind, Opened, Opening
+from hardware_drivers.measurement import ShotKey
+
+NOBODY_ALLOWED_IT = "this moves a striker or fires a probe: give --solimon-strike, with a person at the rig"
+TIMEOUT_S = 30.0
+"""Of a read: a person who strikes by hand needs some seconds."""
+
+
+class OnTheBench:
+    """What the suites ask for, as the options give it."""
+
+    suite: ClassVar[str]
+
+    @pytest.fixture
+    def bench(self, pytestconfig: pytest.Config) -> Iterator[Bench]:
+        """Return what surrounds the instrument."""
+        double = pytestconfig.stash[DOUBLE]
+        if double is None:
+            yield Bench()
+            return
+        with double.bench() as bench:
+            yield bench
+
+    @pytest.fixture
+    def chosen(self, pytestconfig: pytest.Config) -> Chosen:
+        """Return what the options name."""
+        return pytestconfig.stash[CHOSEN]
+
+    @pytest.fixture
+    def kind(self, chosen: Chosen) -> Kind[Any]:
+        """Return the kind under test."""
+        return chosen.kind
+
+    @pytest.fixture
+    def table(self, chosen: Chosen, bench: Bench) -> Mapping[str, Any]:
+        """Return its parameters, with those that only the double knows."""
+        return {**chosen.table, **bench.parameters}
+
+    @pytest.fixture
+    def parameters(self, kind: Kind[Any], table: Mapping[str, Any]) -> Any:
+        """Return them validated."""
+        return TypeAdapter(kind.parameters).validate_python(table)
+
+    @pytest.fixture
+    def opening(self, chosen: Chosen, pytestconfig: pytest.Config) -> Opening:
+        """Return what it is told; what a person should do goes to the terminal."""
+        capture = pytestconfig.pluginmanager.getplugin("capturemanager")
+
+        def ask(what: str) -> None:
+            if what:
+                with capture.global_and_fixture_disabled():
+                    print(f"\n  {what}", flush=True)
+
+        return Opening(clock=MachineClock(), serves=chosen.serves, ask=ask, experiment=chosen.configuration)
+
+    @pytest.fixture
+    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
+        """Return what opens the instrument."""
+        return lambda: kind.open(parameters, opening)
+
+    @pytest.fixture
+    def opened(self, open_kind: Open) -> Iterator[Opened]:
+        """Return the instrument, opened for one rule."""
+        with open_kind() as opened:
+            yield opened
+
+    @pytest.fixture
+    def allowed(self, pytestconfig: pytest.Config) -> None:
+        """Skip what moves or fires something real unless somebody allowed it."""
+        if pytestconfig.stash[DOUBLE] is None and not pytestconfig.getoption("--solimon-strike"):
+            pytest.skip(NOBODY_ALLOWED_IT)
+
+    @pytest.fixture
+    def keys(self, chosen: Chosen) -> Keys:
+        """Return two shots of one position."""
+        (position, *_) = next(names for role, names in chosen.serves.items() if role == self.suite)
+        return tuple(ShotKey(position=position, set_index=0, shot_index=i) for i in (0, 1))
+
+    @pytest.fixture
+    def unknown_key(self) -> ShotKey:
+        """Return a shot of a position that no rig has."""
+        return ShotKey(position="nowhere", set_index=0, shot_index=0)
+
+    @pytest.fixture
+    def timeout_s(self) -> float:
+        """Long enough for a person."""
+        return TIMEOUT_S
+
+    @pytest.fixture
+    def coil_levels(self, bench: Bench) -> CoilLevels:
+        """Return what tells the switchings."""
+        if bench.coil_levels is None:
+            pytest.skip("it has no coil, or nobody knows what its coils did: a double's Bench.coil_levels")
+        return bench.coil_levels
+
+
+class TestKind(OnTheBench, KindContract):
+    """The kind itself: nothing strikes, nothing is energised."""
+
+    suite = "kind"
+
+    @pytest.fixture
+    def module(self, chosen: Chosen) -> str:
+        """Return the module that its entry points name."""
+        return next(iter(chosen.offer.by_role.values())).module
+
+
+class TestSafety(OnTheBench, SafetyContract):
+    """Left in the middle; failing in each way that the double knows."""
+
+    suite = "safety"
+
+    @pytest.fixture
+    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening, allowed: None) -> Open:
+        """Return what opens the instrument, which then strikes."""
+        return lambda: kind.open(parameters, opening)
+
+
+class TestDigitizer(OnTheBench, DigitizerContract):
+    """Arm, strike, read."""
+
+    suite = "digitizer"
+
+    @pytest.fixture
+    def digitizer(self, opened: Opened) -> Digitizer:
+        """Return it disarmed."""
+        assert opened.digitizer is not None
+        return opened.digitizer
+
+    @pytest.fixture
+    def strike(
+        self, chosen: Chosen, bench: Bench, opened: Opened, opening: Opening, keys: Keys, allowed: None
+    ) -> Iterator[Strike]:
+        """Strike by the double, by the instrument itself, or by whatever strikes at its position."""
+        if bench.strike is not None:
+            yield bench.strike
+            return
+        kind, table = chosen.strikers.get(keys[0].position, (None, {}))
+        with ExitStack() as stack:
+            if kind is None:
+                pytest.skip("nothing strikes at its position: give it a striker, or Bench.strike of a double")
+            elif kind is chosen.kind:
+                striker = opened.striker
+            else:
+                told = TypeAdapter(kind.parameters).validate_python(table)
+                beside = replace(opening, serves={"striker": (keys[0].position,)})
+                striker = stack.enter_context(kind.open(told, beside)).striker
+            assert striker is not None
+            yield striker.strike
+
+    @pytest.fixture
+    def longest_read_s(self, kind: Kind[Any], parameters: Any) -> float:
+        """Return the bound of any digitizer, and what the kind says of its calls."""
+        return SHORT_TIMEOUT_S + OVERRUN_S + kind.longest_call_s(parameters)
+
+
+class TestStriker(OnTheBench, StrikerContract):
+    """One pulse a strike."""
+
+    suite = "striker"
+
+    @pytest.fixture
+    def striker(self, opened: Opened, allowed: None) -> Striker:
+        """Return it with every coil off."""
+        assert opened.striker is not None
+        return opened.striker
+
+    @pytest.fixture
+    def keys(self, chosen: Chosen) -> Keys:
+        """Return a shot of each of two positions, of one if it has no more."""
+        names = chosen.serves["striker"][:2]
+        return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in names)
+
+
+class TestPulseEcho(OnTheBench, PulseEchoUnitContract):
+    """Fire, average, return."""
+
+    suite = "pulse_echo"
+
+    @pytest.fixture
+    def pulse_echo(self, opened: Opened, allowed: None) -> PulseEchoUnit:
+        """Return it."""
+        assert opened.pulse_echo is not None
+        return opened.pulse_echo
+
+
+class TestSupply(OnTheBench, PowerSupplyContract):
+    """Off unless ordered. Nobody energises a real cell to prove a driver: it needs a double."""
+
+    suite = "supply"
+
+    @pytest.fixture
+    def supply(self, opened: Opened, order: Order) -> PowerSupply:
+        """Return it switched on."""
+        assert opened.supply is not None
+        opened.supply.energise(*order)
+        return opened.supply
+
+    @pytest.fixture
+    def caps(self, bench: Bench) -> Order:
+        """Return what the double's configuration refuses."""
+        return _told_by_the_double(bench.caps)
+
+    @pytest.fixture
+    def order(self, bench: Bench) -> Order:
+        """Return what may be ordered of the double."""
+        return _told_by_the_double(bench.order)
+
+
+def _told_by_the_double(order: Order | None) -> Order:
+    if order is None:
+        pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
+    return order
+
+
+class TestClimate(OnTheBench, ClimateProbeContract):
+    """Temperature and humidity, dated."""
+
+    suite = "climate"
+
+    @pytest.fixture
+    def climate(self, opened: Opened) -> ClimateProbe:
+        """Return it."""
+        assert opened.climate is not None
+        return opened.climate
+
+    @pytest.fixture
+    def air(self, bench: Bench) -> tuple[float, float]:
+        """Return what the double's air is."""
+        if bench.air is None:
+            pytest.skip("nobody knows the true air: a double's Bench.air")
+        return bench.air

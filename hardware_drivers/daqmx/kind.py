@@ -1,0 +1,65 @@
+"""NI-DAQmx boards as a kind of instrument: digitizer, striker or both, over one connection."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.daqmx.look import findings
+from hardware_drivers.daqmx.parameters import REACHED_BY, DaqmxParameters
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
+
+
+@contextmanager
+def _open(parameters: DaqmxParameters, opening: Opening) -> Iterator[Opened]:
+    with open_daqmx(parameters) as boards:
+        yield Opened(
+            digitizer=boards.digitizer,
+            striker=boards.striker,
+            self_calibrating=boards.self_calibrating,
+            self_calibration_interval_h=parameters.self_calibration_interval_h,
+            identity={**boards.identity, **({"dry_run": "yes"} if parameters.dry_run else {})},
+            dry_run=parameters.dry_run,
+        )
+
+
+def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
+    from hardware_drivers.daqmx.survey import survey
+
+    yield from findings(parameters, survey, shot_interval_s=opening.shot_interval_s)
+
+
+def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
+    return ("nidaqmx", "grpcio") if parameters.transport == "grpc" else ("nidaqmx",)
+
+
+def _require(parameters: DaqmxParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    """Each end that is wired is used, and each that is used is wired."""
+    ends: tuple[tuple[Role, str], ...] = (("digitizer", "input"), ("striker", "counter"))
+    for position, wiring in parameters.transducers.items():
+        for role, end in ends:
+            if getattr(wiring, end) and position not in serves.get(role, ()):
+                raise ValueError(
+                    f"transducers.{position}.{end} is {getattr(wiring, end)!r}, but these boards are not the "
+                    f"{role} of {position!r}; set {end} = '', or name them in [rig.positions.{position}]"
+                )
+    for role, end in ends:
+        for position in serves.get(role, ()):
+            if position not in parameters.transducers or not getattr(parameters.transducers[position], end):
+                raise ValueError(
+                    f"transducers.{position}.{end} is missing; these boards are the {role} of {position!r}: "
+                    f"wire it, or name another instrument in [rig.positions.{position}]"
+                )
+
+
+KIND = Kind(
+    parameters=DaqmxParameters,
+    open=_open,
+    check=_check,
+    packages=_packages,
+    # A call of NI's own library has no bound of its own.
+    longest_call_s=lambda parameters: parameters.longest_call_s if parameters.transport == "grpc" else 0.0,
+    reached_by=REACHED_BY,
+    require=_require,
+)

@@ -1,0 +1,107 @@
+"""How supply and climate are set, logged and watched, whatever instrument measures them."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Annotated
+
+from annotated_types import Ge, Gt, Le
+
+from hardware_drivers.bounds import bounded
+
+LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s"})
+"""Not what is measured: how often, and how long an answer is waited for."""
+WATCH_KEYS = LOG_KEYS | {
+    "interlock_current_a",
+    "interlock_readings",
+    "interlock_lost_after_s",
+    "off_at_end",
+    "unwatched_s",
+}
+"""Nor how the drive is watched."""
+
+
+@bounded
+class DriveParameters(ABC):
+    """The electrochemical drive: what is asked of its supply, and what is done when that is not so."""
+
+    voltage_v: Annotated[float, Gt(0.0), Le(60.0)] = 10.0
+    """Voltage of the drive (paper: 10 V)."""
+    current_limit_a: Annotated[float, Gt(0.0), Le(100.0)] = 1.0
+    """Current at which the supply stops holding its voltage."""
+    voltage_cap_v: Annotated[float, Gt(0.0), Le(60.0)] = 12.0
+    """No order beyond this is sent, whoever gives it (at most 60 V: extra-low voltage)."""
+    current_cap_a: Annotated[float, Gt(0.0), Le(100.0)] = 2.0
+    """No limit beyond this is sent, whoever asks for it."""
+    readback_tolerance_v: Annotated[float, Gt(0.0), Le(1.0)] = 0.05
+    """How far the voltage read back or measured may lie above the one that was set."""
+    readback_tolerance_a: Annotated[float, Gt(0.0), Le(1.0)] = 0.02
+    """How far the current limit read back, or the current measured, may lie above the one that was set."""
+    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 10.0
+    """Seconds between two readings; charge is integrated over them."""
+    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
+    """Longest time one reading may take: three questions, after a fault also finding the instrument."""
+    interlock_current_a: Annotated[float, Gt(0.0), Le(100.0)] = 0.9
+    """Measured current at which the interlock switches off (a hole, a short circuit). Below
+    `current_limit_a`, or it is never reached while the supply keeps its limit."""
+    interlock_readings: Annotated[int, Ge(1), Le(1000)] = 3
+    """So many readings in a row at or above `interlock_current_a` trip it."""
+    off_at_end: bool = True
+    """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
+    leaves it as it is for `unwatched_s`, as does `false` at the end: the corrosion goes on, and only a
+    person's order would switch it on again."""
+    interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
+    """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
+    unwatched_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
+    """Without a recorder for so long, the output is switched off and stays off until a person's order."""
+
+    @property
+    @abstractmethod
+    def longest_order_s(self) -> float:
+        """Longest time that an order takes, and switching off again where it fails."""
+
+    def __post_init__(self) -> None:
+        for name, cap in (
+            ("voltage_v", "voltage_cap_v"),
+            ("current_limit_a", "current_cap_a"),
+        ):
+            if getattr(self, name) > getattr(self, cap):
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; it must be at most {cap} = {getattr(self, cap)}"
+                )
+
+
+@bounded
+class NamedSupply(DriveParameters):
+    """The drive by an instrument of `[rig.instruments]`; `[rig.supply]` is one that speaks text."""
+
+    instrument: str
+    """Its name there; the instrument serves as nothing else."""
+    order_timeout_s: Annotated[float, Gt(0.0), Le(600.0)] = 15.0
+    """Longest time that it takes to obey (set, read back, switch, measure)."""
+
+    def __post_init__(self) -> None:
+        DriveParameters.__post_init__(self)
+
+    @property
+    def longest_order_s(self) -> float:
+        """Longest time that an order takes, and switching off again where it fails."""
+        return 2.0 * self.order_timeout_s
+
+
+@bounded
+class LogParameters:
+    """How the climate beside the specimen is logged."""
+
+    log_interval_s: Annotated[float, Gt(0.0), Le(3600.0)] = 60.0
+    """Seconds between two readings."""
+    read_timeout_s: Annotated[float, Gt(0.0), Le(60.0)] = 3.0
+    """Longest time one reading may take."""
+
+
+@bounded
+class NamedClimateProbe(LogParameters):
+    """The climate by an instrument of `[rig.instruments]`; `[rig.climate]` is one that speaks text."""
+
+    instrument: str
+    """Its name there."""

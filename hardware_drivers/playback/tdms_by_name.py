@@ -1,0 +1,77 @@
+"""LabVIEW files whose channels all lie in one group: the channel's own name says which shot it is.
+
+``B`` is shot 0 of position B; ``B_3``, ``B shot 3`` and ``B3`` are its shot 3.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.playback.parameters import TdmsMapping
+
+_NUMBER = r"[ _.-]*(?:shot)?[ _.-]*(?P<shot>\d+)"
+
+
+def plays_by_name(mapping: TdmsMapping) -> bool:
+    """Whether nobody has said how groups and channels lead to shots."""
+    defaults = TdmsMapping()
+    keys = (
+        "group_pattern",
+        "channel_pattern",
+        "position",
+        "position_property",
+        "set_property",
+        "shot_property",
+    )
+    return all(getattr(mapping, key) == getattr(defaults, key) for key in keys)
+
+
+def shots_by_name(
+    channels: Collection[tuple[str, str]], positions: Collection[str], mapping: TdmsMapping, file: str
+) -> dict[tuple[str, str], Mapping[str, str | None]]:
+    """Position and shot of the channels that are named after a position; no other channel is looked at.
+
+    Parameters
+    ----------
+    channels
+        Group and name of each channel of a file.
+
+    Raises
+    ------
+    ConfigurationError
+        A name fits two positions, or two names are one shot: the names found.
+    """
+    if len({group for group, _ in channels}) != 1:
+        return {}
+    found: dict[tuple[str, str], Mapping[str, str | None]] = {}
+    of_shot: dict[tuple[str, int], str] = {}
+    for group, name in channels:
+        fits = _fits(mapping.rename.get(name, name), positions)
+        if not fits:
+            continue
+        (position, shot), *others = fits
+        number = mapping.first_shot if shot is None else int(shot)
+        twin = of_shot.setdefault((position, number), name)
+        if others or twin != name:
+            names = ", ".join(sorted(name for _, name in channels))
+            told = (
+                f"channel {name!r} is shot {shot} of {position!r}, or of {others[0][0]!r}"
+                if others
+                else f"channels {twin!r} and {name!r} are both shot {number} of {position!r}"
+            )
+            raise ConfigurationError(
+                f"{file}, group {group!r}: {told}; its channels are: {names}; say which it is by "
+                "channel_pattern with (?P<position>...) and (?P<shot>...), or by rename"
+            )
+        found[group, name] = {"position": position, "shot": shot}
+    return found
+
+
+def _fits(name: str, positions: Collection[str]) -> list[tuple[str, str | None]]:
+    """Give each position and shot that a channel's name may mean: its own first."""
+    if name in positions:
+        return [(name, None)]
+    matches = ((one, re.fullmatch(re.escape(one) + _NUMBER, name, re.IGNORECASE)) for one in positions)
+    return [(one, match["shot"]) for one, match in matches if match is not None]

@@ -1,0 +1,127 @@
+"""Kinds of instruments that are installed here, found by their entry points; solimon's own are no exception.
+
+Finding reads the metadata of installed distributions; only a kind that is asked for is imported.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import GROUPS, ROLES, Kind, Role
+
+OURS = "solimon"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offer:
+    """A kind as distributions offer it, not imported yet.
+
+    Attributes
+    ----------
+    by_role
+        Its entry point for each role, as one distribution gives it.
+    distributions
+        Names and versions of those that offer a kind of this name: one, or it is refused.
+    """
+
+    name: str
+    by_role: Mapping[Role, EntryPoint]
+    distributions: tuple[str, ...]
+
+    @property
+    def roles(self) -> tuple[Role, ...]:
+        """What it can be in a rig."""
+        return tuple(self.by_role)
+
+    def load(self) -> Kind[Any]:
+        """Import the kind.
+
+        Raises
+        ------
+        ConfigurationError
+            Two distributions offer it, its module does not import, or what it names is no kind.
+        """
+        if len(self.distributions) > 1:
+            raise ConfigurationError(
+                f"the kind {self.name!r} is offered by {' and by '.join(self.distributions)}; uninstall one"
+            )
+        kinds = {id(kind): kind for kind in map(self._loaded, self.by_role.values())}
+        if len(kinds) > 1:
+            raise ConfigurationError(
+                f"{self.distributions[0]} offers different objects as {self.name!r} for the roles "
+                f"{', '.join(self.roles)}; one kind is one object: report it to its maintainer"
+            )
+        return next(iter(kinds.values()))
+
+    def _loaded(self, entry_point: EntryPoint) -> Kind[Any]:
+        offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
+        try:
+            kind = entry_point.load()
+        except Exception as error:
+            raise ConfigurationError(
+                f"{offered}, which cannot be imported ({type(error).__name__}: {error}); install that "
+                "package again, or report it to its maintainer"
+            ) from error
+        if not isinstance(kind, Kind):
+            raise ConfigurationError(
+                f"{offered}, which is a {type(kind).__name__}, not a hardware_drivers.kinds.Kind; report it "
+                "to its maintainer"
+            )
+        return kind
+
+
+def offers() -> Mapping[str, Offer]:
+    """Every kind that is offered here, by its name."""
+    return _offers(tuple(sys.path))
+
+
+@lru_cache(maxsize=1)
+def _offers(path: tuple[str, ...]) -> Mapping[str, Offer]:
+    """Look once for a path: what is installed there stays while a process runs."""
+    found: dict[str, dict[str, dict[Role, EntryPoint]]] = {}
+    every = entry_points()
+    for role in ROLES:
+        for entry_point in every.select(group=GROUPS[role]):
+            given = found.setdefault(entry_point.name, {}).setdefault(_distribution(entry_point), {})
+            given[role] = entry_point
+    return {
+        name: Offer(name=name, by_role=next(iter(given.values())), distributions=tuple(sorted(given)))
+        for name, given in sorted(found.items())
+    }
+
+
+def find_kind(name: str) -> tuple[Kind[Any], Offer]:
+    """Give the kind of a name, and who offers it.
+
+    Raises
+    ------
+    ConfigurationError
+        Nobody offers it, or as `Offer.load`.
+    """
+    there = offers()
+    if name not in there:
+        raise ConfigurationError(
+            f"no installed package offers the kind {name!r}; there are: {_told(there.values())}; install the "
+            "package that offers it beside solimon (python -m pip install PACKAGE), or correct the name"
+        )
+    return there[name].load(), there[name]
+
+
+def _told(there: Iterable[Offer]) -> str:
+    """Name the kinds; those of others with the package that they come from."""
+    told = []
+    for offer in there:
+        package = offer.distributions[0]
+        told.append(offer.name if package.startswith(f"{OURS} ") else f"{offer.name} ({package})")
+    return ", ".join(told) or f"none, not even those of {OURS} itself: install {OURS} again"
+
+
+def _distribution(entry_point: EntryPoint) -> str:
+    found = entry_point.dist
+    return "an unknown package" if found is None else f"{found.name} {found.version}"

@@ -1,0 +1,141 @@
+"""Supply and climate probe that speak text, as kinds of instruments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.kinds import Finding, Kind, Opened, Opening, failed
+from hardware_drivers.serial_port.parameters import (
+    CLIMATE_REACHED_BY,
+    SUPPLY_REACHED_BY,
+    VISA_PREFIX,
+    ClimateParameters,
+    SupplyParameters,
+)
+
+CABLE = "check power, cable and the name in the configuration"
+
+
+def _packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ...]:
+    over_visa = parameters.line.port.startswith(VISA_PREFIX)
+    return ("pyserial", "pyvisa", "pyvisa-py") if over_visa else ("pyserial",)
+
+
+# Each port is opened by the first call. What a supply's makers tell of it is asked for and stored by the
+# process of the drive.
+
+
+@contextmanager
+def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Opened]:
+    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+    with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
+        yield Opened(supply=supply)
+
+
+@contextmanager
+def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
+    from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+
+    with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
+        yield Opened(climate=probe)
+
+
+def check_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Finding]:
+    """Ask the supply who it is, what is set, and what it gives."""
+    from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
+
+    subject, check = "supply", "identity"
+    with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
+        try:
+            identity = supply.identity()
+            yield Finding(
+                subject=subject,
+                check=check,
+                state="ok",
+                detail=", ".join(identity.values()),
+                values=dict(identity),
+            )
+            check = "read-back"
+            told = supply.read_back(parameters.read_timeout_s)
+            tripped, unknown = str(told["tripped"]), str(told["protection_unknown"])
+            yield Finding(
+                subject=subject,
+                check=check,
+                state="fail" if tripped else "warn" if unknown else "ok",
+                detail=f"set to {told['set_voltage_v']:g} V, limit {told['set_current_limit_a']:g} A, output "
+                f"{told['output']}"
+                + (f"; protection tripped: {tripped}" if tripped else "")
+                + (f"; {unknown}" if unknown else ""),
+                remedy="find the cause, then clear the protection at the instrument"
+                if tripped
+                else "look at the instrument's own display after it has gone off by itself",
+                values=dict(told),
+            )
+            check = "output"
+            reading = supply.read(parameters.read_timeout_s)
+            yield Finding(
+                subject=subject,
+                check=check,
+                state="warn" if reading.output_on else "ok",
+                detail=f"{'ON' if reading.output_on else 'off'}: {reading.voltage_v:.4g} V, "
+                f"{reading.current_a:.4g} A",
+                remedy="the drive is on although no recorder watches it: switch it off at the instrument, or "
+                "start the recorder",
+                values={
+                    "output_on": reading.output_on,
+                    "voltage_v": reading.voltage_v,
+                    "current_a": reading.current_a,
+                },
+            )
+        except InstrumentError as error:
+            yield failed(subject, check, error, CABLE)
+
+
+def check_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Finding]:
+    """Ask the climate probe who it is, and for one reading."""
+    from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
+
+    subject, check = "climate probe", "identity"
+    with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
+        try:
+            identity = probe.identity()
+            yield Finding(
+                subject=subject,
+                check=check,
+                state="ok",
+                detail=", ".join(identity.values()),
+                values=dict(identity),
+            )
+            check = "reading"
+            reading = probe.read(parameters.read_timeout_s)
+            yield Finding(
+                subject=subject,
+                check=check,
+                state="ok",
+                detail=f"{reading.temperature_c:.2f} C, relative humidity {reading.relative_humidity:.0%}",
+                values={
+                    "temperature_c": reading.temperature_c,
+                    "relative_humidity": reading.relative_humidity,
+                },
+            )
+        except InstrumentError as error:
+            yield failed(subject, check, error, CABLE)
+
+
+SUPPLY = Kind(
+    parameters=SupplyParameters,
+    open=_open_supply,
+    check=check_supply,
+    packages=_packages,
+    reached_by=SUPPLY_REACHED_BY,
+)
+CLIMATE = Kind(
+    parameters=ClimateParameters,
+    open=_open_climate,
+    check=check_climate,
+    packages=_packages,
+    reached_by=CLIMATE_REACHED_BY,
+)

@@ -1,0 +1,158 @@
+"""solimon's own kinds of instruments keep the rules of any kind, on their doubles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter
+from support.archived_sets import make_set
+from support.daqmx_brains import running_brain
+from support.daqmx_rig import meet, parameters_of, quick_description, why_no
+from support.serial_rig import NO_TERMINALS, SerialRig
+from support.small_experiment import small_settings
+
+from daq_service.archive import FolderArchive
+from hardware_drivers.conformance.bench import Bench, MachineClock
+from hardware_drivers.conformance.kind_contract import KindContract, Open
+from hardware_drivers.conformance.safety_contract import SafetyContract
+from hardware_drivers.kinds import Kind, Opening, Role
+from hardware_drivers.plug_ins import find_kind
+
+DESCRIPTION = quick_description()
+on_boards = pytest.mark.skipif(bool(why_no("library")), reason=why_no("library") or "the double can be built")
+on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Own:
+    """One of our kinds beside its double."""
+
+    name: str
+    table: dict[str, Any]
+    serves: dict[Role, tuple[str, ...]]
+    experiment: dict[str, Any]
+
+
+def plain(parameters: Any) -> dict[str, Any]:
+    return TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
+
+
+@pytest.fixture(scope="module")
+def doubles():
+    with running_brain(DESCRIPTION) as running:
+        yield running
+
+
+@pytest.fixture
+def daqmx(doubles, monkeypatch):
+    meet(doubles, monkeypatch)
+    struck: dict[Role, tuple[str, ...]] = {"digitizer": ("C", "D"), "striker": ("C", "D")}
+    yield Own(name="daqmx", table=plain(parameters_of(DESCRIPTION, doubles)), serves=struck, experiment={})
+    record = doubles.control.record()
+    assert (record["tasks"], record["reservations"]) == ([], {})
+
+
+@pytest.fixture
+def simulated():
+    settings = small_settings(plate={"model": "infinite_kirchhoff"})
+    serves: dict[Role, tuple[str, ...]] = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
+    return Own(name="simulated", table={}, serves=serves, experiment=settings.model_dump(mode="json"))
+
+
+@pytest.fixture
+def playback(tmp_path):
+    FolderArchive(tmp_path).store_set(make_set())
+    serves: dict[Role, tuple[str, ...]] = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
+    experiment = small_settings().model_dump(mode="json")
+    return Own(name="playback", table={"source": str(tmp_path)}, serves=serves, experiment=experiment)
+
+
+@pytest.fixture
+def serial_rig(tmp_path):
+    with SerialRig(tmp_path) as rig:
+        yield rig
+
+
+@pytest.fixture
+def text_supply(serial_rig):
+    return Own(
+        name="text-supply", table=plain(serial_rig.supply_parameters), serves={"supply": ()}, experiment={}
+    )
+
+
+@pytest.fixture
+def text_climate(serial_rig):
+    return Own(
+        name="text-climate", table=plain(serial_rig.climate_parameters), serves={"climate": ()}, experiment={}
+    )
+
+
+class OfOurs:
+    """What the rules ask for."""
+
+    @pytest.fixture
+    def kind(self, own: Own) -> Kind[Any]:
+        return find_kind(own.name)[0]
+
+    @pytest.fixture
+    def module(self, own: Own) -> str:
+        return next(iter(find_kind(own.name)[1].by_role.values())).module
+
+    @pytest.fixture
+    def table(self, own: Own) -> dict[str, Any]:
+        return own.table
+
+    @pytest.fixture
+    def opening(self, own: Own) -> Opening:
+        return Opening(clock=MachineClock(), serves=own.serves, experiment=own.experiment, boot_id="test")
+
+    @pytest.fixture
+    def open_kind(self, kind: Kind[Any], table: dict[str, Any], opening: Opening) -> Open:
+        parameters = TypeAdapter(kind.parameters).validate_python(table)
+        return lambda: kind.open(parameters, opening)
+
+
+class TestOurKinds(OfOurs, KindContract):
+    @pytest.fixture(
+        params=[
+            pytest.param("daqmx", marks=on_boards),
+            "simulated",
+            "playback",
+            pytest.param("text_supply", marks=on_terminals),
+            pytest.param("text_climate", marks=on_terminals),
+        ]
+    )
+    def own(self, request: pytest.FixtureRequest) -> Own:
+        return request.getfixturevalue(request.param)
+
+
+@on_terminals
+class TestTextInstrumentsAtAPulledCable(OfOurs, SafetyContract):
+    test_after_an_error_nothing_is_armed = None  # they are no digitizers
+    test_after_an_error_every_coil_is_off = None  # and have no coils
+
+    @pytest.fixture(params=["text_supply", "text_climate"])
+    def own(self, request: pytest.FixtureRequest) -> Own:
+        return request.getfixturevalue(request.param)
+
+    @pytest.fixture
+    def fault(self) -> str:
+        return "unplugged"
+
+    @pytest.fixture
+    def bench(self, own: Own, serial_rig: SerialRig) -> Bench:
+        links = serial_rig.instruments.supply_link, serial_rig.instruments.climate_link
+
+        @contextmanager
+        def fault(name: str) -> Iterator[None]:
+            for link in links:
+                link.unplug()
+            yield
+            for link in links:
+                link.plug()
+
+        return Bench(fault=fault)

@@ -1,0 +1,43 @@
+"""Pictures of the docs: each is made by the command, shows what its text says, and is small."""
+
+import re
+from pathlib import Path
+
+import pytest
+from support.pictures import DEMO, DOCS, PICTURES, make, told, told_by
+from test_docs import PAGES
+
+MOST_BYTES = 1_500_000
+"""Of all of them: whoever clones the repository takes them along."""
+
+
+def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others() -> None:
+    shown = {
+        (page.parent / target).resolve()
+        for page in PAGES
+        for target in re.findall(r"!\[[^\]]+\]\(([^)]+)\)", page.read_text(encoding="utf-8"))
+    }
+    drawn_by_hand = {DOCS / "how-to/wiring.svg"}
+    assert shown - drawn_by_hand == {DOCS / picture.file for picture in PICTURES}
+
+
+def test_each_step_of_the_tutorial_has_its_picture() -> None:
+    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    _, *steps = re.split(r"^## ", text, flags=re.MULTILINE)
+    without = [step.partition("\n")[0] for step in steps if "![" not in step]
+    assert f"\nsolimon {DEMO}\n" in text, "the pictures are of what a reader is told to run"
+    assert len(steps) == 7
+    assert without == []
+
+
+def test_each_picture_was_taken_of_what_the_list_says() -> None:
+    assert {p.file: told_by(DOCS / p.file) for p in PICTURES} == {p.file: told(p) for p in PICTURES}
+    assert sum((DOCS / picture.file).stat().st_size for picture in PICTURES) < MOST_BYTES
+
+
+@pytest.mark.slow
+@pytest.mark.browser
+def test_the_command_makes_all_of_them(tmp_path: Path) -> None:
+    make(tmp_path)
+    made = {path.relative_to(tmp_path).as_posix(): told_by(path) for path in tmp_path.rglob("*.*")}
+    assert made == {picture.file: told(picture) for picture in PICTURES}

@@ -1,0 +1,216 @@
+"""Every picture of the docs, made from a test on the twin: real commands, the real page, headless Chromium.
+
+``python -m support.pictures [FOLDER]`` in ``tests/`` makes them anew where the docs show them, or elsewhere.
+The twin's test is seeded and goes on in one folder from hour to hour. A picture is taken once it shows what
+it is taken for, and carries that text with it. Which strike the live waveform shows is a matter of time: it
+is shown ten times a second at most, and here hours take seconds.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.sax.saxutils import escape
+
+import httpx
+
+from daq_service.settings.file import load_settings
+from support.browser_pages import DESK, chromium, expect
+from support.pseudo_terminal import on_terminal
+from support.served_web import DEADLINE_S, served
+
+DOCS = Path(__file__).parents[2] / "docs"
+SOLIMON = [sys.executable, "-m", "daq_service.cli"]
+DEMO = "demo --exit --no-web --hours 12 --data-dir corrosion-test"
+"""What begins the test, as the tutorial has it."""
+CHARTS = {"#tof": "tof_pp_s", "#distance": "distance_squared", "#amplitude-ratio": "amplitude_ratio"}
+"""Charts of the page, and the column of the API that each draws."""
+COLOURS = 64
+"""Of a picture's palette: edges of letters and lines keep their shades, a file is a third as large."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """One picture.
+
+    Attributes
+    ----------
+    file
+        Where the docs keep it.
+    hour
+        How far the test is then.
+    of
+        Part of the page as a CSS selector (``body``: all of it), or the command whose terminal it is.
+    shows
+        Texts that stand in it: it is not taken before, and they are written into the file.
+    position
+        Which tile is chosen on the page.
+    """
+
+    file: str
+    hour: int
+    of: str
+    shows: tuple[str, ...]
+    position: str = "B"
+
+
+PICTURES = (
+    Picture(
+        file="pictures/demo.svg",
+        hour=12,
+        of="demo",
+        shows=("solimon demo: ", "hour 12.0, set 24 of 24", "none: the baseline is still being recorded"),
+    ),
+    Picture(
+        file="pictures/waveform.png",
+        hour=12,
+        of="#waveform",
+        shows=("Live waveform · B", "ISW (incident)", "PSW (primary reflected)", "SSW (secondary reflected)"),
+    ),
+    Picture(
+        file="pictures/baseline.png",
+        hour=12,
+        of="#tiles",
+        shows=("Learning", "Time of flight", "Normal", "hour 12.0"),
+    ),
+    Picture(
+        file="pictures/distance.png",
+        hour=60,
+        of="#distance",
+        shows=("Mahalanobis squared distance", "predictive F limit", "paper's mean + 3 SD limit", "outlier"),
+    ),
+    Picture(
+        file="pictures/alarms.png",
+        hour=60,
+        of="#alarms",
+        shows=("2 waiting for acknowledgement", "of the last 5 judged sets at B", "Acknowledge"),
+    ),
+    Picture(
+        file="pictures/status.svg",
+        hour=60,
+        of="status",
+        shows=("finished: every planned set has its row", "hour 60.", "wall_change", "D² "),
+    ),
+    Picture(
+        file="dashboard.png",
+        hour=226,
+        of="body",
+        shows=("Hour 226.0", "Mahalanobis squared distance", "3 waiting for acknowledgement"),
+    ),
+    Picture(
+        file="pictures/hole.png",
+        hour=280,
+        of="#retired",
+        shows=("no reflected wave at B", "the wall has a hole", "the transducer strikes no more"),
+    ),
+)
+
+
+def told_by(path: Path) -> str:
+    """Return what a picture's file says that it shows."""
+    if path.suffix == ".svg":
+        return ElementTree.parse(path).findtext("{http://www.w3.org/2000/svg}desc", default="")
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return str(image.info.get("Description", ""))
+
+
+def told(picture: Picture) -> str:
+    """Return what stands in the file of a picture."""
+    return f"hour {picture.hour}, {picture.of}: {'; '.join(picture.shows)}"
+
+
+def make(folder: Path) -> None:
+    """Record the test and make each picture below ``folder``."""
+    with tempfile.TemporaryDirectory() as place, chromium() as browser:
+        *demo, name = DEMO.split()
+        data = Path(place) / name
+        began = _on_terminal(*demo, str(data))
+        for picture in sorted(PICTURES, key=lambda picture: picture.hour):
+            # Does nothing where the test is there already.
+            _on_terminal("record", "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour))
+            path = folder / picture.file
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if path.suffix == ".png":
+                with _page(browser, data, picture.hour) as (page, api):
+                    path.write_bytes(_small(_taken(page, api, picture), told(picture)))
+            else:
+                screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
+                path.write_text(_drawn(screen.replace(place, "~"), picture), encoding="utf-8", newline="\n")
+            print(f"hour {picture.hour}: {path}", flush=True)
+
+
+def _on_terminal(*words: str, **environment: str) -> str:
+    """Run a command to its end; its screen, with colours where nothing on it was written over."""
+    with on_terminal([*SOLIMON, *words], environment) as terminal:
+        assert terminal.end() == 0, terminal.written
+        plain = "\n".join(terminal.shown())
+        return plain if re.search(r"\x1b\[[\d;]*[^m\d;]", terminal.written) else terminal.written
+
+
+@contextmanager
+def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
+    """Open the page of the test as far as it is."""
+    settings = load_settings(None, overrides={"schedule": {"end_h": hour}})
+    with served(settings, data) as service:
+        context = browser.new_context(viewport=DESK, color_scheme="light")
+        page = context.new_page()
+        page.set_default_timeout(1000 * DEADLINE_S)
+        page.goto(service.url)
+        with service.client() as api:
+            yield page, api
+        context.close()
+
+
+def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
+    trend = api.get(f"/api/v1/trends/{picture.position}").json()["columns"]
+    page.locator(f'#tiles [data-position="{picture.position}"]').click()
+    expect(page.locator("#waveform")).to_have_attribute("data-sequence", re.compile(r"\d+"))
+    for chart, column in CHARTS.items():
+        points = sum(value is not None for value in trend[column])
+        expect(page.locator(chart)).to_have_attribute("data-points", str(points))
+    part = page.locator(picture.of)
+    for text in picture.shows:
+        expect(part).to_contain_text(text)
+    return bytes(page.screenshot(full_page=True) if picture.of == "body" else part.screenshot())
+
+
+def _small(png: bytes, description: str) -> bytes:
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
+
+    notes, smaller = PngInfo(), io.BytesIO()
+    notes.add_text("Description", description)
+    with Image.open(io.BytesIO(png)) as image:
+        few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        few.save(smaller, "PNG", optimize=True, pnginfo=notes)
+    return smaller.getvalue()
+
+
+def _drawn(screen: str, picture: Picture) -> str:
+    """Draw a terminal's screen; the page that shows it loads no font from elsewhere."""
+    from rich.console import Console
+    from rich.text import Text
+
+    text = Text.from_ansi(screen.replace("\r\n", "\n").rstrip())
+    for wanted in picture.shows:
+        assert wanted in text.plain, f"{picture.file}: no {wanted!r} in {text.plain}"
+    width = max(map(len, text.plain.splitlines()))
+    console = Console(record=True, width=width, file=io.StringIO(), force_terminal=True)
+    console.print(text)
+    svg = re.sub(r"@font-face \{[^}]*\}", "", console.export_svg(title=f"solimon {picture.of}"))
+    description = f"<desc>{escape(told(picture))}</desc>"
+    return re.sub(r"(<svg [^>]*>)", lambda found: found[1] + description, svg, count=1)
+
+
+if __name__ == "__main__":
+    make(Path(sys.argv[1]) if len(sys.argv) > 1 else DOCS)

@@ -1,0 +1,98 @@
+"""A shot goes to the instruments of its position; making safe reaches every one of them."""
+
+from dataclasses import dataclass, field
+
+import pytest
+
+from daq_service.rig.by_position import Digitizers, Strikers
+from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, ConnectionLostError
+from hardware_drivers.instruments import Acquired, Asking
+from hardware_drivers.measurement import ShotKey
+
+
+@dataclass(eq=False)
+class Part:
+    """A striker and digitizer that notes what it is told, and may fail."""
+
+    name: str
+    told: list[str]
+    asking: Asking = field(default_factory=Asking)
+    gone: bool = False
+
+    def strike(self, key: ShotKey) -> None:
+        self.told.append(f"{self.name} strikes {key.position}")
+        self.asking.ask(f"strike {key.position} now")
+
+    def arm(self, key: ShotKey) -> None:
+        self.told.append(f"{self.name} arms {key.position}")
+
+    def read(self, timeout_s: float) -> Acquired:
+        raise AcquisitionTimeoutError(f"{self.name} heard nothing")
+
+    def make_safe(self) -> None:
+        self._off("safe")
+
+    def disarm(self) -> None:
+        self._off("disarmed")
+
+    def _off(self, what: str) -> None:
+        self.told.append(f"{self.name} {what}")
+        if self.gone:
+            raise ConnectionLostError(f"{self.name} is gone")
+
+
+def key(position: str) -> ShotKey:
+    return ShotKey(position=position, set_index=2, shot_index=1)
+
+
+@pytest.fixture
+def told() -> list[str]:
+    return []
+
+
+@pytest.mark.parametrize("gone", ["one", "other", "both"])
+def test_every_striker_is_made_safe_once_whatever_another_says(told: list[str], gone: str) -> None:
+    one, other = (Part(name, told, gone=gone in (name, "both")) for name in ("one", "other"))
+    strikers = Strikers({"B": one, "C": other, "D": one}, Asking())
+    with pytest.raises(ConnectionLostError):
+        strikers.make_safe()
+    assert sorted(told) == ["one safe", "other safe"]
+
+
+def test_every_digitizer_is_disarmed(told: list[str]) -> None:
+    one, other = Part("one", told, gone=True), Part("other", told)
+    with pytest.raises(ConnectionLostError, match="one is gone"):
+        Digitizers({"B": one, "C": other}, Asking()).disarm()
+    assert sorted(told) == ["one disarmed", "other disarmed"]
+
+
+def test_what_a_striker_asks_is_about_its_shot_and_over_with_the_read(told: list[str]) -> None:
+    asking, heard = Asking(), list[tuple[str, ShotKey | None]]()
+    asking.listen(lambda text, about: heard.append((text, about)))
+    part = Part("one", told, asking)
+    digitizers, strikers = Digitizers({"B": part}, asking), Strikers({"B": part}, asking)
+    digitizers.arm(key("B"))
+    strikers.strike(key("B"))
+    with pytest.raises(AcquisitionTimeoutError):
+        digitizers.read(1.0)
+    assert heard == [("strike B now", key("B")), ("", key("B"))]
+    strikers.strike(key("B"))
+    strikers.make_safe()
+    assert heard[2:] == [("strike B now", key("B")), ("", key("B"))], "a strike that failed is asked no more"
+
+
+def test_one_digitizer_is_armed_at_a_time(told: list[str]) -> None:
+    digitizers = Digitizers({"B": Part("one", told), "C": Part("other", told)}, Asking())
+    with pytest.raises(ConfigurationError, match="not armed"):
+        digitizers.read(1.0)
+    digitizers.arm(key("B"))
+    with pytest.raises(ConfigurationError, match="already armed"):
+        digitizers.arm(key("C"))
+
+
+def test_a_position_that_nobody_serves_is_refused(told: list[str]) -> None:
+    strikers = Strikers({"B": Part("one", told)}, Asking())
+    with pytest.raises(
+        ConfigurationError, match=r"no striker at position 'C'; there are: B; name one in \[rig"
+    ):
+        strikers.strike(key("C"))

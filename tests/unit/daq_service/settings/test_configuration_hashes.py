@@ -1,0 +1,53 @@
+"""A folder that an earlier version began goes on: what was hashed then hashes alike now."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from daq_service.settings.commented import switched_on
+from daq_service.settings.file import PLACEHOLDER, config_file, load_settings
+from daq_service.settings.tree import Settings
+
+BOARDS = {"transducers": {"B": {"board_serial": "01A2B3C4"}}}
+OVER_GRPC = {**BOARDS, "transport": "grpc", "grpc_address": "chassis.lab:31763"}
+WATCHED = {**BOARDS, "watchdog": {"board_serial": "01A2B3C4", "lines": ["port2/line4"]}}
+LINE = {"line": {"port": "COM4"}, "identity": "MAKER,MODEL"}
+ONE = {"positions": {"B": {"method": "solitary_wave"}}, "clock": {"kind": "wall"}}
+BOTH = {**ONE, "positions": {"B": {"method": "solitary_wave"}, "A": {"method": "pulse_echo"}}}
+
+
+def shipped(folder: Path, *, everything: bool) -> Settings:
+    text = config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
+    path = folder / "laboratory.toml"
+    path.write_text(switched_on(text) if everything else text, encoding="utf-8")
+    return load_settings(path)
+
+
+WITH_PROBE = {"kind": "daqmx", "daqmx": BOARDS, "niscope": {"probes": {"A": {"resource": "PXI1Slot4"}}}}
+TDMS = {"source": "old", "format": "tdms", "tdms": {}}
+RIGS: dict[str, dict[str, Any]] = {
+    "4c5c6748c413e20d": {"rig": {"kind": "simulated"}},
+    "8e483ee2bff44c8d": {**ONE, "rig": {"kind": "daqmx", "daqmx": BOARDS}},
+    "36abfddee2a9ed45": {**ONE, "rig": {"kind": "daqmx", "daqmx": OVER_GRPC}},
+    "07b77226c64cff3a": {**ONE, "rig": {"kind": "daqmx", "daqmx": WATCHED}},
+    "d838a2cb8897e3dc": {**BOTH, "rig": WITH_PROBE},
+    "04c6db5c7afc691f": {"rig": {"supply": LINE, "climate": LINE}},
+    "23d724a4dae73254": {"rig": {"kind": "playback", "playback": {"source": "old-test"}}},
+    "cec61bcf2c99735d": {"rig": {"kind": "playback", "playback": TDMS}},
+}
+"""By the beginning of what 0dad455 hashed, before kinds of instruments were found by their entry points."""
+
+
+@pytest.mark.parametrize("digest", RIGS)
+def test_a_rig_of_each_kind_keeps_its_hash(digest: str) -> None:
+    assert Settings(**RIGS[digest]).configuration_hash().startswith(digest)
+
+
+@pytest.mark.parametrize(("everything", "digest"), [(False, "f6969c269925c427"), (True, "33565d5ea9f1ef4f")])
+def test_the_shipped_laboratory_keeps_its_hash(everything: bool, digest: str, tmp_path: Path) -> None:
+    assert shipped(tmp_path, everything=everything).configuration_hash().startswith(digest)
+
+
+def test_the_shipped_twin_keeps_its_hash() -> None:
+    assert load_settings(None).configuration_hash().startswith("4c5c6748c413e20d")

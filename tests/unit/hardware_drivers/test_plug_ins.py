@@ -1,0 +1,103 @@
+"""Kinds of instruments are found by the metadata of installed packages; a refusal names who is to blame."""
+
+import json
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+from support.offered_kinds import offer
+from support.scripted_kinds import OFFERED, SCOPE
+
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import GROUPS, Kind
+from hardware_drivers.plug_ins import find_kind, offers
+
+OURS = {
+    "simulated": ("digitizer", "striker", "pulse_echo"),
+    "daqmx": ("digitizer", "striker"),
+    "niscope": ("pulse_echo",),
+    "playback": ("digitizer", "striker", "pulse_echo"),
+    "text-supply": ("supply",),
+    "text-climate": ("climate",),
+}
+
+
+def test_solimon_s_own_kinds_come_in_by_the_same_door() -> None:
+    found = offers()
+    assert {name: found[name].roles for name in OURS} == OURS
+    assert {found[name].distributions for name in OURS} == {(f"solimon {version('solimon')}",)}
+    assert all(isinstance(found[name].load(), Kind) for name in OURS)
+
+
+def test_a_kind_of_another_package_is_found_without_installing_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offer(monkeypatch, tmp_path, OFFERED)
+    kind, offered = find_kind("scripted-scope")
+    assert kind is SCOPE
+    assert (offered.roles, offered.distributions) == (("digitizer",), ("lab-drivers 1.2",))
+
+
+def test_an_unknown_name_is_refused_with_those_that_are_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    offer(monkeypatch, tmp_path, OFFERED)
+    with pytest.raises(ConfigurationError) as refusal:
+        find_kind("picoscope")
+    told = str(refusal.value)
+    assert told.startswith("no installed package offers the kind 'picoscope'; there are: daqmx, liar (lab-")
+    assert "python -m pip install" in told
+
+
+def test_a_package_that_does_not_import_is_named_with_its_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "broken_scope.py").write_text("raise OSError('libps5000.so: not found')\n", encoding="utf-8")
+    offer(monkeypatch, tmp_path, {"scope": {"digitizer": "broken_scope:KIND"}})
+    message = r"lab-drivers 1.2 offers broken_scope:KIND .*OSError: libps5000.so: not found"
+    with pytest.raises(ConfigurationError, match=message):
+        find_kind("scope")
+    assert find_kind("daqmx"), "it hinders no other"
+
+
+def test_what_is_no_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    offer(monkeypatch, tmp_path, {"word": {"striker": "support.scripted_kinds:NOT_A_KIND"}})
+    with pytest.raises(ConfigurationError, match=r"lab-drivers 1.2 .*'word', which is a str, not a hardware"):
+        find_kind("word")
+
+
+def test_two_packages_with_one_name_are_both_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    offer(monkeypatch, tmp_path / "one", OFFERED)
+    offer(monkeypatch, tmp_path / "other", OFFERED, distribution="their-drivers")
+    with pytest.raises(ConfigurationError, match=r"offered by lab-drivers 1.2 and by their-dr"):
+        find_kind("liar")
+
+
+def test_one_name_is_one_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    two = {"digitizer": "support.scripted_kinds:SCOPE", "striker": "support.scripted_kinds:HAMMER"}
+    offer(monkeypatch, tmp_path, {"both": two})
+    with pytest.raises(ConfigurationError, match="different objects as 'both' for the roles digit"):
+        find_kind("both")
+
+
+PROGRAM = """
+import json, sys
+from hardware_drivers.plug_ins import offers
+for offer in offers().values():
+    offer.load()
+print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))
+"""
+
+
+def test_naming_every_kind_imports_nothing_of_a_vendor_and_no_compiler() -> None:
+    done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
+    heavy = {"nidaqmx", "niscope", "serial", "pyvisa", "nptdms", "grpc", "numba", "matplotlib", "scipy"}
+    assert heavy.isdisjoint(json.loads(done.stdout))
+
+
+def test_each_role_has_its_group() -> None:
+    assert set(GROUPS.values()) == {
+        "solimon.digitizer", "solimon.striker", "solimon.pulse_echo", "solimon.supply", "solimon.climate"
+    }  # fmt: skip
