@@ -1,11 +1,13 @@
-"""Latency and cost of the event stream with many clients on this machine.
+"""The web service under load: small answers, many streams, many that come back at once, frozen readers.
 
-A process of its own serves a new data folder; this one writes events through the catalogue and
-reads them with plain sockets, so the load shares the cores with the service::
+A process of its own serves a new data folder; this one writes events through the catalogue and reads with
+plain sockets, so the load shares the cores with the service::
 
-    python benchmarks/event_stream.py --clients 1000 --rate 4 --seconds 10
+    python benchmarks/event_stream.py [--clients 1000] [--rate 4] [--seconds 10] [--json]
 
-Latency: from the commit of an event (its ``wall_utc``) to its last byte at a client.
+Beside each stands the obvious way, measured in the same run: a listening socket made without naming its
+protocol (Nagle's algorithm stays on), and FastAPI's own stream of the same events. Latency: from the commit
+of an event (its ``wall_utc``) to its last byte at a client.
 """
 
 from __future__ import annotations
@@ -20,30 +22,92 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
-from daq_service.catalogue import open_catalogue
+from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.catalogue.rows import EventRow
 
 SERVER = """
-import os, sys, threading
+import json, os, socket, sys, threading
 from pathlib import Path
+from daq_service.processes.own_use import resident_bytes
 from daq_service.settings.tree import Settings
+from daq_service.web import server
 from daq_service.web.app import create_app
-from daq_service.web.server import serve
+
+folder, way = Path(sys.argv[1]), sys.argv[2]
+app = create_app(Settings(), folder)
+if way == "nagle":
+    def bind(host, port):
+        listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        listener.bind((host, port))
+        listener.listen(2048)
+        listener.setblocking(False)
+        return listener
+    server.bind = bind
+if way == "fastapi":
+    import orjson
+    from fastapi.sse import EventSourceResponse, ServerSentEvent
+    hub = app.state.context.hub
+
+    @app.get("/plain", response_class=EventSourceResponse)
+    async def plain():
+        cursor = hub.last_id
+        while not hub.closed:
+            for event in hub.after(cursor):
+                cursor = event.id
+                data = event.frame.partition(b"data: ")[2].strip()
+                yield ServerSentEvent(id=str(event.id), event=event.topic, data=orjson.loads(data))
+            await hub.changed()
 
 stop = threading.Event()
-threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
-before_s = []
 
-def on_bound(url):
-    before_s.append(sum(os.times()[:2]))
-    print(url, flush=True)
+def answer():
+    for _ in sys.stdin:
+        print(json.dumps({"cpu_s": sum(os.times()[:2]), "memory_bytes": resident_bytes()}), flush=True)
+    stop.set()
 
-serve(create_app(Settings(), Path(sys.argv[1])), "127.0.0.1", 0, on_bound=on_bound, stop=stop)
-print(sum(os.times()[:2]) - before_s[0], flush=True)
+threading.Thread(target=answer, daemon=True).start()
+server.serve(app, "127.0.0.1", 0, on_bound=lambda url: print(url, flush=True), stop=stop)
 """
-STAMP = re.compile(rb'"wall_utc":"([^"]+)"')
+STAMP = re.compile(rb'"wall_utc": ?"([^"]+)"')
+ID = re.compile(rb"^id: (\d+)$", re.MULTILINE)
+STORED_EVENTS, FROZEN, SMALL_REQUESTS = 5000, 200, 200
+LOOK_EVERY_S = 0.01
+LARGEST_STREAM_BYTES = 2**26
+
+
+@dataclass(frozen=True)
+class Service:
+    """A service in a process of its own."""
+
+    process: subprocess.Popen[str]
+    port: int
+
+    def use(self) -> dict[str, float]:
+        """Processor time and memory so far."""
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+        found: dict[str, float] = json.loads(self.process.stdout.readline())
+        return found
+
+
+@contextmanager
+def service(folder: Path, way: str = "ours") -> Iterator[Service]:
+    """Serve a folder."""
+    command = [sys.executable, "-c", SERVER, str(folder), way]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        yield Service(process, int(process.stdout.readline().strip().rstrip("/").rpartition(":")[2]))
+        process.stdin.close()
 
 
 def wall_s(stamp: str) -> float:
@@ -52,88 +116,222 @@ def wall_s(stamp: str) -> float:
     return datetime.fromisoformat(head + "+00:00").timestamp() + float(f"0.{fraction or 0}")
 
 
-async def client(port: int, ready: asyncio.Semaphore, latencies_s: list[float]) -> None:
-    """Read one stream to its end."""
-    reader, writer = await asyncio.open_connection("127.0.0.1", port)
-    writer.write(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
-    await reader.readuntil(b"retry: 1000\n\n")
-    ready.release()
-    while chunk := await reader.read(65536):
-        now = time.time()
-        latencies_s += [now - wall_s(found.decode()) for found in STAMP.findall(chunk)]
-    writer.close()
+def percentile(values: list[float], share: float) -> float:
+    """Value below which this share lies."""
+    return sorted(values)[int(share * (len(values) - 1))]
 
 
-async def measure(folder: Path, port: int, clients: int, rate_hz: float, seconds: float, stop) -> list[float]:
-    """Latencies of all deliveries."""
+Connected = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def ask(port: int, path: str, **options: Any) -> Connected:
+    """Send a request and leave the answer to be read."""
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, **options)
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    return reader, writer
+
+
+async def answer_s(connected: Connected, path: str) -> float:
+    """Time of one request on an open connection, to the last byte."""
+    reader, writer = connected
+    began = time.perf_counter()
+    writer.write(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
+    head = await reader.readuntil(b"\r\n\r\n")
+    length = re.search(rb"content-length: (\d+)", head.lower())
+    assert length is not None
+    await reader.readexactly(int(length[1]))
+    return time.perf_counter() - began
+
+
+async def small_answers(port: int) -> dict[str, float]:
+    """Median time of small requests, ms."""
+    found = {}
+    for path in ("/healthz", "/"):
+        connected = await asyncio.open_connection("127.0.0.1", port)
+        times_s = [await answer_s(connected, path) for _ in range(SMALL_REQUESTS)]
+        connected[1].close()
+        found[path] = round(1e3 * statistics.median(times_s), 3)
+    return found
+
+
+async def looking(port: int, work: Awaitable[Any]) -> tuple[Any, list[float]]:
+    """Ask for ``/healthz`` again and again while something is done; its result, and each time."""
+    connected, times_s = await asyncio.open_connection("127.0.0.1", port), list[float]()
+    task = asyncio.ensure_future(work)
+    while not task.done():
+        times_s.append(await answer_s(connected, "/healthz"))
+        await asyncio.sleep(LOOK_EVERY_S)
+    connected[1].close()
+    return await task, times_s
+
+
+async def deliveries(
+    folder: Path, served: Service, path: str, clients: int, rate_hz: float, seconds: float
+) -> Any:
+    """Latency of all deliveries, and processor time of connecting and of delivering."""
     latencies_s: list[float] = []
-    ready = asyncio.Semaphore(0)
-    readers = [asyncio.create_task(client(port, ready, latencies_s)) for _ in range(clients)]
-    for _ in range(clients):
-        await ready.acquire()
+    before = served.use()["cpu_s"]
+    opened = [await ask(served.port, path) for _ in range(clients)]
+    for reader, _ in opened:
+        await reader.readuntil(b"\r\n\r\n")
+    # Each has heard that it is connected; the server has begun to wait for all of them.
+    await answer_s(await asyncio.open_connection("127.0.0.1", served.port), "/healthz")
+    connecting_s = served.use()["cpu_s"] - before
+    expected = clients * int(rate_hz * seconds)
+    all_came = asyncio.Event()
+
+    async def read(reader: asyncio.StreamReader) -> None:
+        while chunk := await reader.read(65536):
+            now = time.time()
+            latencies_s.extend(now - wall_s(found.decode()) for found in STAMP.findall(chunk))
+            if len(latencies_s) >= expected:
+                all_came.set()
+
+    readers = [asyncio.create_task(read(reader)) for reader, _ in opened]
+    before = served.use()["cpu_s"]
     with open_catalogue(folder, writer=True) as catalogue:
         for number in range(int(rate_hz * seconds)):
-            await asyncio.to_thread(
-                catalogue.add_event, utc_ns=number, topic="sets", kind="set_done", payload={"number": number}
-            )
+            event: dict[str, Any] = {"utc_ns": number, "topic": "sets", "payload": payload_of(number)}
+            await asyncio.to_thread(catalogue.add_event, kind="set_done", **event)
             await asyncio.sleep(1.0 / rate_hz)
-    stop()
-    await asyncio.gather(*readers)
-    return latencies_s
+    async with asyncio.timeout(60.0):
+        await all_came.wait()
+    delivering_s = served.use()["cpu_s"] - before
+    for task in readers:
+        task.cancel()
+    for _, writer in opened:
+        writer.close()
+    return {
+        "clients": clients,
+        "deliveries": len(latencies_s),
+        "expected": expected,
+        "p50_ms": round(1e3 * statistics.median(latencies_s), 1),
+        "p99_ms": round(1e3 * percentile(latencies_s, 0.99), 1),
+        "connecting_us_a_client": round(1e6 * connecting_s / clients, 1),
+        "delivering_us_a_delivery": round(1e6 * delivering_s / len(latencies_s), 1),
+    }
+
+
+def payload_of(number: int) -> dict[str, Any]:
+    """Give an event the size of a set's."""
+    return {"number": number, "cause": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
+
+
+async def come_back(served: Service, clients: int, frozen: int) -> dict[str, Any]:
+    """Let clients resume from the first event at once, beside some that read nothing at all."""
+    before = served.use()
+    silent = [await ask(served.port, "/api/v1/stream?after=0", limit=1) for _ in range(frozen)]
+
+    async def all_of_them() -> int:
+        # In a process of their own: what they read would hold up whoever asks for `/healthz` here.
+        load = [sys.executable, __file__, "--load", str(served.port), "--clients", str(clients)]
+        process = await asyncio.create_subprocess_exec(*load, stdout=subprocess.PIPE)
+        told, _ = await process.communicate()
+        return int(told)
+
+    began = time.perf_counter()
+    lost, times_s = await looking(served.port, all_of_them())
+    took_s = time.perf_counter() - began
+    after = served.use()
+    for _, writer in silent:
+        writer.close()
+    return {
+        "clients": clients,
+        "frozen": frozen,
+        "events": STORED_EVENTS,
+        "clients_that_lost_events": lost,
+        "took_s": round(took_s, 2),
+        "healthz_p99_ms": round(1e3 * percentile(times_s, 0.99), 1),
+        "memory_before_mb": round(before["memory_bytes"] / 1e6, 1),
+        "memory_after_mb": round(after["memory_bytes"] / 1e6, 1),
+    }
+
+
+async def lost_by_those_who_come_back(port: int, clients: int) -> int:
+    """Read every stored event at many clients at once; how many of them lack or repeat any."""
+
+    async def resume() -> bool:
+        reader, writer = await ask(port, "/api/v1/stream?after=0", limit=LARGEST_STREAM_BYTES)
+        content = await reader.readuntil(b"id: %d\n" % STORED_EVENTS)
+        writer.close()
+        return [int(number) for number in ID.findall(content)] != list(range(1, STORED_EVENTS + 1))
+
+    return sum(await asyncio.gather(*(resume() for _ in range(clients))))
+
+
+def measured(folder: Path, options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Everything that `main` prints."""
+    found: dict[str, Any] = {}
+    for way in ("nagle", "ours"):
+        tell(f"small answers, {way}")
+        with service(folder, way) as served:
+            found.setdefault("small_answers_ms", {})[way] = asyncio.run(small_answers(served.port))
+    small = found["small_answers_ms"]
+    small["ratio"] = {path: round(small["nagle"][path] / small["ours"][path], 1) for path in small["ours"]}
+    for way, path in (("fastapi", "/plain"), ("ours", "/api/v1/stream")):
+        tell(f"{options.clients} streams, {way}")
+        with service(folder, way) as served:
+            load = (folder, served, path, options.clients, options.rate, options.seconds)
+            found.setdefault("streams", {})[way] = asyncio.run(deliveries(*load))
+    return found
 
 
 def main() -> None:
-    """Print one JSON object."""
+    """Print what was measured."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--clients", type=int, default=1000)
     parser.add_argument("--rate", type=float, default=4.0, help="events a second")
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--json", action="store_true", help="one object instead of lines")
+    parser.add_argument("--load", type=int, metavar="PORT", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.load is not None:
+        print(asyncio.run(lost_by_those_who_come_back(options.load, options.clients)))
+        return
+
+    def tell(what: str) -> None:
+        print(f"measuring: {what}", file=sys.stderr, flush=True)
+
+    found: dict[str, Any] = {"cores": os.cpu_count()}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        with open_catalogue(folder, writer=True) as catalogue:
-            catalogue.create_experiment(
-                name="load",
-                configuration_hash="0",
-                configuration={},
-                epoch_utc_ns=0,
-                clock="simulated",
-                solimon_version="0",
-            )
-        server = subprocess.Popen(
-            [sys.executable, "-c", SERVER, name], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        assert server.stdin is not None
-        assert server.stdout is not None
-        port = int(server.stdout.readline().strip().rstrip("/").rpartition(":")[2])
-        stopped_at: list[float] = []
+        begin(Path(name))
+        found |= measured(Path(name), options, tell)
+    with tempfile.TemporaryDirectory() as name:
+        begin(Path(name))
+        with open_catalogue(Path(name), writer=True) as catalogue:
+            commit = SetCommit()
+            for number in range(STORED_EVENTS):
+                event: dict[str, Any] = {"utc_ns": number, "wall_utc_ns": number, "topic": "sets"}
+                commit.events.append(EventRow(**event, kind="set_done", payload=payload_of(number)))
+            catalogue.commit_set(commit)
+        found["come_back"] = {}
+        for frozen in (0, FROZEN):
+            with service(Path(name)) as served:
+                tell(f"{options.clients} come back, {frozen} frozen")
+                found["come_back"][f"{frozen} frozen"] = asyncio.run(
+                    come_back(served, options.clients, frozen)
+                )
+    if options.json:
+        print(json.dumps(found))
+        return
+    for part, values in found.items():
+        for name, value in values.items() if isinstance(values, dict) else [("", values)]:
+            print(f"{part:<18}{name:<12}{value}")
 
-        def stop() -> None:
-            stopped_at.append(time.monotonic())
-            server.stdin.close()  # type: ignore[union-attr]
 
-        latencies_s = asyncio.run(measure(folder, port, options.clients, options.rate, options.seconds, stop))
-        cpu_s = float(server.stdout.readline())
-        server.wait()
-        stop_s = time.monotonic() - stopped_at[0]
-    latencies_s.sort()
-    print(
-        json.dumps(
-            {
-                "clients": options.clients,
-                "deliveries": len(latencies_s),
-                "expected": options.clients * int(options.rate * options.seconds),
-                "p50_ms": round(1e3 * statistics.median(latencies_s), 1),
-                "p99_ms": round(1e3 * latencies_s[int(0.99 * (len(latencies_s) - 1))], 1),
-                "max_ms": round(1e3 * latencies_s[-1], 1),
-                "server_cpu_us_a_delivery": round(1e6 * cpu_s / len(latencies_s), 1),
-                "stop_s": round(stop_s, 2),
-                "cores": os.cpu_count(),
-            }
+def begin(folder: Path) -> None:
+    """Make an empty test."""
+    with open_catalogue(folder, writer=True) as catalogue:
+        catalogue.create_experiment(
+            name="load",
+            configuration_hash="0",
+            configuration={},
+            epoch_utc_ns=0,
+            clock="simulated",
+            solimon_version="0",
         )
-    )
 
 
 if __name__ == "__main__":
