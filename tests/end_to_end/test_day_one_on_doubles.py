@@ -141,7 +141,7 @@ def test_a_supply_whose_load_is_another_than_told_fails_and_is_left_off(tmp_path
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
         rig = {"SOLIMON_TEST_HARDWARE": str(config), "SOLIMON_TEST_LOAD_OHM": str(LOAD_OHM)}
-        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_supply.py")
+        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_drive_supply.py")
         switched = bench.switched()
     # Twice the current where the voltage is held, half of the voltage where the limit holds.
     assert counts == {"failed": 2, "passed": 5}, printed
@@ -155,7 +155,7 @@ def test_nothing_is_energised_unless_somebody_names_the_load(tmp_path: Path) -> 
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
         rig = {"SOLIMON_TEST_HARDWARE": str(config)}
-        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_supply.py")
+        counts, printed = day_one(rig, tmp_path, "tests/hardware/test_drive_supply.py")
         assert bench.switched() == []
     assert counts == {"passed": 2, "skipped": 5}, printed
     assert "SOLIMON_TEST_LOAD_OHM is not set" in printed
