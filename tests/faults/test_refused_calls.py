@@ -89,6 +89,7 @@ def wrong(told):
     return [what for what, is_right in checks.items() if not is_right]
 
 
+@pytest.mark.timeout(900)  # half a minute on an idle machine
 def test_some_refusals_cost_time_only(followed, tmp_path):
     found = followed(SOME, tmp_path)
     assert [wrong(told) for told in found] == [[]] * len(SOME), found
