@@ -108,15 +108,14 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
             command = catalogue.add_command("ann", "acknowledge_alarm", {"alarm_id": number + 1, "note": ""})
             catalogue.finish_command(command, "done", "")
     (folder / "sets").mkdir(exist_ok=True)
-    last = records_of(settings, due_sets[-1], sequence)
-    with closing(FolderArchive(folder)) as archive:
-        # The first one that the probe took (`MISSED_EVERY`): what every later reading refers to.
-        archive.store_set(records_of(settings, due_sets[1], 0))
-        archive.store_set(last)
-    for due in due_sets:
+    # The first one that the probe took (`MISSED_EVERY`): what every later reading refers to.
+    first, last = records_of(settings, due_sets[1], 0), records_of(settings, due_sets[-1], sequence)
+    for due in (due_sets[0], *due_sets[2:-1]):
         path = folder / set_reference(due.set_index, due.due_utc_ns)
-        if not path.exists():
-            path.write_bytes(b"a file without content is one that was lost")
+        path.write_bytes(b"a file without content is one that was lost")
+    with closing(FolderArchive(folder)) as archive:
+        archive.store_set(first)
+        archive.store_set(last)
     Heartbeat(folder, deadline_s=1e9).beat("waiting")
     (folder / "live").mkdir(exist_ok=True)
     LivePicture(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)

@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from hardware_drivers.nanoseconds import NS_PER_H
 
 
@@ -47,7 +49,7 @@ def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> lis
     for phase in phases:
         # Half a millionth of an interval forgives decimal fractions such as 0.1 h.
         count = int((phase.until_h - start_h) / phase.interval_h + 5e-7)
-        hours += [start_h + k * phase.interval_h for k in range(1, count + 1)]
+        hours += (start_h + np.arange(1, count + 1) * phase.interval_h).tolist()
         start_h = phase.until_h
     return hours if end_h is None else hours[: bisect_right(hours, end_h)]
 

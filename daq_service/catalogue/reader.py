@@ -194,6 +194,11 @@ class Catalogue:
         row = self._newest_row(SetRow, sets.c.file.is_not(None))
         return None if row is None else row.file
 
+    def newest_files(self, n_rows: int) -> dict[int, str]:
+        """Files that the newest rows of sets point at, by set index in order."""
+        with self._reading() as connection:
+            return {row.set_index: row.file for row in connection.execute(_newest_files(n_rows))}
+
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Tell the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)
@@ -482,6 +487,12 @@ def _last_set_index() -> Select[Any]:
     places = _places()
     newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position)
     return select(func.max(newest.scalar_subquery())).select_from(places)
+
+
+@cache
+def _newest_files(n_rows: int) -> Select[Any]:
+    newest = select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
+    return select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
 
 
 @cache

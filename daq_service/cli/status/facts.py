@@ -29,8 +29,8 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
-SIZED = 200
-"""So many of the newest sets are looked at whether they are empty; ``doctor`` and a recorder look at all."""
+LOOKED_AT = 4000
+"""The files of so many of the newest rows are looked at; ``doctor`` and a recorder look at all."""
 GAPS_A_POSITION = 5
 """So many of the newest gaps of a position are named."""
 
@@ -55,10 +55,10 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "counts": counts,
                 "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
-                "lost": lost_sets(folder, catalogue, newest=SIZED),
+                "lost": lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
-                    name: {**asdict(word), **_standing(folder, settings, catalogue, fresh, word)}
+                    name: {**_last_told(word), **_standing(folder, settings, catalogue, fresh, word)}
                     for name, word in catalogue.positions_state().items()
                 },
                 "alarms": [
@@ -82,6 +82,17 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
             "positions": {},
             "alarms": [],
         }
+
+
+def _last_told(word: LastWord) -> dict[str, Any]:
+    rows = ("last_set", "last_feature", "last_verdict", "last_thickness")
+    told = {name: None if (row := getattr(word, name)) is None else values(row) for name in rows}
+    return {
+        "position": word.position,
+        "method": word.method,
+        **told,
+        "active_alarms": [values(row) for row in word.active_alarms],
+    }
 
 
 def _standing(

@@ -1,6 +1,7 @@
 """A folder that is looked at, mended and copied; beside a recorder, and with every kind of damage."""
 
 import json
+import os
 import shutil
 import sqlite3
 import subprocess
@@ -29,7 +30,7 @@ from daq_service.cli.keeping.verify import KINDS, verify_folder
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.judgement.results import results_in
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
-from daq_service.processes.lost_sets import lost_sets
+from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {
@@ -483,6 +484,25 @@ def test_lost_and_emptied_sets_are_told_by_status(folder):
         assert set(lost_sets(folder, catalogue)) == set(FILES.values())
     assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
     assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
+
+
+def test_status_looks_at_the_newest_sets_and_at_all_where_one_was_taken_away(folder):
+    first, *_, newest = FILES.values()
+    with open_catalogue(folder) as catalogue:
+        n_positions = len(catalogue.positions_state())
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}
+        content, times_s = (folder / first).read_bytes(), (folder / newest).stat().st_mtime
+        (folder / first).write_bytes(b"")
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {}, "an old one is not opened"
+        (folder / first).write_bytes(content)
+        (folder / newest).write_bytes(b"")
+        assert lost_sets(folder, catalogue, newest_rows=n_positions) == {newest: "is empty"}
+        (folder / newest).write_bytes(content)
+        (folder / first).unlink()
+        for after_s, told in ((FILED_WITHIN_S + 1, {first: "is missing"}), (0, {})):
+            os.utime(folder / newest, (times_s, times_s))
+            os.utime(folder / "sets", (times_s + after_s, times_s + after_s))
+            assert lost_sets(folder, catalogue, newest_rows=n_positions) == told
 
 
 @pytest.mark.parametrize("commit", [pytest.param("9c4a9b9", marks=pytest.mark.slow), "c3c2e28"])

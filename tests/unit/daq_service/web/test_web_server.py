@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
-from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
+from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES, BoundedHttp
 from daq_service.web.server import bind, serve
 
 
@@ -136,6 +136,19 @@ def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, mon
         answers = everything_from(client)
     assert answers.count(b"HTTP/1.1 200 ") == 1
     assert b"HTTP/1.1 408 " in answers
+
+
+def test_what_is_being_answered_is_not_broken_off_by_a_slow_next_request(filled, monkeypatch):
+    monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
+    waited, looks = BoundedHttp._waited, []
+    monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (looks.append(self), waited(self)))
+    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+        client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
+        until(lambda: len(looks) > 3, "the next request's headers being waited for")
+        service.stop.set()
+        told = everything_from(client)
+    assert b"event: bye" in told
+    assert b" 408 " not in told
 
 
 @pytest.mark.parametrize("ended", [False, True])
