@@ -8,23 +8,31 @@ from typing import Any
 from fastapi import APIRouter
 
 from daq_service.catalogue.rows import BaselineRow, VerdictRow
+from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import BaselineList, VerdictPage, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.listing import HOURS, POSITION, SET_INDEX, PositionFilter, add_listing
-from daq_service.web.routes.trends import measured_columns
 
 router = APIRouter(tags=["verdicts"])
 
 
 def with_quality(context: Context, fresh: Freshness, rows: Sequence[VerdictRow]) -> list[dict[str, Any]]:
     """Verdicts as they leave the service, with the quality of the feature or thickness that each judges."""
+    hours, positions = [row.due_h for row in rows], {row.position for row in rows}
     qualities: dict[tuple[str, int], str] = {}
-    for position in {row.position for row in rows}:
-        hours = [row.due_h for row in rows if row.position == position]
-        columns = measured_columns(context, position, ("set_index", "quality"), min(hours), max(hours))
-        for index, quality in zip(columns["set_index"], columns["quality"], strict=True):
-            qualities[position, index] = quality
+    for method in {context.settings.positions[position].method for position in positions}:
+        judged = METHODS[method]
+        columns = context.catalogue().columns(
+            judged.row,
+            ("position", "set_index", "quality"),
+            position=None if len(positions) > 1 else rows[0].position,
+            first_h=min(hours),
+            last_h=max(hours),
+            **judged.of_sets,
+        )
+        keys = zip(columns["position"], columns["set_index"], strict=True)
+        qualities |= zip(keys, columns["quality"], strict=True)
     return [fresh.row(row, quality=qualities.get((row.position, row.set_index))) for row in rows]
 
 
