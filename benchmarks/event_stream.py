@@ -33,7 +33,7 @@ from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import EventRow
 
 SERVER = """
-import json, os, socket, sys, threading
+import asyncio, json, os, socket, sys, threading
 from pathlib import Path
 from daq_service.processes.own_use import resident_bytes
 from daq_service.settings.tree import Settings
@@ -50,6 +50,7 @@ if way == "nagle":
         listener.setblocking(False)
         return listener
     server.bind = bind
+    server.uvicorn.Config.get_loop_factory = lambda config: asyncio.new_event_loop
 if way == "fastapi":
     import orjson
     from fastapi.sse import EventSourceResponse, ServerSentEvent

@@ -499,9 +499,8 @@ def main() -> None:
     print(f"{'answer':<56}{'n':>6}{'first ms':>10}{'p50 ms':>9}{'p99 ms':>9}{'p99 of CPU':>12}  slowest")
     for name, told in facts["answers"].items():
         ms = [1e3 * told[key] for key in ("first_s", "p50_s", "p99_s", "p99_cpu_s")]
-        print(
-            f"{name:<56}{told['n']:>6}{ms[0]:>10.1f}{ms[1]:>9.1f}{ms[2]:>9.1f}{ms[3]:>12.1f}  {told['slowest']}"
-        )
+        columns = f"{ms[0]:>10.1f}{ms[1]:>9.1f}{ms[2]:>9.1f}{ms[3]:>12.1f}"
+        print(f"{name:<56}{told['n']:>6}{columns}  {told['slowest']}")
     stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in facts["start_s"].items())
     print(f"a start reads: {stages}")
     for name, seconds in facts["plain_s"].items():

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.hangs import HangGuard
-from support.leaks import LeakGuard, mark_descendants
+from support.leaks import LeakGuard, mark_descendants, open_what_lasts
 
 for library in ("OPENBLAS", "OMP", "MKL"):
     # Tests run side by side: threads of theirs that wait for each other in loops would double the cost.
@@ -28,6 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
     # pytest-xdist would begin with the files of most tests, which are the shortest ones.
     config.option.loadscopereorder = False
     mark_descendants()
+    open_what_lasts()
     config.pluginmanager.register(LeakGuard(), "leak-guard")
     config.pluginmanager.register(HangGuard(), "hang-guard")
 

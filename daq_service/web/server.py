@@ -119,7 +119,7 @@ def serve(
     try:
         config = uvicorn.Config(
             app,
-            loop="asyncio",
+            loop="auto",  # uvloop, but on Windows
             http=BoundedHttp,
             ws="websockets-sansio",
             ws_ping_interval=20.0,
@@ -134,6 +134,7 @@ def serve(
         shown = f"[{address}]" if ":" in address else address
         on_bound(f"http://{shown}:{bound_port}/")
         closing = close_streams or context_of(app).close_streams
-        asyncio.run(_Server(config, closing, stop).serve(sockets=[listener]))
+        with asyncio.Runner(loop_factory=config.get_loop_factory()) as runner:
+            runner.run(_Server(config, closing, stop).serve(sockets=[listener]))
     finally:
         listener.close()

@@ -8,6 +8,7 @@ ended, nothing may be left. `conftest.py` takes the hooks over.
 from __future__ import annotations
 
 import gc
+import importlib.util
 import multiprocessing
 import os
 import re
@@ -36,6 +37,14 @@ MARK = "STARTED_BY_TESTS_OF"
 def mark_descendants() -> None:
     """Have every process that this one starts carry its id."""
     os.environ[MARK] = str(os.getpid())
+
+
+def open_what_lasts() -> None:
+    """Open before the first look what a process opens once: libuv's pipe for signals."""
+    if importlib.util.find_spec("uvloop") is not None:
+        import uvloop
+
+        uvloop.new_event_loop().close()
 
 
 def _servants() -> set[str]:

@@ -7,6 +7,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import BaselineRow, VerdictRow
 from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer
@@ -23,14 +24,13 @@ def with_quality(context: Context, fresh: Freshness, rows: Sequence[VerdictRow])
     qualities: dict[tuple[str, int], str] = {}
     for method in {context.settings.positions[position].method for position in positions}:
         judged = METHODS[method]
-        columns = context.catalogue().columns(
-            judged.row,
-            ("position", "set_index", "quality"),
-            position=None if len(positions) > 1 else rows[0].position,
-            first_h=min(hours),
-            last_h=max(hours),
+        filters: Filters = {
+            "position": None if len(positions) > 1 else rows[0].position,
+            "first_h": min(hours),
+            "last_h": max(hours),
             **judged.of_sets,
-        )
+        }
+        columns = context.catalogue().columns(judged.row, ("position", "set_index", "quality"), **filters)
         keys = zip(columns["position"], columns["set_index"], strict=True)
         qualities |= zip(keys, columns["quality"], strict=True)
     return [fresh.row(row, quality=qualities.get((row.position, row.set_index))) for row in rows]
