@@ -85,13 +85,10 @@ def bins_of_sets(
     return bins
 
 
-def joined_bins(bins: NDArray[np.void], width: int) -> NDArray[np.void]:
-    """Join bins, in order, that begin in the same ``width`` sets counted from set 0."""
-    if not bins.size:
-        return bins
-    of = bins["first_set"] // width
-    starts = np.flatnonzero(np.diff(of, prepend=-1.0))
-    joined = np.empty(starts.size, bins.dtype)
+def joined_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
+    """Join the bins from each start to the next one, the last to the end; ``starts`` rise from 0."""
+    numbers = np.asarray(starts, dtype=np.intp)
+    joined = np.empty(numbers.size, bins.dtype)
     for name, join in _JOINED_BY.items():
-        joined[name] = join.reduceat(bins[name], starts, axis=0)
+        joined[name] = join.reduceat(bins[name], numbers, axis=0)
     return joined

@@ -371,14 +371,33 @@ class ServiceHealth(Answer):
     disk: DiskOutlook
 
 
+class TrendBins(Answer):
+    """What the bins of a trend say beside its columns, one entry a bin; values by name."""
+
+    minimum: dict[str, list[float | None]]
+    maximum: dict[str, list[float | None]]
+    count: dict[str, list[int]] = Field(description="Sets that have the value")
+    last_h: list[float]
+    last_set_index: list[int]
+    n_sets: list[int] = Field(description="Sets that were measured")
+    n_missed: list[int]
+    n_outliers: list[int]
+    n_outliers_paper: list[int]
+    first_outlier_set_index: list[int | None]
+    n_alarms: list[int] = Field(description="Alarms of the position that were raised in these sets")
+    first_alarm_set_index: list[int | None]
+
+
 class Trend(Answer):
-    """Columns of equal length, one entry a set."""
+    """Columns of equal length, one entry a set, or a bin where there are more sets than points."""
 
     position: str
     method: Method
     as_of: AsOf
     units: dict[str, str]
+    bin_sets: int = Field(description="Planned sets that an entry stands for; 1: each set is an entry")
     columns: dict[str, list[Any]]
+    bins: TrendBins | None = Field(description="null where each set is an entry")
 
 
 class Fit(Answer):
