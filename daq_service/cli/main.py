@@ -188,6 +188,20 @@ def init(**options: Any) -> None:
 @click.option(
     "--probe", "probes", metavar="A=RESOURCE", multiple=True, help="An ultrasonic probe's NI-SCOPE board."
 )
+@click.option(
+    "--kind",
+    "kinds",
+    metavar="NAME",
+    multiple=True,
+    help="Instruments of this installed kind instead of NI boards; then --transducer B=DIGITIZER/STRIKER.",
+)
+@click.option(
+    "--set",
+    "assignments",
+    metavar="KIND.KEY=VALUE",
+    multiple=True,
+    help="With --kind: a parameter, for example block-scope.range_v=2.0.",
+)
 @click.option("--supply", default="", metavar="PORT", help="Serial port of the supply.")
 @click.option("--climate", default="", metavar="PORT", help="Serial port of a climate probe.")
 @click.option("--strike", is_flag=True, help="With --transducer: strike each once. Nobody's hands inside!")
