@@ -28,6 +28,7 @@ from daq_service.web.routes import (
     orders,
     sets,
     stream,
+    tables,
     thickness,
     transducers,
     trends,
@@ -51,6 +52,7 @@ RESOURCES = (
     alarms,
     orders,
     stream,
+    tables,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""

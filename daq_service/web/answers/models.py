@@ -209,6 +209,31 @@ class EnvironmentNow(Answer):
     supply_now: SupplyNow | None = Field(description="null: this folder's test has had no supply")
 
 
+class TableColumn(Answer):
+    """A column of an exported table."""
+
+    name: str
+    form: Literal["number", "integer", "truth", "time", "text", "nested"] = Field(
+        description="`time`: RFC 3339; `nested`: JSON text"
+    )
+    unit: str = Field(description="As UDUNITS writes it; empty: it has none")
+
+
+class TableInfo(Answer):
+    """A table that can be exported."""
+
+    table: str
+    told: str
+    columns: list[TableColumn]
+
+
+class TableList(Answer):
+    """Tables, and the formats that this installation writes."""
+
+    formats: list[str]
+    items: list[TableInfo]
+
+
 class BaselineList(Answer):
     """Every baseline ever frozen, oldest first."""
 
