@@ -29,6 +29,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         404: "There is no such thing",
         409: "The request does not fit the present state",
         413: "The request body is too large",
+        416: "There is no such range of bytes",
         422: "The request is not valid",
         503: "No data yet, or the data folder cannot be read",
     }.items()
