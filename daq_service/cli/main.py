@@ -434,11 +434,23 @@ def backup(**options: Any) -> None:
 
 @cli.command()
 @FOLDER_ALONE
-@click.option("--hdf5", type=FILE, required=True, help="The file to write.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@click.option("--hdf5", type=FILE, help="One HDF5 file of the whole test; records stay in the sets' files.")
+@click.option("--table", metavar="NAME", help="Instead: a table, such as features, verdicts or alarms.")
+@click.option(
+    "--out",
+    "targets",
+    multiple=True,
+    type=FILE,
+    help="Its file: .csv, .parquet, .arrow, .npz, .mat or .h5; may be given several times.",
+)
+@click.option("--position", help="Of the table: this position only.")
+@click.option("--from-h", type=float, help="Of the table: from this hour on.")
+@click.option("--to-h", type=float, help="Of the table: before this hour.")
+@click.option("--fields", metavar="NAMES", help="Of the table: these columns only, for example tof_pp_s.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @JSON
 def export(**options: Any) -> None:
-    """Write one HDF5 file of a whole test, also of one that runs; its records stay in the sets' files."""
+    """Write a test, also one that runs, for other programs: all of it as HDF5, or a table."""
     from daq_service.cli.keeping.command import run_export
 
     sys.exit(run_export(**options))
