@@ -18,16 +18,20 @@ from daq_service.web.answers.models import problem_schemas, problems
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.context import Context, context_of
 from daq_service.web.guards import RequestGuard
+from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
     environment,
     features,
+    files,
     fits,
     health,
     info,
+    metrics,
     orders,
     sets,
     stream,
+    tables,
     thickness,
     transducers,
     trends,
@@ -51,6 +55,8 @@ RESOURCES = (
     alarms,
     orders,
     stream,
+    tables,
+    files,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -106,10 +112,13 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         lifespan=_lifespan,
     )
     app.state.context = Context(settings, data_folder)
+    app.state.answer_times = AnswerTimes()
+    app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
     app.add_middleware(RequestGuard)
     problem.install(app)
     app.include_router(health.probes)
+    app.include_router(metrics.probes)
     api = APIRouter(
         prefix="/api/v1", dependencies=[Depends(refuse_unknown_parameters)], responses=problems(422)
     )
