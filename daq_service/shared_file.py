@@ -94,11 +94,18 @@ def write_hint(path: Path, content: bytes) -> OSError | None:
     return None
 
 
-def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float, float, float]:
+def write_durably(
+    path: Path, content: bytes, *, temporary: Path, mode: int = 0o644
+) -> tuple[float, float, float]:
     """Write a temporary file, sync it, rename it, sync its folder.
 
     On an error nothing new is left, as far as the disk still allows it; a ``path`` that existed
     stays, old or new.
+
+    Parameters
+    ----------
+    mode
+        Rights of the new file; Windows has no such thing and gives those of the folder.
 
     Returns
     -------
@@ -116,7 +123,7 @@ def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float
     renamed = False
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY
-        descriptor = patiently(lambda: os.open(temporary, flags, 0o644))
+        descriptor = patiently(lambda: os.open(temporary, flags, mode))
         try:
             write_all(descriptor, [content])
             written = time.perf_counter()
