@@ -21,8 +21,9 @@ from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
 
 WEB_FILES = ("tls_certificate", "tls_key", "tokens_file")
-NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
-"""Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
+NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES", "SOLIMON_TOKEN")
+"""Variables that are no keys: of the tests, where doubles of the vendor's libraries find
+their brain, and what the client shows a service."""
 
 PLACEHOLDER = "PLACEHOLDER"
 """Stands in a value that only the laboratory knows; what holds it is refused."""

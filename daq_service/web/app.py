@@ -19,18 +19,22 @@ from daq_service.web.answers.version import API_VERSION
 from daq_service.web.context import Context, context_of
 from daq_service.web.doors.entry import Doorkeeper
 from daq_service.web.guards import RequestGuard
+from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
     audit,
     environment,
     features,
+    files,
     fits,
     health,
     info,
+    metrics,
     orders,
     session,
     sets,
     stream,
+    tables,
     thickness,
     tokens,
     transducers,
@@ -60,6 +64,8 @@ RESOURCES = (
     session,
     tokens,
     audit,
+    tables,
+    files,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -116,11 +122,14 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         lifespan=_lifespan,
     )
     app.state.context = Context(settings, data_folder)
+    app.state.answer_times = AnswerTimes()
+    app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
     app.add_middleware(Doorkeeper, doors=app.state.context.doors)
     app.add_middleware(RequestGuard, names_elsewhere=settings.web.names_elsewhere)
     problem.install(app)
     app.include_router(health.probes)
+    app.include_router(metrics.probes)
     api = APIRouter(
         prefix="/api/v1",
         dependencies=[Depends(admit), Depends(refuse_unknown_parameters)],

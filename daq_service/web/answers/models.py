@@ -30,6 +30,7 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
         404: "There is no such thing",
         409: "The request does not fit the present state",
         413: "The request body is too large",
+        416: "There is no such range of bytes",
         422: "The request is not valid",
         429: "Too many wrong tokens came from this address",
         503: "No data yet, or the data folder cannot be read",
@@ -209,6 +210,31 @@ class EnvironmentNow(Answer):
     as_of: AsOf
     latest: EnvironmentRow | None
     supply_now: SupplyNow | None = Field(description="null: this folder's test has had no supply")
+
+
+class TableColumn(Answer):
+    """A column of an exported table."""
+
+    name: str
+    form: Literal["number", "integer", "truth", "time", "text", "nested"] = Field(
+        description="`time`: RFC 3339; `nested`: JSON text"
+    )
+    unit: str = Field(description="As UDUNITS writes it; empty: it has none")
+
+
+class TableInfo(Answer):
+    """A table that can be exported."""
+
+    table: str
+    told: str
+    columns: list[TableColumn]
+
+
+class TableList(Answer):
+    """Tables, and the formats that this installation writes."""
+
+    formats: list[str]
+    items: list[TableInfo]
 
 
 class BaselineList(Answer):

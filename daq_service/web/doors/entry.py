@@ -27,8 +27,8 @@ from daq_service.web.answers.problem import Problem, problem_response, request_i
 from daq_service.web.doors.roles import CLAIMED, Person
 from daq_service.web.doors.tokens import KnownTokens, read_tokens, tokens_file
 
-API = "/api/v1/"
-SESSION = "/api/v1/session"
+ANYBODYS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
+PAGE_FILES = "/static/"
 MOST_WRONG, WRONG_EVERY_S = 10, 6.0
 """Wrong tokens of one address that are answered 401: so many at once, then one each six seconds."""
 MOST_ADDRESSES = 1000
@@ -138,7 +138,7 @@ class Doors:
 
 
 class Doorkeeper:
-    """Lets nobody without a token to the API, where tokens are asked for; names the person to the routes."""
+    """Lets nobody without a token past the page and its login, where tokens are asked for."""
 
     def __init__(self, app: ASGIApp, doors: Doors) -> None:
         self._app, self._doors = app, doors
@@ -154,7 +154,7 @@ class Doorkeeper:
         except Problem as refused:
             problem = refused
         path = scope["path"]
-        if not path.startswith(API) or path == SESSION:
+        if path in ANYBODYS or path.startswith(PAGE_FILES):
             # The page, signs of life and the way in are anybody's; but not over an open line.
             problem = problem if problem is not None and problem.status == 403 else None
         elif person is None and problem is None:

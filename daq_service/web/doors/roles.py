@@ -1,6 +1,6 @@
 """The one table of roles: what each operation of the interface and each kind of order needs.
 
-An operation is named by its `operationId`, a WebSocket by its function; one that is not listed is for
+An operation is named by its `operationId`, a WebSocket or HEAD by its function; one that is not listed is for
 admins, and `tests/contract/test_roles.py` fails. Each role may do what those before it may.
 """
 
@@ -45,6 +45,10 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_alarm": "viewer",
     "stream_events": "viewer",
     "get_command": "viewer",
+    "list_tables": "viewer",
+    "get_table": "viewer",
+    "get_file": "viewer",
+    "get_metrics": "viewer",
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",

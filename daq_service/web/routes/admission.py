@@ -21,7 +21,7 @@ PersonOf = Annotated[Person, Depends(person_at)]
 
 def operation_of(route: Any) -> str:
     """Name of an operation, as the table of roles calls it."""
-    return str(route.operation_id if isinstance(route, APIRoute) else route.name)
+    return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
 
 
 async def admit(connection: HTTPConnection) -> None:
