@@ -95,12 +95,17 @@ def write_hint(path: Path, content: bytes) -> OSError | None:
 
 
 def write_durably(
-    path: Path, content: bytes | Iterator[bytes], *, temporary: Path
+    path: Path, content: bytes | Iterator[bytes], *, temporary: Path, mode: int = 0o644
 ) -> tuple[float, float, float]:
     """Write a temporary file, sync it, rename it, sync its folder.
 
     Content may come in parts. On an error nothing new is left, as far as the disk still allows it; a
     ``path`` that existed stays, old or new.
+
+    Parameters
+    ----------
+    mode
+        Rights of the new file; Windows has no such thing and gives those of the folder.
 
     Returns
     -------
@@ -118,7 +123,7 @@ def write_durably(
     renamed = False
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY
-        descriptor = patiently(lambda: os.open(temporary, flags, 0o644))
+        descriptor = patiently(lambda: os.open(temporary, flags, mode))
         try:
             for part in [content] if isinstance(content, bytes) else content:
                 write_all(descriptor, [part])

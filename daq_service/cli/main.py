@@ -244,6 +244,53 @@ def service(**options: Any) -> None:
     write_services(**options)
 
 
+@cli.group()
+def token() -> None:
+    """Access tokens of the web service: create, list, revoke; a running service follows at once."""
+
+
+@token.command("create")
+@click.argument("name")
+@click.option(
+    "--role",
+    required=True,
+    type=click.Choice(["viewer", "operator", "engineer", "admin"]),
+    help="Each may do what those before it may.",
+)
+@click.option("--days", type=POSITIVE, help="Until it expires; default: never.")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_create(**options: Any) -> None:
+    """Make a token for NAME and print it once; orders that it gives bear this name."""
+    from daq_service.cli.set_up.token import run_create
+
+    run_create(**options)
+
+
+@token.command("list")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_list(**options: Any) -> None:
+    """List the tokens: name, role, state, until when."""
+    from daq_service.cli.set_up.token import run_list
+
+    run_list(**options)
+
+
+@token.command("revoke")
+@click.argument("name")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_revoke(**options: Any) -> None:
+    """Let NAME's token open nothing any more; open pages and streams end within seconds."""
+    from daq_service.cli.set_up.token import run_revoke
+
+    run_revoke(**options)
+
+
 @cli.command()
 @CONFIG
 @DATA_DIR
