@@ -9,6 +9,7 @@ block is covered by smaller ones, at last by the rows themselves.
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -33,8 +34,10 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     measured,
 )
-from daq_service.catalogue.sealed import storable
+from daq_service.catalogue.sealed import DamagedRow, storable
 from daq_service.catalogue.tables import alarms, sets, table_of, trend_blocks
+
+log = logging.getLogger(__name__)
 
 R = TypeVar("R", bound=Row)
 Kind = type[FeatureRow] | type[ThicknessRow]
@@ -268,6 +271,8 @@ def update_trends(
     ----------
     last_before
         `last_sets` before: what lay in a block that has its last set now.
+
+    A damaged row keeps no set from being stored: its blocks stay as they were, and `verify` names both.
     """
     for position, indices in touched.items():
         place = _place_of(connection, position)
@@ -278,7 +283,10 @@ def update_trends(
             for width in pyramid.widths(place.end):
                 blocks = sorted({index // width for index in changed})
                 for first, end in _runs([block for block in blocks if (block + 1) * width <= place.end]):
-                    _store(connection, pyramid, place, width, first * width, end * width)
+                    try:
+                        _store(connection, pyramid, place, width, first * width, end * width)
+                    except DamagedRow as error:
+                        log.warning("trends of %s are not brought up to date: %s", position, error)
 
 
 def _runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from sqlalchemy import delete
+from sqlalchemy import delete, func, select
 from support.begun_experiment import begun_catalogue
 
 from analysis.statistics.trend import fit_trend, trend_of_part
@@ -20,7 +20,7 @@ from daq_service.catalogue.pyramid import (
     values_of,
 )
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow, VerdictRow
-from daq_service.catalogue.tables import trend_blocks
+from daq_service.catalogue.tables import sets, trend_blocks
 
 N_SETS, BASELINE = 330, 48
 VALUES = ("tof_pp_s", "amplitude_ratio")
@@ -166,3 +166,22 @@ def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
         catalogue.restore([replace(alarm(70), id=99)])  # touches a set of that block
         with catalogue.reading() as connection:
             assert list(trend_differences(connection)) == []
+
+
+def test_a_damaged_row_keeps_no_set_from_being_stored(tmp_path, caplog):
+    with begun_catalogue(tmp_path) as catalogue:
+        for index in range(3):
+            catalogue.commit_set(SetCommit(sets=[planned(index)]))
+        with writing(catalogue._engine) as connection:
+            connection.execute(sets.update().where(sets.c.set_index == 1).values(due_h=77.0))
+        catalogue.commit_set(SetCommit(sets=[planned(3)]))  # the last one of a block
+        with catalogue.reading() as connection:
+            assert connection.execute(select(func.max(sets.c.set_index))).scalar_one() == 3
+    assert "trends of B are not brought up to date: row 2 of table sets" in caplog.text
+
+
+def planned(index):
+    return SetRow(
+        position="B", set_index=index, due_h=0.5 * index, method="solitary_wave", due_utc_ns=index,
+        state="done", n_planned=2,
+    )  # fmt: skip
