@@ -17,7 +17,7 @@ import logging
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -94,11 +94,18 @@ def write_hint(path: Path, content: bytes) -> OSError | None:
     return None
 
 
-def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float, float, float]:
+def write_durably(
+    path: Path, content: bytes | Iterator[bytes], *, temporary: Path, mode: int = 0o644
+) -> tuple[float, float, float]:
     """Write a temporary file, sync it, rename it, sync its folder.
 
-    On an error nothing new is left, as far as the disk still allows it; a ``path`` that existed
-    stays, old or new.
+    Content may come in parts. On an error nothing new is left, as far as the disk still allows it; a
+    ``path`` that existed stays, old or new.
+
+    Parameters
+    ----------
+    mode
+        Rights of the new file; Windows has no such thing and gives those of the folder.
 
     Returns
     -------
@@ -116,9 +123,10 @@ def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float
     renamed = False
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY
-        descriptor = patiently(lambda: os.open(temporary, flags, 0o644))
+        descriptor = patiently(lambda: os.open(temporary, flags, mode))
         try:
-            write_all(descriptor, [content])
+            for part in [content] if isinstance(content, bytes) else content:
+                write_all(descriptor, [part])
             written = time.perf_counter()
             os.fsync(descriptor)
         finally:
@@ -127,7 +135,7 @@ def write_durably(path: Path, content: bytes, *, temporary: Path) -> tuple[float
         patiently(lambda: os.replace(temporary, path))  # noqa: PTH105 - the seam is os
         renamed = True
         sync_folder(path.parent)
-    except OSError:
+    except Exception:
         if not renamed:
             remove_quietly(temporary)
         elif not existed:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.errors import InvalidInputError, NotEnoughPointsError
 from analysis.waves.record_reduction import FloatArray
@@ -44,6 +44,13 @@ class Trend:
         return (self.quadratic * t + self.linear) * t + self.constant
 
 
+def _too_few(n_points: int, n_times: int) -> NotEnoughPointsError:
+    return NotEnoughPointsError(
+        f"a parabola through {n_points} points at {n_times} times; it needs at least "
+        f"{MINIMUM_POINTS} points at 3 times: wait for more sets"
+    )
+
+
 def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
     """Least-squares parabola; points whose value is NaN are left out.
 
@@ -67,21 +74,101 @@ def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
     present = ~np.isnan(y_all)
     t, y = t_all[present], y_all[present]
     if t.size < MINIMUM_POINTS or np.unique(t).size < 3:
-        raise NotEnoughPointsError(
-            f"a parabola through {t.size} points at {np.unique(t).size} times; it needs at least "
-            f"{MINIMUM_POINTS} points at 3 times: wait for more sets"
-        )
-    # Centred and scaled time keeps the normal equations well conditioned at any hour.
-    centre, scale = t.mean(), np.abs(t - t.mean()).max()
-    design = np.vander((t - centre) / scale, 3, increasing=True)
-    c, b, a = np.linalg.lstsq(design, y, rcond=None)[0]
-    residual = y - design @ np.array([c, b, a])
-    spread = float(((y - y.mean()) ** 2).sum())
+        raise _too_few(t.size, np.unique(t).size)
+    origin_h, mean = float(t.mean()), float(y.mean())
+    u = t - origin_h
+    return _trend(_triangle(np.stack([np.ones_like(u), u, u * u, y - mean], axis=-1)), origin_h, mean, t.size)
+
+
+def _triangle(rows: FloatArray) -> FloatArray:
+    """Triangular factor of matrices with four columns."""
+    triangle: FloatArray = np.linalg.qr(rows, mode="r")  # type: ignore[assignment] # declared for one mode only
+    return triangle
+
+
+def _trend(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
+    """Parabola from the triangular factor of ``[1, u, u^2, y - mean]``, shape (4, 4), u = t - origin_h."""
+    c, b, a = np.linalg.solve(triangle[:3, :3], triangle[:3, 3])
+    # The columns of the orthogonal factor: the first is the mean, the last what no parabola reaches.
+    spread, residual = float((triangle[1:, 3] ** 2).sum()), float(triangle[3, 3] ** 2)
     return Trend(
-        quadratic=float(a / scale**2),
-        linear=float(b / scale - 2.0 * a * centre / scale**2),
-        constant=float(c - b * centre / scale + a * (centre / scale) ** 2),
-        r_squared=1.0 - float(residual @ residual) / spread if spread > 0.0 else math.nan,
-        residual_sd=math.sqrt(float(residual @ residual) / (t.size - 3)),
-        n_points=int(t.size),
+        quadratic=float(a),
+        linear=float(b - 2.0 * a * origin_h),
+        constant=float(mean + c - b * origin_h + a * origin_h**2),
+        r_squared=1.0 - residual / spread if spread > 0.0 else math.nan,
+        residual_sd=math.sqrt(residual / (n_points - 3)),
+        n_points=n_points,
     )
+
+
+PART = np.dtype(
+    [("n", "<f8"), ("first_h", "<f8"), ("last_h", "<f8"), ("mean", "<f8"), ("triangle", "<f8", (4, 4))]
+)
+"""All that a fit needs of some points: their number, first and last hour, mean, and the triangular factor
+of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hours are infinite."""
+
+
+def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
+    """Make a part of each point.
+
+    Parameters
+    ----------
+    time_h, values
+        Shapes (n,) and (n, n_values); NaN is no point.
+
+    Returns
+    -------
+    NDArray
+        Of `PART`, shape (n, n_values).
+    """
+    t, y = np.asarray(time_h, dtype=np.float64)[:, np.newaxis], np.asarray(values, dtype=np.float64)
+    parts, present = np.zeros(y.shape, PART), np.isfinite(y)
+    parts["n"] = parts["triangle"][..., 0, 0] = present
+    parts["first_h"], parts["last_h"] = np.where(present, t, np.inf), np.where(present, t, -np.inf)
+    parts["mean"] = np.where(present, y, 0.0)
+    return parts
+
+
+def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
+    """Join parts along the first axis: exactly what one part of all their points would be, but for rounding.
+
+    Parameters
+    ----------
+    parts
+        Of `PART`, shape (n_parts, n_values).
+
+    Returns
+    -------
+    NDArray
+        Of `PART`, shape (n_values,).
+    """
+    joined = np.zeros(parts.shape[1:], PART)
+    some = parts["n"] > 0.0
+    joined["n"] = parts["n"].sum(axis=0)
+    joined["first_h"], joined["last_h"] = parts["first_h"].min(axis=0), parts["last_h"].max(axis=0)
+    joined["mean"] = (parts["n"] * parts["mean"]).sum(axis=0) / np.maximum(joined["n"], 1.0)
+    # [1, u + d, (u + d)^2, y - mean] as a matrix times the columns that a part was made of.
+    moved = np.zeros((*parts.shape, 4, 4))
+    moved[..., range(4), range(4)] = 1.0
+    later_h = np.where(some, parts["first_h"], 0.0) - np.where(some, joined["first_h"], 0.0)
+    moved[..., 0, 1], moved[..., 0, 2], moved[..., 1, 2] = later_h, later_h**2, 2.0 * later_h
+    moved[..., 0, 3] = parts["mean"] - joined["mean"]
+    rows = np.moveaxis(parts["triangle"] @ moved, 0, 1).reshape(parts.shape[1], -1, 4)
+    joined["triangle"] = _triangle(rows)
+    return joined
+
+
+def trend_of_part(part: np.void) -> Trend:
+    """Least-squares parabola through the points of one part, as `fit_trend` finds it.
+
+    The points are due times of sets, which all differ.
+
+    Raises
+    ------
+    NotEnoughPointsError
+        Fewer than four points.
+    """
+    n_points = int(part["n"])
+    if n_points < MINIMUM_POINTS:
+        raise _too_few(n_points, n_points)
+    return _trend(part["triangle"], float(part["first_h"]), float(part["mean"]), n_points)

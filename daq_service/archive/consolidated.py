@@ -37,8 +37,8 @@ from daq_service.archive.nexus import (
 )
 from daq_service.archive.reader import RecordGroup, group_names, opened_set
 from daq_service.archive.records import SetReference
-from daq_service.archive.units import unit_of
 from hardware_drivers.measurement import Calibration
+from hardware_drivers.units import unit_of
 
 CONSOLIDATED_VERSION = "1.0"
 

@@ -48,10 +48,10 @@ from daq_service.archive.nexus import (
     set_attributes,
 )
 from daq_service.archive.records import SetRecord, waveform_crc32
-from daq_service.archive.units import unit_of
 from daq_service.clock import format_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
+from hardware_drivers.units import unit_of
 
 FORMAT_VERSION = "1.3"
 """Raised in its first number when an older reader would misunderstand the file."""

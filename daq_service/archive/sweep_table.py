@@ -10,7 +10,7 @@ from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
 from daq_service.archive.nexus import Attribute, add_field, add_group, image_file, image_of, set_attributes
-from daq_service.archive.units import unit_of
+from hardware_drivers.units import unit_of
 
 _CHUNK_SAMPLES = 65_536
 

@@ -108,13 +108,13 @@ def read_history(folder: Path, *, tail_bytes: int | None = None) -> History:
     return parsed(content if begin == 0 else content.partition(b"\n")[2], whole=begin == 0)
 
 
-def parsed(content: bytes, *, whole: bool = True) -> History:
-    """Take the lines in; ``whole`` False: the first ones are missing."""
+def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> History:
+    """Take the lines in; ``whole`` False: the first ones are missing; damage is told by the file's name."""
     history = History()
     lines = content.split(b"\n")
     unreadable: list[int] = []
     for place, line in enumerate(lines, start=1):
-        told = _told(line)
+        told = told_by(line)
         if told is None:
             # An empty line is where a new one was begun after a torn one.
             unreadable += [place] if line else []
@@ -123,19 +123,19 @@ def parsed(content: bytes, *, whole: bool = True) -> History:
         expected = history.last_number + 1
         if number != expected and (whole or history.last_number):
             at = f", damaged at line {unreadable[0]}" if unreadable else ""
-            history.damage.append(f"{HISTORY_FILE} lacks its lines {expected} to {number - 1}{at}")
+            history.damage.append(f"{name} lacks its lines {expected} to {number - 1}{at}")
         unreadable.clear()
         try:
             history.take(number, table, row)
         except (TypeError, LookupError) as error:
-            history.damage.append(f"{HISTORY_FILE}, line {number}: {error}")
+            history.damage.append(f"{name}, line {number}: {error}")
     if unreadable and (len(unreadable) > 1 or unreadable[0] != len(lines)):
         # One line without an end was being written when the power went: its row is in the catalogue.
-        history.damage.append(f"{HISTORY_FILE} is damaged at line {unreadable[0]}, near its end")
+        history.damage.append(f"{name} is damaged at line {unreadable[0]}, near its end")
     return history
 
 
-def _told(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
+def told_by(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
     """Read number, table and row of a line; None where it is damaged."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
@@ -221,7 +221,7 @@ class HistoryFollower:
             told = _sets_of(self._known.events.values())
             self._filed |= self._digests(min(told), None) if told else {}
         while lines := self._lines(self._known):
-            _append_durably(self._folder / HISTORY_FILE, lines)
+            append_durably(self._folder / HISTORY_FILE, lines)
             self._filed.clear()
 
     def _lines(self, known: History) -> list[bytes]:
@@ -269,7 +269,14 @@ def _sets_of(events: Iterable[EventRow]) -> list[int]:
     return [row.set_index for row in events if row.topic == "sets" and row.set_index is not None]
 
 
-def _append_durably(path: Path, lines: Iterable[bytes]) -> None:
+def append_durably(path: Path, lines: Iterable[bytes]) -> None:
+    """Add whole lines to a file, behind an end that was torn, and sync it.
+
+    Raises
+    ------
+    OSError
+        They may not be durable.
+    """
     existed = path.exists()
     descriptor = patiently(lambda: os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644))
     try:

@@ -98,10 +98,10 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (
-        (table.c.due_h >= hour) & (table.c.set_index >= _set_at(table, hour, "first"))
+        (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
-        (table.c.due_h <= hour) & (table.c.set_index <= _set_at(table, hour, "last"))
+        (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
     ),
     "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
     "first_set": lambda table, index: table.c.set_index >= index,
@@ -112,7 +112,7 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
 """A filter that is not listed asks for a column's value; ``after_id`` is `_behind`."""
 
 
-def _set_at(table: Table, hour: float, which: Literal["first", "last"]) -> ScalarSelect[int]:
+def set_at(table: Table, hour: float, which: Literal["first", "last"]) -> ScalarSelect[int]:
     """Find the first set due at an hour or later, or the last one due until then.
 
     Hours rise with the index of the set: so a range of hours is a range of sets, and read by index.
@@ -166,7 +166,8 @@ class Catalogue:
             self._command_engine.dispose()
 
     @contextmanager
-    def _reading(self) -> Iterator[Connection]:
+    def reading(self) -> Iterator[Connection]:
+        """Transaction that sees one state of the catalogue, for questions of several steps."""
         with translated(self._path, "reading"), self._engine.begin() as connection:
             yield connection
 
@@ -174,14 +175,14 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Rows of a table in the order in which they were stored; of chosen sets in the order of the sets."""
-        return self._rows(kind, _chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
+        return self._rows(kind, chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
         """Rows of the last sets of a position (None: of all), in the order of the sets."""
         table = table_of(kind)
-        statement = _chosen(select(table), table, {**filters, "position": position})
+        statement = chosen(select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
         return self._rows(kind, newest_first)[::-1]
 
@@ -196,13 +197,13 @@ class Catalogue:
 
     def newest_files(self, n_rows: int) -> dict[int, str]:
         """Files that the newest rows of sets point at, by set index in order."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             return {row.set_index: row.file for row in connection.execute(_newest_files(n_rows))}
 
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Tell the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)
-        statement = _chosen(select(table), table, {"position": position})
+        statement = chosen(select(table), table, {"position": position})
         found = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return found[0] if found else None
 
@@ -232,7 +233,7 @@ class Catalogue:
         return {name: [getattr(row, name) for row in found] for name in names}
 
     def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
-        with self._reading() as connection:
+        with self.reading() as connection:
             return made(connection, kind, statement)
 
     def _newest_row(self, kind: type[R], condition: ColumnElement[bool] | None = None) -> R | None:
@@ -269,10 +270,10 @@ class Catalogue:
             missed altogether, ``partial_sets``: of the ``sets``, those that lack something;
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
-        with self._reading() as connection:
+        with self.reading() as connection:
             (row,) = made(connection, CountsRow, select(counts))
             n_alarms = connection.execute(
-                _chosen(select(func.count()), alarms, {"active": True}).order_by(None)
+                chosen(select(func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
         return {name: number for name, number in values(row).items() if name != "id"} | {
             "active_alarms": n_alarms
@@ -282,7 +283,7 @@ class Catalogue:
         """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
         positions = list(self.experiment_row().configuration.get("positions", ()))
         found: dict[int, str] = {}
-        with self._reading() as connection:
+        with self.reading() as connection:
             last = connection.execute(_last_set_index()).scalar()
             left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
             for start in range(0, len(left), _ASKED_AT_ONCE):
@@ -299,12 +300,12 @@ class Catalogue:
 
     def positions_state(self) -> dict[str, LastWord]:
         """Last word on each position that has a row in ``sets``."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             last_sets = _newest(connection, SetRow)
             last_features = _newest(connection, FeatureRow)
             last_verdicts = _newest(connection, VerdictRow)
             last_thicknesses = _newest(connection, ThicknessRow)
-            active = made(connection, AlarmRow, _chosen(select(alarms), alarms, {"active": True}))
+            active = made(connection, AlarmRow, chosen(select(alarms), alarms, {"active": True}))
         return {
             position: LastWord(
                 position=position,
@@ -340,7 +341,7 @@ class Catalogue:
 
     def last_told(self, *kinds: str) -> EventRow | None:
         """Newest event of the service itself of one of these kinds, None where there is none."""
-        told = _chosen(select(func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
+        told = chosen(select(func.max(events.c.id)), events, {"topic": "service"}).order_by(None)
         newest = told.where(events.c.kind.in_(kinds)).scalar_subquery()
         return self._newest_row(EventRow, events.c.id == newest)
 
@@ -355,7 +356,7 @@ class Catalogue:
 
     def last_event_id(self) -> int:
         """Id of the newest event, 0 before the first."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             return int(connection.execute(select(func.max(events.c.id))).scalar_one() or 0)
 
     def command(self, command_id: int) -> CommandRow | None:
@@ -429,7 +430,8 @@ def due_time_counts(connection: Connection, indices: Collection[int] | None = No
     return dict(found.mappings().one())
 
 
-def _chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
+def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any]:
+    """Narrow a question down to some rows of a table, and put it in their order."""
     given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
     for name, value in given.items():

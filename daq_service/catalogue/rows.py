@@ -8,11 +8,12 @@ column in the API.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from hardware_drivers.methods import Method
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
 SetState = Literal["done", "partial", "missed", "retired"]
@@ -268,6 +269,20 @@ class CountsRow(Row):
     shots: int = 0  # solitary waves
     pulse_echo_records: int = 0
     events: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrendBlockRow(Row):
+    """What some sets of a position say together; derived from their rows (see `pyramid`)."""
+
+    place: str  # position, pyramid, sets of the block, its first set
+    block: bytes
+
+
+MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingProxyType(
+    {SOLITARY_WAVE: FeatureRow, PULSE_ECHO: ThicknessRow}
+)
+"""Kind of row of each method's results."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

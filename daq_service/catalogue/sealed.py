@@ -27,6 +27,7 @@ _AS_READ: Mapping[Any, Callable[[Any], Any]] = {
     float: lambda value: float(value) + 0.0,
     int: int,
     bool: bool,
+    bytes: zlib.crc32,  # JSON has no bytes
 }
 
 

@@ -18,6 +18,7 @@ from sqlalchemy import (
     ForeignKey,
     Index,
     Integer,
+    LargeBinary,
     MetaData,
     String,
     Table,
@@ -45,6 +46,7 @@ _TABLES: dict[type[rows.Row], Table] = {}
 # None is SQL's NULL, not the JSON text "null": NOT NULL then means what it says.
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: Boolean(),
+    bytes: LargeBinary(),
     dict: JSON(none_as_null=True),
     float: Float(),
     int: Integer(),
@@ -111,7 +113,7 @@ sets = _table(
     n_restrikes=DefaultClause("0"),
 )
 # What the routes, `solimon status` and a start ask for is found in an index, never by reading every row:
-# hours by the set that is due then (`reader._first_set_at`), states, the latest end.
+# hours by the set that is due then (`reader.set_at`), states, the latest end.
 _index(sets, "set_index")
 _index(sets, "due_h")
 _index(sets, "ended_utc_ns")
@@ -154,6 +156,7 @@ _index(verdicts, "set_index")
 alarms = _table("alarms", rows.AlarmRow)
 _index(alarms, "position", "kind")
 _index(alarms, "state")
+_index(alarms, "position", "raised_set_index")
 events = _table("events", rows.EventRow, autoincrement=True)
 # The service's own words and the alarms are few among the news of sets.
 for _topic in ("service", "alarms"):
@@ -162,6 +165,7 @@ for _topic in ("service", "alarms"):
 commands = _table("commands", rows.CommandRow, autoincrement=True)
 _index(commands, "state")
 counts = _table("counts", rows.CountsRow)
+trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
 
 KINDS = tuple(_TABLES)
 """Kinds of rows; what one refers to stands before it."""

@@ -22,7 +22,8 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
-from daq_service.catalogue.tables import metadata
+from daq_service.catalogue.pyramid import trend_differences
+from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.shared_file import remove_quietly
 
 
@@ -94,7 +95,12 @@ class CatalogueLook:
         try:
             revision = self._values("SELECT version_num FROM alembic_version")
             with engine.connect() as connection:
-                found = list(damage_in(connection, rows=revision == [SCHEMA_REVISION]))
+                current = revision == [SCHEMA_REVISION]
+                found = list(damage_in(connection, rows=current))
+                if current and not found:
+                    connection.exec_driver_sql("BEGIN")  # beside a recorder, rows and blocks of one moment
+                    differing = trend_differences(connection)
+                    found = [CatalogueDamage(table=trend_blocks.name, told=told) for told in differing]
         except (*UNREADABLE, CatalogueDamagedError) as error:
             found = [CatalogueDamage(told=f"{self._path} cannot be read: {error}")]
         finally:

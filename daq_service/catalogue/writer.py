@@ -12,6 +12,7 @@ from sqlalchemy import Connection, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
+from daq_service.catalogue.pyramid import last_sets, touched_sets, update_trends
 from daq_service.catalogue.reader import Catalogue, due_time_counts, made
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -128,18 +129,18 @@ class RecorderCatalogue(Catalogue):
         statement = select(sets.c.set_index).distinct()
         if among is not None:
             statement = statement.where(sets.c.set_index.in_(sorted(among)))
-        with self._reading() as connection:
+        with self.reading() as connection:
             return set(connection.execute(statement).scalars())
 
     def last_ended_utc_ns(self) -> int | None:
         """Return when the set that ended last did so; None before the first one with a record."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             last: int | None = connection.execute(select(func.max(sets.c.ended_utc_ns))).scalar_one()
         return last
 
     def next_sequence(self) -> int:
         """Sequence of the next shot, 1 in a new catalogue."""
-        with self._reading() as connection:
+        with self.reading() as connection:
             return int(connection.execute(select(func.max(shots.c.sequence))).scalar_one() or 0) + 1
 
     # A set
@@ -153,7 +154,10 @@ class RecorderCatalogue(Catalogue):
             Nothing was stored.
         """
         indices = {row.set_index for row in commit.sets}
+        told = [*commit.sets, *commit.features, *commit.thickness, *commit.verdicts, *commit.alarms]
+        touched = touched_sets(told)
         with self._writing("storing a set") as connection:
+            last_before = last_sets(connection, touched)
             before = due_time_counts(connection, indices) if indices else {}
             _insert(connection, commit.sets)
             _insert(connection, commit.shots)
@@ -166,6 +170,7 @@ class RecorderCatalogue(Catalogue):
             event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids)))
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
+            update_trends(connection, touched, last_before)
         return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
 
     def add_event(
@@ -192,7 +197,7 @@ class RecorderCatalogue(Catalogue):
     def without_digest(self) -> dict[int, str]:
         """Return the files of sets whose SHA-256 is not noted, by set index."""
         noted = (sets.c.file.is_not(None), sets.c.file_sha256.is_(None))
-        with self._reading() as connection:
+        with self.reading() as connection:
             wanted = connection.execute(select(sets.c.set_index, sets.c.file).where(*noted))
             return {index: str(file) for index, file in wanted}
 
@@ -208,7 +213,7 @@ class RecorderCatalogue(Catalogue):
         """SHA-256 of a set's file as it was written; None: it is not noted."""
         noted = sets.c.file_sha256.is_not(None)
         wanted = select(sets.c.file_sha256).where(sets.c.set_index == set_index, noted)
-        with self._reading() as connection:
+        with self.reading() as connection:
             found: str | None = connection.execute(wanted.limit(1)).scalar_one_or_none()
         return found
 
@@ -226,10 +231,14 @@ class RecorderCatalogue(Catalogue):
 
     def restore(self, rows: Iterable[Row]) -> None:
         """Store rows as they are, with their ids, in the place of any that have these; `recount` follows."""
+        restored = list(rows)
+        touched = touched_sets(row for row in restored if not isinstance(row, EventRow))
         with self._writing("restoring rows") as connection:
-            for row in rows:
+            last_before = last_sets(connection, touched)
+            for row in restored:
                 if not _change(connection, row):
                     _insert(connection, [row])
+            update_trends(connection, touched, last_before)
 
     # Commands
 

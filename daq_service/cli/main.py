@@ -188,6 +188,20 @@ def init(**options: Any) -> None:
 @click.option(
     "--probe", "probes", metavar="A=RESOURCE", multiple=True, help="An ultrasonic probe's NI-SCOPE board."
 )
+@click.option(
+    "--kind",
+    "kinds",
+    metavar="NAME",
+    multiple=True,
+    help="Instruments of this installed kind instead of NI boards; then --transducer B=DIGITIZER/STRIKER.",
+)
+@click.option(
+    "--set",
+    "assignments",
+    metavar="KIND.KEY=VALUE",
+    multiple=True,
+    help="With --kind: a parameter, for example block-scope.range_v=2.0.",
+)
 @click.option("--supply", default="", metavar="PORT", help="Serial port of the supply.")
 @click.option("--climate", default="", metavar="PORT", help="Serial port of a climate probe.")
 @click.option("--strike", is_flag=True, help="With --transducer: strike each once. Nobody's hands inside!")
@@ -228,6 +242,53 @@ def service(**options: Any) -> None:
     from daq_service.cli.set_up.service import write_services
 
     write_services(**options)
+
+
+@cli.group()
+def token() -> None:
+    """Access tokens of the web service: create, list, revoke; a running service follows at once."""
+
+
+@token.command("create")
+@click.argument("name")
+@click.option(
+    "--role",
+    required=True,
+    type=click.Choice(["viewer", "operator", "engineer", "admin"]),
+    help="Each may do what those before it may.",
+)
+@click.option("--days", type=POSITIVE, help="Until it expires; default: never.")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_create(**options: Any) -> None:
+    """Make a token for NAME and print it once; orders that it gives bear this name."""
+    from daq_service.cli.set_up.token import run_create
+
+    run_create(**options)
+
+
+@token.command("list")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_list(**options: Any) -> None:
+    """List the tokens: name, role, state, until when."""
+    from daq_service.cli.set_up.token import run_list
+
+    run_list(**options)
+
+
+@token.command("revoke")
+@click.argument("name")
+@CONFIG
+@DATA_DIR
+@JSON
+def token_revoke(**options: Any) -> None:
+    """Let NAME's token open nothing any more; open pages and streams end within seconds."""
+    from daq_service.cli.set_up.token import run_revoke
+
+    run_revoke(**options)
 
 
 @cli.command()
@@ -420,11 +481,23 @@ def backup(**options: Any) -> None:
 
 @cli.command()
 @FOLDER_ALONE
-@click.option("--hdf5", type=FILE, required=True, help="The file to write.")
-@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@click.option("--hdf5", type=FILE, help="One HDF5 file of the whole test; records stay in the sets' files.")
+@click.option("--table", metavar="NAME", help="Instead: a table, such as features, verdicts or alarms.")
+@click.option(
+    "--out",
+    "targets",
+    multiple=True,
+    type=FILE,
+    help="Its file: .csv, .parquet, .arrow, .npz, .mat or .h5; may be given several times.",
+)
+@click.option("--position", help="Of the table: this position only.")
+@click.option("--from-h", type=float, help="Of the table: from this hour on.")
+@click.option("--to-h", type=float, help="Of the table: before this hour.")
+@click.option("--fields", metavar="NAMES", help="Of the table: these columns only, for example tof_pp_s.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @JSON
 def export(**options: Any) -> None:
-    """Write one HDF5 file of a whole test, also of one that runs; its records stay in the sets' files."""
+    """Write a test, also one that runs, for other programs: all of it as HDF5, or a table."""
     from daq_service.cli.keeping.command import run_export
 
     sys.exit(run_export(**options))

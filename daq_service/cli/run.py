@@ -80,6 +80,10 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder)
     check_owner(settings, folder)
+    if not no_web and settings.web.is_reachable:
+        from daq_service.web.doors.entry import refuse_open_doors
+
+        refuse_open_doors(settings.web, folder)
 
     log_to(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop, Telling() as telling:
@@ -263,11 +267,13 @@ def serve_alone(
 ) -> int:
     """Serve the data folder until somebody says stop."""
     from daq_service.web.app import create_app
+    from daq_service.web.doors.entry import refuse_open_doors
     from daq_service.web.server import serve
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:
         refuse_other_folders(folder)
+    refuse_open_doors(settings.web, folder)
     prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")
     if restarted_because:
@@ -288,5 +294,6 @@ def serve_alone(
             settings.web.port if port is None else port,
             on_bound=on_bound,
             stop=stop,
+            locks=settings.web,
         )
         return EXIT_OK if supervised else EXIT_INTERRUPTED

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from daq_service.archive import SetReader
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import FeatureRow, ThicknessRow, measured
+from daq_service.catalogue.rows import MEASURED_BY, FeatureRow, ThicknessRow, measured
 from daq_service.judgement.assessment import Assessor
 from daq_service.judgement.restored import restored_pulse_echo, restored_solitary_wave
 from daq_service.settings.tree import ScheduleSettings, Settings
@@ -52,14 +52,14 @@ class MeasuringMethod:
 METHODS: Mapping[Method, MeasuringMethod] = MappingProxyType(
     {
         SOLITARY_WAVE: MeasuringMethod(
-            row=FeatureRow,
+            row=MEASURED_BY[SOLITARY_WAVE],
             of_sets={"scope": "set"},
             records_planned=lambda schedule: schedule.shots_per_set,
             has_baseline=True,
             restored=restored_solitary_wave,
         ),
         PULSE_ECHO: MeasuringMethod(
-            row=ThicknessRow,
+            row=MEASURED_BY[PULSE_ECHO],
             of_sets={},
             records_planned=lambda schedule: 1,
             has_baseline=False,

@@ -10,6 +10,7 @@ import getpass
 import json
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import click
@@ -17,6 +18,7 @@ import click
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
+from daq_service.orders.audit import TERMINAL, Audit
 from daq_service.orders.deadline import look_at_order
 from daq_service.orders.kinds import read_order
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
@@ -68,15 +70,23 @@ def give_order(
     StorageError
         No data there yet, or the catalogue cannot be written.
     """
-    author = (author or _user())[:LONGEST_AUTHOR]
+    author = (author or user_name())[:LONGEST_AUTHOR]
     given = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
     read_order(kind, author, given)  # refused here, no recorder need look at it
     _, folder = settings_and_folder(config, data_dir)
     refuse_other_folders(folder)
-    with open_catalogue(folder) as catalogue:
-        _check_somebody_listens(folder, catalogue)
-        order_id = catalogue.add_command(author, kind, given, within_s=within_s)
-        row = _answered(catalogue, order_id, carried_out_within_s, wait)
+    audit = partial(
+        Audit(folder).tell, who=author, role="claimed", source=TERMINAL, what=kind, arguments=given
+    )
+    try:
+        with open_catalogue(folder) as catalogue:
+            _check_somebody_listens(folder, catalogue)
+            order_id = catalogue.add_command(author, kind, given, within_s=within_s)
+            audit(result="accepted", command_id=order_id)
+            row = _answered(catalogue, order_id, carried_out_within_s, wait)
+    except BusyError as error:
+        audit(result="refused", why=str(error))
+        raise
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
         click.echo(json.dumps({name: getattr(row, name) for name in names}))
@@ -121,7 +131,8 @@ def _answered(
         wait(LOOK_EVERY_S)
 
 
-def _user() -> str:
+def user_name() -> str:
+    """Return the name of whoever sits at this computer, as its system knows it."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):

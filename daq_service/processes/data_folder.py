@@ -84,6 +84,8 @@ BACKUP_FILE = "backup.json"
 
 OWN_NAMES = frozenset(
     {
+        "audit.jsonl",
+        "audit.lock",
         BACKUP_FILE,
         "catalogue.sqlite",
         CONFIGURATION_FILE,
@@ -99,6 +101,8 @@ OWN_NAMES = frozenset(
         "logs",
         "quarantine",
         "reserve",
+        "tokens.json",
+        "tokens.lock",
     }
 )
 LOCK_FILE = "recorder.lock"
@@ -281,6 +285,22 @@ def hold_lock(
             file.truncate(0)
             file.write(b"\0" * _OWNER_OFFSET + text.encode())
             file.flush()
+        yield
+
+
+@contextmanager
+def one_at_a_time(path: Path) -> Iterator[None]:
+    """Let processes and threads change a file one after the other, by a lock beside it.
+
+    Raises
+    ------
+    OSError
+        The lock cannot be made, or somebody held it all the time.
+    """
+    lock = path.with_suffix(".lock")
+    with patiently(lambda: lock.open("a+b")) as file:
+        refusals = (BlockingIOError, PermissionError)
+        patiently(lambda: try_lock(file), is_refusal=lambda error: isinstance(error, refusals))
         yield
 
 

@@ -20,8 +20,10 @@ from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
 
-NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES")
-"""Variables that are no keys: of the tests, and where doubles of the vendor's libraries find their brain."""
+WEB_FILES = ("tls_certificate", "tls_key", "tokens_file")
+NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES", "SOLIMON_TOKEN")
+"""Variables that are no keys: of the tests, where doubles of the vendor's libraries find
+their brain, and what the client shows a service."""
 
 PLACEHOLDER = "PLACEHOLDER"
 """Stands in a value that only the laboratory knows; what holds it is refused."""
@@ -75,6 +77,7 @@ def checked_settings(
     if path.suffix != ".json":
         _refuse_placeholders(values, path)
     _resolve_recording(values, path)
+    _resolve_doors(values, path)
     try:
         return with_defaults(Settings(**_laid_over(values, overrides or {})))
     except ValidationError as error:
@@ -110,6 +113,14 @@ def _resolve_recording(values: dict[str, Any], path: Path) -> None:
     if isinstance(playback, dict) and isinstance(playback.get("source"), str):
         source = str(path.absolute().parent / playback["source"])
         values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
+
+
+def _resolve_doors(values: dict[str, Any], path: Path) -> None:
+    """Make the files of the web service absolute in the same way."""
+    web = values.get("web")
+    if isinstance(web, dict):
+        files = {key: web[key] for key in WEB_FILES if isinstance(web.get(key), str) and web[key]}
+        values["web"] = web | {key: str(path.absolute().parent / file) for key, file in files.items()}
 
 
 def _refuse_unknown_variables() -> None:

@@ -19,6 +19,7 @@ from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, Hol
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
 from daq_service.settings.rig import RigSettings
+from daq_service.settings.web import WebSettings
 from hardware_drivers.daqmx import parameters as daqmx
 from hardware_drivers.drive_parameters import LOG_KEYS, WATCH_KEYS
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
@@ -252,15 +253,6 @@ class StorageSettings(Section):
                 "at most the next"
             )
         return self
-
-
-class WebSettings(Section):
-    """The web service."""
-
-    host: Literal["127.0.0.1", "localhost", "::1"] = "127.0.0.1"
-    """Only this machine: other addresses need access tokens, which this version does not have."""
-    port: int = Field(default=8750, ge=0, le=65535)
-    """TCP port; 0 takes a free one."""
 
 
 class Settings(BaseSettings):

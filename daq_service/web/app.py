@@ -17,24 +17,34 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problem_schemas, problems
 from daq_service.web.answers.version import API_VERSION
 from daq_service.web.context import Context, context_of
+from daq_service.web.doors.entry import Doorkeeper
 from daq_service.web.guards import RequestGuard
+from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
+    audit,
     environment,
     features,
+    files,
     fits,
     health,
     info,
+    metrics,
     orders,
+    session,
     set_waveforms,
     sets,
     stream,
+    tables,
     thickness,
+    tokens,
     transducers,
     trends,
     verdicts,
     waveforms,
 )
+from daq_service.web.routes.admission import admit
+from daq_service.web.routes.description import describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
@@ -53,6 +63,11 @@ RESOURCES = (
     alarms,
     orders,
     stream,
+    session,
+    tokens,
+    audit,
+    tables,
+    files,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -80,6 +95,7 @@ class Service(FastAPI):
         if self.openapi_schema is None:
             document = super().openapi()
             document["components"]["schemas"].update(problem_schemas())
+            describe_roles(document)
         assert self.openapi_schema is not None
         return self.openapi_schema
 
@@ -108,12 +124,18 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         lifespan=_lifespan,
     )
     app.state.context = Context(settings, data_folder)
+    app.state.answer_times = AnswerTimes()
+    app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    app.add_middleware(RequestGuard)
+    app.add_middleware(Doorkeeper, doors=app.state.context.doors)
+    app.add_middleware(RequestGuard, names_elsewhere=settings.web.names_elsewhere)
     problem.install(app)
     app.include_router(health.probes)
+    app.include_router(metrics.probes)
     api = APIRouter(
-        prefix="/api/v1", dependencies=[Depends(refuse_unknown_parameters)], responses=problems(422)
+        prefix="/api/v1",
+        dependencies=[Depends(admit), Depends(refuse_unknown_parameters)],
+        responses=problems(422),
     )
     for resource in RESOURCES:
         api.include_router(resource.router)

@@ -17,6 +17,7 @@ from daq_service.processes import freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, no_data_yet, not_found
+from daq_service.web.doors.entry import Doors
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
 
@@ -91,6 +92,7 @@ class Context:
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)
         self.live = LivePictures(data_folder / "live", settings.positions)
+        self.doors = Doors(settings.web, data_folder)
         self._has_data = False
 
     def catalogue(self) -> Catalogue:

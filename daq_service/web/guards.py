@@ -14,12 +14,12 @@ from urllib.parse import urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from daq_service.settings.web import LOOPBACK
 from daq_service.web.answers.problem import Problem, problem_response
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 LARGEST_BODY_BYTES = 64 * 1024
 BODY_WITHIN_S = 10.0
-ALLOWED_HOSTS = frozenset({"127.0.0.1", "localhost", "::1"})
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -39,12 +39,14 @@ class RequestGuard:
 
     A browser page of another site can send requests to this machine. `Host` stops DNS rebinding,
     `Origin` and `Sec-Fetch-Site` stop cross-site writes and WebSockets, which no browser keeps
-    within its origin by itself. Programs that are no browser send no Origin and are let through:
-    whoever runs on this machine as this user could write the data folder anyway.
+    within its origin by itself. Programs that are no browser send no Origin and are let through: others
+    than this machine's need a token (`doors.entry`), and whoever runs on it as this user could write the
+    data folder anyway.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, *, names_elsewhere: frozenset[str] = frozenset()) -> None:
         self._app = app
+        self._names = names_elsewhere | LOOPBACK.keys()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a good request on, answer a bad one."""
@@ -54,7 +56,7 @@ class RequestGuard:
         name = uuid.uuid4().hex
         scope.setdefault("state", {})["request_id"] = name
         headers = Headers(scope=scope)
-        problem = _refusal(scope, headers)
+        problem = _refusal(scope, headers, self._names)
 
         async def send_with_headers(message: Message) -> None:
             if message["type"] in {"http.response.start", "websocket.http.response.start"}:
@@ -125,7 +127,7 @@ def _too_slow() -> Problem:
     )
 
 
-def _refusal(scope: Scope, headers: Headers) -> Problem | None:
+def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             431,
@@ -136,13 +138,13 @@ def _refusal(scope: Scope, headers: Headers) -> Problem | None:
         )
     host = headers.get("host", "")
     hostname = _hostname(host)
-    if hostname not in ALLOWED_HOSTS:
+    if hostname not in names:
         return Problem(
             400,
             "foreign-host",
             "Unknown host name",
-            f"Host is {host!r}; this service answers to {', '.join(sorted(ALLOWED_HOSTS))} only.",
-            "Open the address that the service printed.",
+            f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only.",
+            "Open the address that the service printed, or name this one in web.host_names.",
         )
     writes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
     if writes and not same_origin(headers):

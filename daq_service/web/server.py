@@ -13,10 +13,10 @@ import uvicorn
 from fastapi import FastAPI
 
 from daq_service.errors import BusyError, UsageError
+from daq_service.settings.web import LOOPBACK, WebSettings
 from daq_service.web.bounded_http import BoundedHttp
 from daq_service.web.context import context_of
 
-LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this bounds a request that hangs in a thread."""
 MOST_CONNECTIONS = 2500
@@ -54,22 +54,26 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def bind(host: str, port: int) -> socket.socket:
-    """Listen on a loopback address; port 0 takes a free one.
+def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
+    """Listen on an address of this computer; port 0 takes a free one.
+
+    Parameters
+    ----------
+    locked
+        Others may come: tokens and encryption are seen to (`doors.entry.refuse_open_doors`).
 
     Raises
     ------
     UsageError
-        The address is reachable from elsewhere, which needs access tokens.
+        The address is reachable from elsewhere, and nothing locks it; or it is none of this computer.
     BusyError
         Somebody else has the port.
     """
-    if host not in LOOPBACK:
+    if host not in LOOPBACK and not locked:
         raise UsageError(
-            f"web.host is {host!r}; only {', '.join(LOOPBACK)} are allowed: this version has no access "
-            "tokens, so it serves this machine only. Use an SSH tunnel to look at it from another one"
+            f"web.host is {host!r}; without tokens and encryption only {', '.join(LOOPBACK)} are allowed"
         )
-    address = LOOPBACK[host]
+    address = LOOPBACK.get(host, host)
     family = socket.AF_INET6 if ":" in address else socket.AF_INET
     # Only where the protocol is named asyncio switches Nagle's algorithm off, which holds small answers back.
     listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -105,6 +109,7 @@ def serve(
     on_bound: Callable[[str], None],
     stop: threading.Event | None = None,
     close_streams: Callable[[], None] | None = None,
+    locks: WebSettings | None = None,
 ) -> None:
     """Serve until ``stop`` is set, or without it until SIGINT or SIGTERM.
 
@@ -114,8 +119,11 @@ def serve(
         Called with the URL once connections are accepted.
     close_streams
         Called before the last answers are waited for; None: the service's own.
+    locks
+        Certificate and proxy of a service that others may reach; None: this machine only, nothing encrypted.
     """
-    listener = bind(host, port)
+    locks = locks or WebSettings()
+    listener = bind(host, port, locked=locks.is_reachable)
     try:
         config = uvicorn.Config(
             app,
@@ -129,10 +137,16 @@ def serve(
             server_header=False,
             timeout_graceful_shutdown=LONGEST_SHUTDOWN_S,
             lifespan="on",
+            proxy_headers=bool(locks.proxy),
+            forwarded_allow_ips=locks.proxy,
+            ssl_certfile=locks.tls_certificate or None,
+            ssl_keyfile=locks.tls_key or None,
         )
         address, bound_port = listener.getsockname()[:2]
         shown = f"[{address}]" if ":" in address else address
-        on_bound(f"http://{shown}:{bound_port}/")
+        if locks.has_tls and locks.host_names:  # what the certificate is for
+            shown = locks.host_names[0]
+        on_bound(f"http{'s' if locks.has_tls else ''}://{shown}:{bound_port}/")
         closing = close_streams or context_of(app).close_streams
         with asyncio.Runner(loop_factory=config.get_loop_factory()) as runner:
             runner.run(_Server(config, closing, stop).serve(sockets=[listener]))

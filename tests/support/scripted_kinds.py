@@ -25,6 +25,12 @@ class ScopeParameters(BaseModel):
     address: str = "usb"
 
 
+class LevelledParameters(ScopeParameters):
+    """A scope with a trigger of its own."""
+
+    trigger_level_v: float = Field(default=0.05, gt=0.0)
+
+
 class NoParameters(BaseModel):
     """None."""
 
@@ -62,7 +68,8 @@ def begin_script() -> Script:
 
 
 class Scope:
-    def __init__(self) -> None:
+    def __init__(self, level_v: float = 0.25) -> None:
+        self._level_v = level_v
         self._armed: ShotKey | None = None
 
     def arm(self, key: ShotKey) -> None:
@@ -79,7 +86,7 @@ class Scope:
         SCRIPT.note(f"read {key.position}")
         if not SCRIPT.comes:
             raise AcquisitionTimeoutError(f"nothing came at {key.position} within {timeout_s:g} s")
-        return Acquired(waveform=Scene().waveform(), settings={"trigger_level_v": 0.25})
+        return Acquired(waveform=Scene().waveform(), settings={"trigger_level_v": self._level_v})
 
     def disarm(self) -> None:
         SCRIPT.note("disarm")
@@ -169,6 +176,14 @@ SCOPE = Kind(
     longest_call_s=lambda parameters: 500.0,
     reached_by=frozenset({"address"}),
 )
+
+
+@contextmanager
+def _levelled(parameters: LevelledParameters, opening: Opening) -> Iterator[Opened]:
+    yield Opened(digitizer=Scope(parameters.trigger_level_v))
+
+
+LEVELLED = Kind(parameters=LevelledParameters, open=_levelled, check=_look)
 HAMMER = Kind(
     parameters=NoParameters, open=_opener(lambda opening: Opened(striker=Hammer(opening))), check=_look
 )
@@ -184,6 +199,7 @@ NOT_A_KIND = "a word"
 
 OFFERED = {
     "scripted-scope": {"digitizer": "support.scripted_kinds:SCOPE"},
+    "scripted-levelled": {"digitizer": "support.scripted_kinds:LEVELLED"},
     "scripted-hammer": {"striker": "support.scripted_kinds:HAMMER"},
     "scripted-relay": {"striker": "support.scripted_kinds:RELAY"},
     "scripted-supply": {"supply": "support.scripted_kinds:SUPPLY"},

@@ -14,6 +14,7 @@ import httpx
 from fastapi import FastAPI
 
 from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
 from daq_service.web.app import create_app
 from daq_service.web.server import serve
 
@@ -30,7 +31,7 @@ class Served:
 
     @property
     def netloc(self) -> str:
-        return self.url.removeprefix("http://").rstrip("/")
+        return self.url.partition("://")[2].rstrip("/")
 
     def client(self, **headers: str) -> httpx.Client:
         # Nothing is encrypted: reading all certificates would take longer than most tests.
@@ -39,18 +40,18 @@ class Served:
 
 @contextmanager
 def served(settings: Settings, folder: Path, *, port: int = 0) -> Iterator[Served]:
-    with served_app(create_app(settings, folder), port=port) as service:
+    with served_app(create_app(settings, folder), port=port, locks=settings.web) as service:
         yield service
 
 
 @contextmanager
-def served_app(app: FastAPI, *, port: int = 0) -> Iterator[Served]:
+def served_app(app: FastAPI, *, port: int = 0, locks: WebSettings | None = None) -> Iterator[Served]:
     stop = threading.Event()
     said: queue.Queue[str | BaseException] = queue.Queue()
 
     def run() -> None:
         try:
-            serve(app, "127.0.0.1", port, on_bound=said.put, stop=stop)
+            serve(app, "127.0.0.1", port, on_bound=said.put, stop=stop, locks=locks)
         except BaseException as error:
             said.put(error)
             raise

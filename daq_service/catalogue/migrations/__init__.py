@@ -8,6 +8,7 @@ from sqlalchemy import Engine, insert, text
 
 from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
+from daq_service.catalogue.pyramid import rebuild_trends
 from daq_service.catalogue.rows import CountsRow
 from daq_service.catalogue.sealed import seal_unsealed, storable
 from daq_service.catalogue.tables import counts, metadata
@@ -65,3 +66,4 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
         seal_unsealed(connection)
+        rebuild_trends(connection)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import Shot, ShotKey
+from hardware_drivers.measurement import Shot, Waveform
 from hardware_drivers.methods import SOLITARY_WAVE
 
 REMEDIES: Mapping[str, str] = {
@@ -48,6 +48,8 @@ class Trial:
     ----------
     features
         Features of the record; None where there is none.
+    record
+        None where there is none.
     settings
         What the instrument says of the record.
     spike
@@ -57,6 +59,7 @@ class Trial:
     position: str
     checks: tuple[Check, ...]
     features: ShotFeatures | None = None
+    record: Waveform | None = None
     settings: Mapping[str, float | str] = field(default_factory=dict)
     spike: SpikeSurvey | None = None
 
@@ -95,18 +98,28 @@ def require_position(settings: Settings, position: str) -> None:
         )
 
 
-def strike_transducer(settings: Settings, position: str) -> Trial:
-    """Strike one transducer, on boards once more to see its coil; an instrument's error is a failed check."""
+def _tell(text: str) -> None:
+    click.echo(text, err=True)
+
+
+def strike_transducer(settings: Settings, position: str, *, tell: Callable[[str], None] = _tell) -> Trial:
+    """Strike one transducer, on boards once more to see its coil; an instrument's error is a failed check.
+
+    Parameters
+    ----------
+    tell
+        Tells whoever stands at the rig what to do, where a person is the striker.
+    """
     settings = _this_transducer_only(settings, position)
     boards = settings.rig.daqmx
     if settings.rig.kind != "daqmx" or boards is None:
-        return _shot(settings, position, None)
+        return _shot(settings, position, None, tell)
     look, spike = spike_check(boards, position, settings.rig.read_timeout_s)
-    trial = _shot(settings, position, spike)
+    trial = _shot(settings, position, spike, tell)
     return replace(trial, checks=(look, *trial.checks), spike=spike)
 
 
-def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial:
+def _shot(settings: Settings, position: str, spike: SpikeSurvey | None, tell: Callable[[str], None]) -> Trial:
     clock = WallClock() if settings.clock.kind == "wall" else SimulatedClock(parse_utc(settings.clock.epoch))
     plan = SetPlan(
         due=DueSet(set_index=0, due_h=0.0, due_utc_ns=clock.utc_ns()),
@@ -118,7 +131,8 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
     started_s = time.monotonic()
     try:
         with open_rig(settings, clock, clock.utc_ns()) as rig:
-            rig.asking.listen(_ask)
+            # An empty text takes it back, and the check that follows says more.
+            rig.asking.listen(lambda text, key: tell(text) if text else None)
             taken = list(take_set(rig, plan, first_sequence=0, boot_id=boot_id(), idle=lambda: True))
     except InstrumentError as error:
         refused = failure(f"strike {position}: record", error, "mend what failed above, then strike")
@@ -133,14 +147,9 @@ def _shot(settings: Settings, position: str, spike: SpikeSurvey | None) -> Trial
         position=position,
         checks=(_record(measurement, features, took_s), _level(settings, measurement, features, spike)),
         features=features,
+        record=measurement.waveform,
         settings=measurement.settings,
     )
-
-
-def _ask(text: str, key: ShotKey | None) -> None:
-    """Tell whoever stands at the rig; an empty text takes it back, and the check that follows says more."""
-    if text:
-        click.echo(text, err=True)
 
 
 def _this_transducer_only(settings: Settings, position: str) -> Settings:

@@ -54,8 +54,12 @@ LEFT_OUT = {
     HEARTBEAT_FILE,
     LOCK_FILE,
     DRIVE_LOCK,
+    "audit.lock",
+    "tokens.json",
+    "tokens.lock",
 }
-"""Copied in their own way, or signs of a running test, which a copy is not."""
+"""Copied in their own way, or signs of a running test, which a copy is not; who may enter is for each copy
+to say."""
 NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
 """Columns of the experiment that tell one test from another."""
 

@@ -6,7 +6,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -18,7 +18,7 @@ from daq_service.cli.keeping.backup import back_up
 from daq_service.cli.keeping.export import export_hdf5
 from daq_service.cli.keeping.repair import carry_out, planned
 from daq_service.cli.keeping.verify import Finding, verify_folder
-from daq_service.errors import EXIT_OK, StorageError
+from daq_service.errors import EXIT_OK, StorageError, UsageError
 from daq_service.processes.data_folder import is_owned, own_data_folder
 
 TOLD_EVERY_S = 10.0
@@ -85,8 +85,24 @@ def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
     return StorageError.exit_code if copied.damage else EXIT_OK
 
 
-def run_export(*, data_dir: Path, hdf5: Path, overwrite: bool, as_json: bool) -> int:
-    """Write one file of a test; 4 where a set's file cannot be read."""
+def run_export(
+    *,
+    data_dir: Path,
+    hdf5: Path | None,
+    table: str | None,
+    targets: Sequence[Path],
+    overwrite: bool,
+    as_json: bool,
+    **asked: Any,
+) -> int:
+    """Write one file of a test, or a table; 4 where a set's file cannot be read."""
+    if (hdf5 is None) == (table is None):
+        raise UsageError("say --hdf5 FILE, or --table NAME with --out FILE")
+    if table is not None:
+        return _export_table(data_dir, table, targets, overwrite=overwrite, as_json=as_json, **asked)
+    if targets or any(value is not None for value in asked.values()):
+        raise UsageError("--out, --position, --from-h, --to-h and --fields belong to --table")
+    assert hdf5 is not None, "one of the two is given"
     made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
     if as_json:
         click.echo(json.dumps({"ok": not made.left_out, **asdict(made)}))
@@ -97,6 +113,23 @@ def run_export(*, data_dir: Path, hdf5: Path, overwrite: bool, as_json: bool) ->
             click.echo(f"waiting   {made.waiting} sets have no file yet; export again later")
         click.echo(f"{made.file}: {made.sets} sets, {made.shots} records ({made.n_bytes / 1e6:.1f} MB)")
     return StorageError.exit_code if made.left_out else EXIT_OK
+
+
+def _export_table(
+    data_dir: Path, table: str, targets: Sequence[Path], *, overwrite: bool, as_json: bool, **asked: Any
+) -> int:
+    from daq_service.cli.keeping.export_table import export_table
+    from daq_service.web.tables.choice import chosen
+
+    if not targets:
+        raise UsageError("--table wants --out FILE")
+    made = export_table(data_dir, chosen(table, **asked), targets, overwrite=overwrite)
+    if as_json:
+        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in made]}))
+    else:
+        for item in made:
+            click.echo(f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)")
+    return EXIT_OK
 
 
 def run_certify(*, data_dir: Path, **options: Any) -> int:

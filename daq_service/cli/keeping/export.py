@@ -97,7 +97,7 @@ def export_hdf5(
     StorageUnavailableError
         The disk does not take the file; one that was there stays.
     """
-    _refuse(folder, target, overwrite=overwrite)
+    refuse_target(folder, target, overwrite=overwrite)
     with open_catalogue(folder) as catalogue:
         experiment = catalogue.experiment_row()
         positions = sorted(experiment.configuration["positions"])
@@ -144,7 +144,14 @@ def export_hdf5(
     )
 
 
-def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:
+def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
+    """Refuse before anything is read what must not be written.
+
+    Raises
+    ------
+    UsageError
+        There is no test in the folder; the file exists, or would lie among what is the test's own.
+    """
     if not (folder / FILE_NAME).is_file():
         raise UsageError(
             f"{folder} holds no test of solimon (no {FILE_NAME}); choose its folder with --data-dir"

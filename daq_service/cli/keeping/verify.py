@@ -24,11 +24,13 @@ from daq_service.archive.verification import CheckedJournal, check_file, check_j
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.errors import CatalogueDamagedError, CatalogueError, NoDataYetError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
-from daq_service.catalogue.history import read_history
+from daq_service.catalogue.history import parsed, read_history
 from daq_service.catalogue.verification import CatalogueLook
 from daq_service.cli.keeping.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
 from daq_service.errors import StorageError
+from daq_service.orders.audit import AUDIT_FILE
+from daq_service.shared_file import read_shared
 from hardware_drivers.nanoseconds import NS_PER_H
 
 KINDS = {
@@ -43,6 +45,7 @@ KINDS = {
     "catalogue": "SQLite finds the catalogue damaged, or it is gone",
     "experiment": "experiment.json is damaged, or tells of another experiment than the catalogue",
     "history": "lines of history.jsonl are damaged or missing",
+    "audit": "lines of audit.jsonl are damaged or missing",
 }
 """Kinds of damage."""
 
@@ -146,6 +149,19 @@ def check_experiment(look: Look) -> Iterator[Finding]:
     for line in history.damage:
         told = f"{line}; the catalogue has it still: back it up, and keep both"
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
+
+
+def check_audit(look: Look) -> Iterator[Finding]:
+    """Look whether a line of who did what was changed or taken away."""
+    try:
+        damage = parsed(read_shared(look.folder / AUDIT_FILE), name=AUDIT_FILE).damage
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        damage = [f"{AUDIT_FILE} cannot be read: {error}"]
+    for line in damage:
+        told = f"{line}; nothing else knows who did what: keep it, and look at a backup"
+        yield Finding(kind="audit", file=AUDIT_FILE, shot_id=None, told=told)
 
 
 def check_frames(look: Look) -> Iterator[Finding]:
@@ -271,6 +287,7 @@ def check_references(look: Look) -> Iterator[Finding]:
 CHECKS: tuple[Callable[[Look], Iterator[Finding]], ...] = (
     check_catalogue,
     check_experiment,
+    check_audit,
     check_frames,
     check_sets,
     check_references,

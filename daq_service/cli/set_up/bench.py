@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import numpy as np
 
+from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
-from analysis.waves.first_settings import Proposal, Struck, propose
+from analysis.waves.features import extract_features
+from analysis.waves.first_settings import Proposal, Struck, propose, shot_within
 from daq_service.cli.doctor.storage import held_folder
+from daq_service.cli.set_up.drawn import envelope, shot_drawn
 from daq_service.errors import BusyError
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, fall_s
 from hardware_drivers.errors import ConfigurationError
@@ -155,6 +158,33 @@ class Bench:
             for name, strike in self.struck.items()
         }
         return propose(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m)) if known else None
+
+    def newest(self) -> dict[str, Any]:
+        """Return the newest strike whole, and the shot in it that the proposal would have recorded."""
+        position, strike = self.position, self.struck.get(self.position or "")
+        if position is None or strike is None:
+            return {"strike": None, "shot": None}
+        answer: dict[str, Any] = {"strike": envelope(strike), "shot": None, "off_s": self.pulse_s}
+        try:
+            proposal = self.proposal()
+        except AnalysisError as error:
+            return answer | {"error": str(error)}
+        assert proposal is not None, "it was struck"
+        level_v, holdoff_s = proposal.trigger_level_v, proposal.holdoff_s or 0.0
+        answer |= {"level_v": level_v, "holdoff_s": holdoff_s, "proposed_range_v": proposal.range_v[position]}
+        if level_v is None:
+            return answer
+        shot = shot_within(
+            strike,
+            after_s=self.pulse_s + holdoff_s,
+            level_v=level_v,
+            rising=proposal.rising,
+            pretrigger_samples=round(proposal.pretrigger_s * strike.sample_rate_hz),
+            samples=self.parameters(position).record_samples,
+        )
+        if shot is None:
+            return answer
+        return answer | shot_drawn(shot, extract_features(shot), rising=proposal.rising)
 
     def ranges_v(self, wiring: TransducerWiring) -> list[float]:
         """Ranges -r .. +r of the transducer's board, rising."""

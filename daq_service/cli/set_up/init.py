@@ -54,6 +54,12 @@ Instruments of other makers, or boards that only strike or only digitize: rig.ki
 docs/reference/configuration.md.""",
 }
 """What a person reads first, by the kind of file."""
+SET_UP = """Written by `solimon setup` for {instruments}.
+{struck}
+
+solimon check-config FILE   says what it will do
+solimon doctor FILE         looks at rig, folder and computer once more; then docs/how-to/day-one.md
+solimon run FILE            runs it"""
 
 
 def write_configuration(
@@ -180,6 +186,16 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 
 
 # Files -----------------------------------------------------------------------------------------------
+
+
+def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
+    """Say in a file of `solimon setup` what it was made for, and from what."""
+    told = (
+        f"From strikes of {', '.join(struck)}."
+        if struck
+        else "Nothing was struck: range, level and holdoff are a guess."
+    )
+    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=told)
 
 
 def refuse_what_is_there(file: Path) -> Path:

@@ -20,14 +20,14 @@ T = TypeVar("T")
 
 
 def ask_for_others(
-    dialogue: Dialogue, probes: Mapping[str, str], supply: str, climate: str, *, asks: bool
+    dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
 ) -> tuple[dict[str, Any], set[KeyPath]]:
     """Return tables of [rig] for what is there, and the tables of what is not, to be switched off.
 
     Parameters
     ----------
     probes
-        ``RESOURCE[/CHANNEL]`` by position.
+        ``RESOURCE[/CHANNEL]`` by position; None: of these instruments there can be none.
     supply, climate
         Ports.
 
@@ -37,8 +37,8 @@ def ask_for_others(
         What the flags name does not answer.
     """
     tables: dict[str, Any] = {}
-    known = _probes(probes)
-    if asks:
+    known = _probes(probes or {})
+    if asks and probes is not None:
         known |= _asked(
             dialogue, "probe", "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it", _probes_at_a
         )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,10 +16,23 @@ from analysis.errors import AnalysisError
 from daq_service.cli.doctor.storage import owner_of
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import laboratory, refuse_what_is_there, settings_of, write_file
+from daq_service.cli.set_up.init import (
+    head_of,
+    laboratory,
+    refuse_what_is_there,
+    settings_of,
+    write_file,
+)
+from daq_service.cli.set_up.kinds import (
+    ask_for_kinds,
+    bench_of_kinds,
+    other_kinds,
+    take_kinds,
+    write_kinds,
+)
 from daq_service.cli.set_up.other_instruments import ask_for_others
-from daq_service.cli.set_up.page import served_page
-from daq_service.cli.set_up.transducers import Flags, ask_for_transducers, take_transducers
+from daq_service.cli.set_up.page import Scope, served_page
+from daq_service.cli.set_up.transducers import Flags, ask_for_transducers, take_transducers, tell_file
 from daq_service.cli.set_up.wiring import board_in_words
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
@@ -28,16 +42,10 @@ from hardware_drivers import errors as driver_errors
 if TYPE_CHECKING:
     from hardware_drivers.daqmx.survey import Survey
 
-HEAD = """Written by `solimon setup` for {boards}.
-{struck}
-
-solimon check-config FILE   says what it will do
-solimon doctor FILE         looks at rig, folder and computer once more; then docs/how-to/day-one.md
-solimon run FILE            runs it"""
 LOOKED_FOR = "looked for NI-DAQmx boards with an analog trigger"
 NO_BOARDS = (
     "switch the chassis on before the computer, see whether NI MAX or `nilsdev` lists the boards, and read "
-    "docs/how-to/install-the-ni-driver.md; without boards: solimon init twin FILE"
+    "docs/how-to/install-the-ni-driver.md; {others}; without instruments: solimon init twin FILE"
 )
 
 
@@ -46,6 +54,8 @@ def run_setup(
     file: Path,
     transducers: Sequence[str],
     probes: Sequence[str],
+    kinds: Sequence[str],
+    assignments: Sequence[str],
     transport: Literal["library", "grpc"],
     grpc_address: str,
     data_dir: Path | None,
@@ -59,30 +69,62 @@ def run_setup(
     refuse_what_is_there(file)
     flags = Flags(transducers=_named(transducers), probes=_named(probes), **given)
     asks = not flags.transducers
+    if assignments and not kinds:
+        raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
     dialogue = Dialogue()
     folder = data_dir or file.absolute().parent / laboratory()[0]["storage"]["folder"]
     if owner := owner_of(folder):
         raise BusyError(f"setup is refused: {owner}")
-    bench = look_around(dialogue, folder, transport, grpc_address)
-    with ExitStack() as stack:
-        stack.callback(bench.close)
-        if asks and not no_web:
-            _show(dialogue, stack.enter_context(served_page(dialogue, bench, port)), opens=not no_browser)
-        try:
+    page = _Page(port=port, shown=asks and not no_web, opens=not no_browser)
+    others = partial(ask_for_others, dialogue, supply=flags.supply, climate=flags.climate, asks=asks)
+    if kinds:
+        of_kinds = bench_of_kinds(kinds, assignments, file, folder)
+        with page.of(dialogue, of_kinds), _told_as_ours():
+            if asks:
+                ask_for_kinds(dialogue, of_kinds)
+            else:
+                take_kinds(dialogue, of_kinds, flags)
+            told = write_kinds(dialogue, of_kinds, *others(probes=None))
+    else:
+        with (
+            closing(look_around(dialogue, folder, transport, grpc_address)) as bench,
+            page.of(dialogue, bench),
+            _told_as_ours(),
+        ):
             (ask_for_transducers if asks else take_transducers)(dialogue, bench, flags)
-            others, off = ask_for_others(dialogue, flags.probes, flags.supply, flags.climate, asks=asks)
-        except driver_errors.BusyError as error:
-            raise BusyError(str(error)) from error
-        except (driver_errors.InstrumentError, AnalysisError) as error:
-            raise RigError(str(error)) from error
-        told = write(dialogue, bench, file, others, off)
+            told = write(dialogue, bench, file, *others(probes=flags.probes))
     if as_json:
         click.echo(json.dumps(told))
 
 
-def _show(dialogue: Dialogue, address: str, *, opens: bool) -> None:
-    opened = ", opened in your browser" if opens and open_page(address) else ""
-    dialogue.tell(f"scope  {address}{opened}; answer there or here")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Page:
+    """Whether there is a page, where, and whether it opens by itself."""
+
+    port: int
+    shown: bool
+    opens: bool
+
+    @contextmanager
+    def of(self, dialogue: Dialogue, scope: Scope) -> Iterator[None]:
+        if not self.shown:
+            yield
+            return
+        with served_page(dialogue, scope, self.port) as address:
+            opened = ", opened in your browser" if self.opens and open_page(address) else ""
+            dialogue.tell(f"scope  {address}{opened}; answer there or here")
+            yield
+
+
+@contextmanager
+def _told_as_ours() -> Iterator[None]:
+    """Give a driver's errors the exit codes of the command."""
+    try:
+        yield
+    except driver_errors.BusyError as error:
+        raise BusyError(str(error)) from error
+    except (driver_errors.InstrumentError, AnalysisError) as error:
+        raise RigError(str(error)) from error
 
 
 def _named(given: Sequence[str]) -> dict[str, str]:
@@ -122,7 +164,9 @@ def look_around(
         dialogue.tell(f"found  {board_in_words(board)}")
     usable = {board.serial: board for board in survey.boards if board.analog_trigger and board.ranges_v}
     if not usable:
-        raise RigError(f"{LOOKED_FOR} by {transport}: {_met(survey)}; {NO_BOARDS}")
+        names = ", ".join(other_kinds()) or "none is installed, see docs/how-to/write-a-driver.md"
+        others = f"instruments of other kinds: solimon setup FILE --kind NAME ({names})"
+        raise RigError(f"{LOOKED_FOR} by {transport}: {_met(survey)}; {NO_BOARDS.format(others=others)}")
     # Any board may drive a coil.
     boards = {board.serial: board for board in survey.boards}
     return Bench(boards=boards, data_folder=data_folder, transport=transport, grpc_address=grpc_address)
@@ -158,17 +202,11 @@ def write(
     watchdog = rig["daqmx"]["watchdog"]
     values["rig"] = {**rig, **others, "daqmx": {**bench.table(), "watchdog": watchdog}}
     off = {*off, ("rig", "daqmx", "watchdog")}
-    settings = settings_of(values, off, file)
-    struck = ", ".join(bench.struck) if bench.chosen else ""
     boards = {bench.boards[one.board_serial].product for one in bench.transducers.values()}
-    told = (
-        f"From strikes of {struck}."
-        if struck
-        else "Nothing was struck: range, level and holdoff are a guess."
-    )
-    write_file(file, values, head=HEAD.format(boards=", ".join(sorted(boards)), struck=told), off=off)
-    dialogue.tell(f"{file} is written, its schema beside it ({settings.configuration_hash()[:12]})")
-    dialogue.tell(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
+    settings = settings_of(values, off, file)
+    head = head_of(boards, bench.struck if bench.chosen else ())
+    write_file(file, values, head=head, off=off)
+    tell_file(dialogue, file, settings)
     proposal = bench.proposal()
     return {
         "file": str(file),

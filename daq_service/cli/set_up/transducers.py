@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from analysis.errors import AnalysisError
@@ -13,6 +14,7 @@ from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.values import REMEDIES, judge
 from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
 from daq_service.errors import BusyError, UsageError
+from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.errors import InstrumentError
 
@@ -69,21 +71,36 @@ def ask_for_transducers(dialogue: Dialogue, bench: Bench, flags: Flags) -> None:
             Question(name=name, text=text, default=f"{getattr(bench, name):g}"), _number_within(*bounds)
         )
         setattr(bench, name, value)
-    while True:
-        position = dialogue.ask(
-            Question(
-                name="position",
-                text="Position of a solitary-wave transducer"
-                + (", - for no more" if bench.transducers else ""),
-                default="-" if bench.transducers else "B",
-            ),
-            lambda text: _new_position(text, bench.transducers),
-        )
-        if position is None:
-            break
+    while (position := ask_position(dialogue, bench.transducers)) is not None:
         _wire(dialogue, bench, position)
-        _strike_or_go_on(dialogue, bench, position)
+        while strikes_or_goes_on(dialogue, position):
+            try:
+                bench.strike(position)
+                _tell_strike(dialogue, bench, position)
+            except (InstrumentError, AnalysisError, BusyError) as error:
+                dialogue.tell(f"  {error}")
     judge(dialogue, bench, asks=True)
+
+
+def ask_position(dialogue: Dialogue, taken: Mapping[str, Any]) -> str | None:
+    """Ask for one more transducer; None: there is none."""
+    question = Question(
+        name="position",
+        text="Position of a solitary-wave transducer" + (", - for no more" if taken else ""),
+        default="-" if taken else "B",
+    )
+    return dialogue.ask(question, lambda text: _new_position(text, taken))
+
+
+def strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
+    """Ask whether to strike: no answer never means it."""
+    question = Question(
+        name=f"{position}.strike",
+        text=f"Strike {position} once, nobody's hands inside? Or go on",
+        default="go on",
+        choices=("strike", "go on"),
+    )
+    return dialogue.ask(question, lambda answer: answer == "strike")
 
 
 def _number_within(low: float, high: float) -> Callable[[str], float]:
@@ -102,6 +119,12 @@ def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
     if not text.isalnum() or text in taken:
         raise ValueError(f"{text!r} must be letters and digits, and not one of {', '.join(taken) or 'none'}")
     return text
+
+
+def tell_file(dialogue: Dialogue, file: Path, settings: Settings) -> None:
+    """Say that the file is there, and what comes next."""
+    dialogue.tell(f"{file} is written, its schema beside it ({settings.configuration_hash()[:12]})")
+    dialogue.tell(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
 
 
 def _wire(dialogue: Dialogue, bench: Bench, position: str) -> None:
@@ -144,27 +167,6 @@ def _choice(dialogue: Dialogue, name: str, text: str, choices: Sequence[str]) ->
     if not choices:
         raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
     return dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
-
-
-def _strike_or_go_on(dialogue: Dialogue, bench: Bench, position: str) -> None:
-    """Strike as often as a person says so."""
-    while True:
-        word = dialogue.ask(
-            Question(
-                name=f"{position}.strike",
-                text=f"Strike {position} once, nobody's hands inside? Or go on",
-                default="go on",
-                choices=("strike", "go on"),
-            ),
-            str,
-        )
-        if word == "go on":
-            return
-        try:
-            bench.strike(position)
-            _tell_strike(dialogue, bench, position)
-        except (InstrumentError, AnalysisError, BusyError) as error:
-            dialogue.tell(f"  {error}")
 
 
 def _tell_strike(dialogue: Dialogue, bench: Bench, position: str) -> None:

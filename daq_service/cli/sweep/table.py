@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.archive.units import unit_of
 from daq_service.cli.sweep.plan import VERSIONS_THAT_COUNT, Plan, code_version, json_text
 from daq_service.cli.sweep.shot import OK, RESULTS, Outcome
+from hardware_drivers.units import unit_of
 
 Column = NDArray[Any] | list[str]
 

@@ -25,11 +25,14 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
     }
     for status, text in {
         400: "The body is not what its media type says",
-        403: "The request comes from another origin",
+        401: "A token is needed, or the one given does not open",
+        403: "The role does not allow it, the request comes from another origin, or it was not encrypted",
         404: "There is no such thing",
         409: "The request does not fit the present state",
         413: "The request body is too large",
+        416: "There is no such range of bytes",
         422: "The request is not valid",
+        429: "Too many wrong tokens came from this address",
         503: "No data yet, or the data folder cannot be read",
     }.items()
 }
@@ -209,6 +212,31 @@ class EnvironmentNow(Answer):
     supply_now: SupplyNow | None = Field(description="null: this folder's test has had no supply")
 
 
+class TableColumn(Answer):
+    """A column of an exported table."""
+
+    name: str
+    form: Literal["number", "integer", "truth", "time", "text", "nested"] = Field(
+        description="`time`: RFC 3339; `nested`: JSON text"
+    )
+    unit: str = Field(description="As UDUNITS writes it; empty: it has none")
+
+
+class TableInfo(Answer):
+    """A table that can be exported."""
+
+    table: str
+    told: str
+    columns: list[TableColumn]
+
+
+class TableList(Answer):
+    """Tables, and the formats that this installation writes."""
+
+    formats: list[str]
+    items: list[TableInfo]
+
+
 class BaselineList(Answer):
     """Every baseline ever frozen, oldest first."""
 
@@ -371,14 +399,33 @@ class ServiceHealth(Answer):
     disk: DiskOutlook
 
 
+class TrendBins(Answer):
+    """What the bins of a trend say beside its columns, one entry a bin; values by name."""
+
+    minimum: dict[str, list[float | None]]
+    maximum: dict[str, list[float | None]]
+    count: dict[str, list[int]] = Field(description="Sets that have the value")
+    last_h: list[float]
+    last_set_index: list[int]
+    n_sets: list[int] = Field(description="Sets that were measured")
+    n_missed: list[int]
+    n_outliers: list[int]
+    n_outliers_paper: list[int]
+    first_outlier_set_index: list[int | None]
+    n_alarms: list[int] = Field(description="Alarms of the position that were raised in these sets")
+    first_alarm_set_index: list[int | None]
+
+
 class Trend(Answer):
-    """Columns of equal length, one entry a set."""
+    """Columns of equal length, one entry a set, or a bin where there are more sets than points."""
 
     position: str
     method: Method
     as_of: AsOf
     units: dict[str, str]
+    bin_sets: int = Field(description="Planned sets that an entry stands for; 1: each set is an entry")
     columns: dict[str, list[Any]]
+    bins: TrendBins | None = Field(description="null where each set is an entry")
 
 
 class Fit(Answer):
@@ -419,3 +466,61 @@ class WaveformAnswer(Answer):
     voltage_v: list[float]
     as_of: AsOf
     age_h: float
+
+
+class Session(Answer):
+    """Who asks, and what that person may do."""
+
+    token_needed: bool = Field(description="False: on loopback, before the first token was made")
+    name: str | None = Field(description="Of the token; null: nobody has logged in, or no token is needed")
+    role: Literal["viewer", "operator", "engineer", "admin", "claimed"] | None = Field(
+        description="`claimed`: everybody may do everything, under a name that nobody checks"
+    )
+    may: list[str] = Field(description="Operations and kinds of orders that this person may ask for")
+
+
+class TokenRow(Answer):
+    """What is kept of an access token."""
+
+    name: str
+    role: Literal["viewer", "operator", "engineer", "admin"]
+    state: Literal["valid", "expired", "revoked"]
+    created_utc: str
+    expires_utc: str | None
+    revoked_utc: str | None
+
+
+class NewToken(TokenRow):
+    """A token that was just made."""
+
+    token: str = Field(description="What opens; told once")
+
+
+class TokenList(Answer):
+    """All tokens."""
+
+    items: list[TokenRow]
+
+
+class AuditRow(Answer):
+    """What somebody asked for."""
+
+    id: int = Field(description="Running number; one that is missing was damaged or taken away")
+    utc: str = Field(description="By the computer's clock")
+    who: str = Field(description="Name of the token, or the one that was claimed; empty: nobody knows")
+    role: str = Field(description="Of the token; `claimed` where none was asked for; empty: a stranger")
+    source: str = Field(description="Network address, or `terminal`")
+    what: str = Field(description="Kind of order, or operation; `enter`: a wrong token, or none")
+    arguments: dict[str, Any]
+    result: Literal["accepted", "done", "refused", "failed"]
+    why: str
+    command_id: int | None
+    left_out: int = Field(description="Refusals before this line that were too many to be told")
+    outcome: str | None = Field(description="What the recorder made of an order that was accepted")
+
+
+class AuditPage(Answer):
+    """The newest first."""
+
+    next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
+    items: list[AuditRow]

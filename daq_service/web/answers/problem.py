@@ -27,6 +27,7 @@ from starlette.types import Scope
 from daq_service.errors import SolimonError, StorageError
 
 MEDIA_TYPE = "application/problem+json"
+RETRY_AFTER_S = {429: "6", 503: "1"}
 TYPE_PREFIX = "urn:solimon:problem:"
 log = logging.getLogger(__name__)
 
@@ -113,8 +114,10 @@ def problem_response(
         "X-Content-Type-Options": "nosniff",
         "X-Request-ID": request_id(scope),
     }
-    if problem.status == 503:
-        headers["Retry-After"] = "1"
+    if problem.status in RETRY_AFTER_S:
+        headers["Retry-After"] = RETRY_AFTER_S[problem.status]
+    if problem.status == 401:
+        headers["WWW-Authenticate"] = "Bearer"
     if problem.status == 408:
         headers["Connection"] = "close"
     return Response(orjson.dumps(body), problem.status, headers, MEDIA_TYPE)

@@ -143,14 +143,17 @@ byId("form").addEventListener("submit", (event) => {
 async function showStrike() {
   const newest = await ask("/api/strike");
   looked.level_v = newest.level_v ?? null;
-  if (newest.strike === null) return;
-  const edges = [{ name: "coil off", time_s: newest.off_s }];
-  if (newest.holdoff_s) edges.push({ name: "listens", time_s: newest.off_s + newest.holdoff_s });
   const whole = /** @type {HTMLCanvasElement} */ (byId("strike"));
-  draw(whole, [newest.strike], { level_v: newest.level_v, edges });
-  whole.setAttribute("aria-label", `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`);
   whole.dataset.strikes = String(strikes);
+  /** @type {HTMLElement} */ (whole.closest("section")).hidden = newest.strike === null && newest.shot !== null;
+  if (newest.strike !== null) {
+    const edges = [{ name: "coil off", time_s: newest.off_s }];
+    if (newest.holdoff_s) edges.push({ name: "listens", time_s: newest.off_s + newest.holdoff_s });
+    draw(whole, [newest.strike], { level_v: newest.level_v, edges });
+    whole.setAttribute("aria-label", `Strike of ${(newest.strike.lowest_v.length * newest.strike.column_s * 1e3).toFixed(0)} ms`);
+  }
   const shot = /** @type {HTMLCanvasElement} */ (byId("shot"));
+  shot.dataset.strikes = String(strikes);
   if (newest.shot === null) return;
   draw(shot, [newest.shot], { range_v: newest.proposed_range_v, level_v: newest.level_v, marks: newest.marks });
   const told = newest.marks.map((/** @type {Mark} */ mark) => (mark.height_v === null || mark.time_s === null ? `no ${mark.name}` : `${mark.name} ${mark.height_v.toFixed(2)} V at ${(mark.time_s * 1e6).toFixed(1)} µs`));
@@ -164,6 +167,7 @@ async function look() {
     kept = [];
     looked = { position, level_v: looked.level_v };
     setText(byId("live-title"), position === null ? "At rest, free running" : `${position} at rest, free running`);
+    if (position !== null && record === null) setText(byId("live-title"), `${position}: its instrument records strikes only`);
   }
   if (error) setText(byId("state"), error);
   if (!record) return;

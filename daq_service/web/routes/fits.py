@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-import numpy as np
 from fastapi import APIRouter, Query
 
+from daq_service.catalogue.pyramid import trend_part
 from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Fit, problems
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
-from daq_service.web.routes.trends import checked_fields, read_columns, unit_of
+from daq_service.web.routes.trends import checked_fields, unit_of
 
 router = APIRouter(tags=["trends"])
 
@@ -31,32 +31,29 @@ def get_fit(
     to_h: ToHour = None,
 ) -> JsonAnswer:
     """Fit the sets in the range; sets without a value (null) are left out."""
-    # Brings SciPy along, half a second that a starting service does not need.
     from analysis.errors import NotEnoughPointsError
-    from analysis.statistics.trend import fit_trend
+    from analysis.statistics.trend import trend_of_part
 
     method = context.settings.positions[context.known(position)].method
     (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
     fresh = context.freshness()
-    columns = read_columns(context, position, [name], from_h, last_hour(from_h, to_h))
-    hours = np.asarray(columns["due_h"], dtype=np.float64)
-    values = np.asarray(columns[name], dtype=np.float64)
-    used = hours[np.isfinite(values)]
+    part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))
+    n = int(part["n"])
     answer: dict[str, Any] = {
         "position": position,
         "field": name,
         "unit": unit_of(name),
-        "n": int(used.size),
+        "n": n,
         "coefficients": None,
         "r_squared": None,
         "residual_sd": None,
-        "from_h": float(used[0]) if used.size else None,
-        "to_h": float(used[-1]) if used.size else None,
+        "from_h": float(part["first_h"]) if n else None,
+        "to_h": float(part["last_h"]) if n else None,
         "reason": None,
         "as_of": fresh.as_of(),
     }
     try:
-        trend = fit_trend(hours, values)
+        trend = trend_of_part(part)
     except NotEnoughPointsError as error:
         answer["reason"] = str(error)
     else:

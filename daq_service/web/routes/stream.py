@@ -8,7 +8,8 @@ skipped: read the state again over REST) and `bye` (the service ends: connect ag
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from functools import partial
 from typing import Annotated
 
 import orjson
@@ -18,6 +19,7 @@ from starlette.responses import StreamingResponse
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
+from daq_service.web.routes.admission import PersonOf
 from daq_service.web.streams.hub import EventHub
 
 router = APIRouter(tags=["stream"])
@@ -37,6 +39,7 @@ RETRY_MS = 1000
 )
 async def stream_events(
     context: ContextOf,
+    person: PersonOf,
     topics: Annotated[
         str | None, Query(description="Comma-separated topics; absent: all", max_length=200)
     ] = None,
@@ -60,7 +63,7 @@ async def stream_events(
         # Now, before the client hears that it is connected: what follows is new to it.
         begin = context.hub.last_id
     return StreamingResponse(
-        frames(context, context.hub, chosen, begin),
+        frames(context, context.hub, chosen, begin, partial(context.doors.stands, person)),
         media_type="text/event-stream",
         headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
@@ -101,9 +104,13 @@ def gap_frame(after: int, until: int, reason: str) -> bytes:
 
 
 async def frames(
-    context: Context, hub: EventHub, topics: frozenset[str] | None, begin: int | None
+    context: Context,
+    hub: EventHub,
+    topics: frozenset[str] | None,
+    begin: int | None,
+    may_stay: Callable[[], bool] = lambda: True,
 ) -> AsyncIterator[bytes]:
-    """Bytes for one client until the hub closes or the client leaves."""
+    """Bytes for one client until the hub closes, the client leaves or its token opens no more."""
     hub.clients += 1
     try:
         yield b"retry: %d\n\n" % RETRY_MS
@@ -117,7 +124,7 @@ async def frames(
         reason = "it is too long ago"
         loop = asyncio.get_running_loop()
         sent_at = loop.time()
-        while not hub.closed:
+        while not hub.closed and may_stay():
             chunk = b""
             start = hub.complete_after or 0
             if cursor < start:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any
 
+import numpy as np
 from fastapi import APIRouter, Query
+from numpy.typing import NDArray
 
+from daq_service.catalogue.pyramid import QUALITIES, Kind, trend_bins, values_of
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.methods import METHODS
@@ -19,6 +23,8 @@ from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 router = APIRouter(tags=["trends"])
 
 VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
+POINTS, MOST_POINTS = 500, 1000
+"""Entries of an answer that asks for no number, and the most that may be asked for."""
 COMMON = ("set_index", "due_h", "quality")
 
 
@@ -67,13 +73,26 @@ def get_trend(
     ] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
+    points: Annotated[int, Query(ge=1, le=MOST_POINTS, description="How many entries at most")] = POINTS,
 ) -> JsonAnswer:
-    """Tell features or thickness of all sets, with verdicts beside them, by column."""
+    """Tell features or thickness by set, with verdicts beside them, by column; of many sets by bins.
+
+    Where the range has more sets than points, an entry is a bin of `bin_sets` planned sets: the columns
+    hold means, the worst quality, the first set and hour, and whether any set is an outlier. A narrower
+    range has smaller bins, at last single sets.
+    """
     method = context.settings.positions[context.known(position)].method
     chosen = checked_fields(method, fields, known=(*METHODS[method].values, *VERDICTS))
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
-    columns = read_columns(context, position, chosen, from_h, last_h)
+    kind = METHODS[method].row
+    binned = trend_bins(context.catalogue(), position, first_h=from_h, last_h=last_h, points=points)
+    bin_sets, told = 1, None
+    if binned is None:
+        columns = read_columns(context, position, chosen, from_h, last_h)
+    else:
+        bin_sets, bins = binned
+        columns, told = columns_of_bins(kind, bins, chosen), bins_told(kind, bins, chosen)
     columns["due_utc"] = [rfc3339_of_hour(fresh.epoch_utc_ns, hour) for hour in columns["due_h"]]
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
@@ -82,7 +101,9 @@ def get_trend(
             "method": method,
             "as_of": fresh.as_of(),
             "units": {name: unit_of(name) for name in ("due_h", "age_h", *chosen) if name not in _UNITLESS},
+            "bin_sets": bin_sets,
             "columns": columns,
+            "bins": told,
         }
     )
 
@@ -116,3 +137,66 @@ def read_columns(
             values = verdicts[name]
             columns[name] = [None if row is None else values[row] for row in rows]
     return columns
+
+
+_FLAGS = {
+    "outlier": ("n_judged", "n_outliers"),
+    "outlier_paper": ("n_judged_paper", "n_outliers_paper"),
+    "in_baseline": ("n_sets", "n_in_baseline"),
+}
+"""Column: of how many sets it is told, and of how many of them it is true."""
+_COUNTS = ("n_sets", "n_missed", "n_outliers", "n_outliers_paper", "n_alarms")
+_SETS_IN_A_BIN = {
+    "last_set_index": "last_set",
+    "first_outlier_set_index": "first_outlier",
+    "first_alarm_set_index": "first_alarm",
+}
+
+
+def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[Any]]:
+    """Columns as `read_columns` gives them, an entry a bin."""
+    columns: dict[str, list[Any]] = {
+        "set_index": bins["first_set"].astype(int).tolist(),
+        "due_h": bins["first_h"].tolist(),
+        "quality": [
+            QUALITIES[int(worst)] if math.isfinite(worst) else None for worst in bins["worst_quality"]
+        ],
+    }
+    for name in fields:
+        if name == "reason":  # of each set its own
+            columns[name] = [None] * bins.size
+        elif name in _FLAGS:
+            of, true = (bins[told] for told in _FLAGS[name])
+            columns[name] = [bool(n) if known else None for known, n in zip(of, true, strict=True)]
+        else:
+            column = values_of(kind).index(name) if name in values_of(kind) else None
+            columns[name] = [None] * bins.size if column is None else _means(bins, column)
+    return columns
+
+
+def _means(bins: NDArray[np.void], column: int) -> list[float]:
+    count, total = bins["count"][:, column], bins["sum"][:, column]
+    mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
+    # The mean of equal numbers is that number, not its neighbour.
+    return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
+
+
+def bins_told(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
+    """Tell what stands beside the columns of a bin: extremes, counts, where an outlier or an alarm is."""
+    names = [name for name in values_of(kind) if name in fields]
+    column_of = {name: values_of(kind).index(name) for name in names}
+    return {
+        "minimum": {name: _finite(bins["minimum"][:, column]) for name, column in column_of.items()},
+        "maximum": {name: _finite(bins["maximum"][:, column]) for name, column in column_of.items()},
+        "count": {name: bins["count"][:, column].astype(int).tolist() for name, column in column_of.items()},
+        "last_h": bins["last_h"].tolist(),
+        **{name: bins[name].astype(int).tolist() for name in _COUNTS},
+        **{
+            told: [int(index) if math.isfinite(index) else None for index in bins[name]]
+            for told, name in _SETS_IN_A_BIN.items()
+        },
+    }
+
+
+def _finite(column: NDArray[np.float64]) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in column.tolist()]

@@ -7,33 +7,21 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import BaselineRow, VerdictRow
-from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import BaselineList, VerdictPage, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.listing import HOURS, POSITION, SET_INDEX, PositionFilter, add_listing
+from daq_service.web.tables.quality import judged_qualities
 
 router = APIRouter(tags=["verdicts"])
 
 
 def with_quality(context: Context, fresh: Freshness, rows: Sequence[VerdictRow]) -> list[dict[str, Any]]:
     """Verdicts as they leave the service, with the quality of the feature or thickness that each judges."""
-    hours, positions = [row.due_h for row in rows], {row.position for row in rows}
-    qualities: dict[tuple[str, int], str] = {}
-    for method in {context.settings.positions[position].method for position in positions}:
-        judged = METHODS[method]
-        filters: Filters = {
-            "position": None if len(positions) > 1 else rows[0].position,
-            "first_h": min(hours),
-            "last_h": max(hours),
-            **judged.of_sets,
-        }
-        columns = context.catalogue().columns(judged.row, ("position", "set_index", "quality"), **filters)
-        keys = zip(columns["position"], columns["set_index"], strict=True)
-        qualities |= zip(keys, columns["quality"], strict=True)
-    return [fresh.row(row, quality=qualities.get((row.position, row.set_index))) for row in rows]
+    methods = {name: place.method for name, place in context.settings.positions.items()}
+    qualities = judged_qualities(context.catalogue(), methods, rows)
+    return [fresh.row(row, quality=quality) for row, quality in zip(rows, qualities, strict=True)]
 
 
 add_listing(

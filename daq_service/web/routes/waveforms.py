@@ -22,6 +22,7 @@ from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf, SocketContextOf
+from daq_service.web.routes.admission import PersonOf
 from daq_service.web.routes.listing import LARGEST_INDEX
 from daq_service.web.streams.live_pictures import Picture, decode_header, unreadable_picture
 
@@ -29,6 +30,8 @@ router = APIRouter(tags=["waveforms"])
 OCTET_STREAM = "application/octet-stream"
 NPY = "application/x-npy"
 MOST_POINTS = 100_000
+LOOK_AT_TOKEN_S = 5.0
+"""Also where no picture comes."""
 ERRORS = problems(404, 422, 503)
 UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
@@ -193,6 +196,7 @@ def _quality(context: Context, position: str, set_index: int, sequence: int) -> 
 async def live_waveforms(
     websocket: WebSocket,
     context: SocketContextOf,
+    person: PersonOf,
     positions: Annotated[str | None, Query(max_length=400)] = None,
 ) -> None:
     """Send the newest picture of each chosen position (`positions=B,C`; absent: all) when it changes.
@@ -211,17 +215,19 @@ async def live_waveforms(
     left = asyncio.create_task(_until_left(websocket))
     seen = dict.fromkeys(chosen, 0)
     try:
-        while not left.done() and not live.closed:
+        while not left.done() and not live.closed and context.doors.stands(person):
             newer: dict[str, Picture] = live.newer(seen)
             for position, picture in newer.items():
                 seen[position] = picture.version
                 await websocket.send_bytes(picture.content)
             if not newer:
                 changed = asyncio.ensure_future(live.changed())
-                await asyncio.wait({changed, left}, return_when=asyncio.FIRST_COMPLETED)
+                await asyncio.wait(
+                    {changed, left}, timeout=LOOK_AT_TOKEN_S, return_when=asyncio.FIRST_COMPLETED
+                )
                 changed.cancel()
         if not left.done():
-            await websocket.close(code=1001, reason="the service ends")
+            await websocket.close(code=1001, reason="the service ends, or the token opens no more")
     except WebSocketDisconnect:
         return
     finally:

@@ -32,9 +32,9 @@ from daq_service.archive import (
 )
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import image_file, image_of
-from daq_service.archive.units import unit_of
 from daq_service.archive.verification import check_file
 from daq_service.errors import StorageError
+from hardware_drivers.units import unit_of
 
 
 def store(folder, record):

@@ -311,7 +311,7 @@ def test_the_experiment_is_made_once(tmp_path, writer):
 
 
 def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
-    with writer._reading() as connection_:
+    with writer.reading() as connection_:
         pragmas = {
             name: connection_.exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
@@ -322,7 +322,7 @@ def test_the_file_is_set_to_survive_a_power_cut(tmp_path, writer):
 def test_a_reader_cannot_change_anything_but_commands(reader):
     from sqlalchemy import insert
 
-    with pytest.raises(CatalogueWriteError, match="readonly"), reader._reading() as connection_:
+    with pytest.raises(CatalogueWriteError, match="readonly"), reader.reading() as connection_:
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
@@ -810,7 +810,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
     from sqlalchemy import func, select
 
     count = select(func.count()).select_from(features)
-    with reader._reading() as connection_:
+    with reader.reading() as connection_:
         before = connection_.execute(count).scalar_one()
         writer.commit_set(commit_of(0))
         assert connection_.execute(count).scalar_one() == before == 0
@@ -849,14 +849,14 @@ def test_a_writer_that_waits_too_long_says_so(tmp_path, monkeypatch, writer):
 
 def test_a_full_disk_refuses_the_set_and_keeps_what_was_there(writer, reader):
     writer.commit_set(commit_of(0))
-    with writer._reading() as connection_:
+    with writer.reading() as connection_:
         pages = connection_.exec_driver_sql("PRAGMA page_count").scalar()
         connection_.exec_driver_sql(f"PRAGMA max_page_count = {pages}")
     big = [event_row(payload={"text": "x" * 10_000})] * 20
     with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.committed_sets() == {0}
-    with writer._reading() as connection_:
+    with writer.reading() as connection_:
         connection_.exec_driver_sql("PRAGMA max_page_count = 1000000")
     writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
     assert writer.committed_sets() == {0, 1}

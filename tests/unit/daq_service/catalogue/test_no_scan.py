@@ -121,7 +121,7 @@ def test_pages_by_index_are_the_rows_that_reading_all_of_them_gives(tmp_path, se
 def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, seed):
     with random_catalogue(tmp_path, seed) as catalogue:
         counts, rows = catalogue.counts(), catalogue.rows(SetRow)
-        with catalogue._reading() as connection:
+        with catalogue.reading() as connection:
             expected = due_time_counts(connection)
             n_events = connection.execute(select(func.count()).select_from(events)).scalar_one()
             echoes, all_shots = (

@@ -17,7 +17,7 @@ from daq_service.web.answers.json_answer import with_utc
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
 KINDS.remove(rows.Row)
 ANSWERED = [kind for kind in KINDS if hasattr(models, kind.__name__)]
-EXAMPLES = {bool: True, dict: {}, float: 1.5, int: 7, list: [], str: "text"}
+EXAMPLES = {bytes: b"\x00\xff", bool: True, dict: {}, float: 1.5, int: 7, list: [], str: "text"}
 
 
 def example(kind):
@@ -35,7 +35,7 @@ def alternatives(of_type):
 
 
 def test_every_table_holds_one_kind_of_row():
-    assert len(KINDS) == 12
+    assert len(KINDS) == 13
     assert {table_of(kind).name for kind in KINDS} == set(metadata.tables)
 
 

@@ -4,11 +4,15 @@ import json
 import shutil
 from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import h5py
 import numpy as np
+import pandas as pd
+import pyarrow
 import pytest
 from click.testing import CliRunner
+from scipy.io import loadmat
 from support.filled_folder import FilledFolder
 from support.stored_files import read_set, set_files
 
@@ -214,3 +218,67 @@ def test_progress_counts_the_sets(running, tmp_path):
     told = []
     export_hdf5(running, tmp_path / "all.h5", progress=lambda done, planned: told.append((done, planned)))
     assert told == [(done, SETS) for done in range(SETS + 1)]
+
+
+def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
+    asked = ("--table", "features", "--position", "B", "--from-h", 0.6, "--fields", "tof_pp_s")
+    endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
+    outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
+    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, told["ok"]) == (0, True)
+    assert [(file["table"], Path(file["file"]).suffix[1:]) for file in told["files"]] == [
+        ("features", ending) for ending in endings
+    ]
+    with open_catalogue(running) as catalogue:
+        expected = catalogue.columns(FeatureRow, ["tof_pp_s"], position="B", scope="set", first_h=0.6)
+    read = {
+        "csv": pd.read_csv(tmp_path / "b.csv")["tof_pp_s"],
+        "parquet": pd.read_parquet(tmp_path / "b.parquet")["tof_pp_s"],
+        "arrow": pyarrow.ipc.open_stream(tmp_path / "b.arrow").read_all()["tof_pp_s"].to_numpy(),
+        "npz": np.load(tmp_path / "b.npz")["tof_pp_s"],
+        "mat": loadmat(tmp_path / "b.mat", squeeze_me=True)["features"]["tof_pp_s"].item(),
+    }
+    with h5py.File(tmp_path / "b.h5") as file:
+        read["h5"] = file["entry/features/tof_pp_s"][()]
+    for ending, values in read.items():
+        np.testing.assert_array_equal(values, expected["tof_pp_s"], err_msg=ending)
+    assert len(expected["tof_pp_s"]) == SETS - 1
+    assert sorted(tmp_path.iterdir()) == sorted(tmp_path / f"b.{ending}" for ending in endings)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
+        (("--table", "sets"), "wants --out"),
+        (("--table", "sets", "--out", "a.xlsx"), "choose from csv, parquet"),
+        (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),
+        (("--table", "sets", "--position", "X", "--out", "a.csv"), "choose from A, B, C, D"),
+        (("--table", "sets", "--from-h", 2, "--to-h", 1, "--out", "a.csv"), "let it end later"),
+        (("--hdf5", "a.h5", "--position", "B"), "belong to --table"),
+    ],
+)
+def test_an_export_that_cannot_be_is_refused_before_anything_is_written(
+    words, said, running, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    code, told = solimon("export", "--data-dir", running, *words)
+    assert code == UsageError.exit_code
+    assert said in told
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_is_whole_or_not_there(running, tmp_path, monkeypatch):
+    target = tmp_path / "a.csv"
+    target.write_text("older")
+    assert solimon("export", "--data-dir", running, "--table", "sets", "--out", target)[0] == 2
+    assert target.read_text() == "older"
+
+    def full(descriptor, buffers):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(shared_file, "write_all", full)
+    code, told = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
+    assert (code, target.read_text()) == (4, "older")
+    assert "free or mend the disk" in told
+    assert list(tmp_path.iterdir()) == [target]

@@ -16,8 +16,9 @@ from support.waiting import until
 
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue, Question, _Answer
+from daq_service.cli.set_up.drawn import COLUMNS, envelope
 from daq_service.cli.set_up.other_instruments import ask_for_others
-from daq_service.cli.set_up.page import COLUMNS, envelope, served_page
+from daq_service.cli.set_up.page import served_page
 from daq_service.cli.set_up.wiring import coil_counters, home_terminal
 from daq_service.errors import UsageError
 from hardware_drivers.daqmx.parameters import TransducerWiring
@@ -41,7 +42,10 @@ def terminal(monkeypatch):
 
 
 def bench(**values):
-    return SimpleNamespace(position=None, strikes=0, struck={}, watch=lambda: (None, None), **values)
+    nothing = {"strike": None, "shot": None}
+    return SimpleNamespace(
+        position=None, strikes=0, watch=lambda: (None, None), newest=lambda: nothing, **values
+    )
 
 
 def asked_aside(dialogue, question, understood=str):

@@ -258,6 +258,32 @@ def test_trend_columns_are_the_catalogues_rows(api, filled):
     assert trend["units"]["amplitude_ratio"] == "1"
 
 
+def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
+    whole, trend = (get(api, f"/api/v1/trends/B{asked}") for asked in ("", "?points=8"))
+    models.Trend.model_validate(trend, strict=True)
+    assert (whole["bin_sets"], whole["bins"]) == (1, None)
+    width, columns, bins = trend["bin_sets"], trend["columns"], trend["bins"]
+    assert width == 8
+    assert columns.keys() == whole["columns"].keys()
+    assert columns["set_index"] == list(range(0, N_SETS, width))
+    assert sum(bins["n_sets"]) == N_SETS
+    for name in ("tof_pp_s", "distance_squared"):
+        for number, first in enumerate(columns["set_index"]):
+            values = [v for v in whole["columns"][name][first : first + width] if v is not None]
+            assert bins["count"][name][number] == len(values)
+            assert bins["minimum"][name][number] == min(values, default=None)
+            assert bins["maximum"][name][number] == max(values, default=None)
+            # A sum in another order.
+            assert columns[name][number] == (pytest.approx(np.mean(values), rel=1e-14) if values else None)
+    outliers = [index for index, beyond in enumerate(whole["columns"]["outlier"]) if beyond]
+    told = {index for index in bins["first_outlier_set_index"] if index is not None}
+    assert sum(bins["n_outliers"]) == len(outliers)
+    assert told == {min(i for i in outliers if i // width == of) for of in {i // width for i in outliers}}
+    assert {i for i in bins["first_alarm_set_index"] if i is not None} == {55}
+    narrow = get(api, f"/api/v1/trends/B?points=8&from_h={whole['columns']['due_h'][50]}&to_h=29")
+    assert (narrow["bin_sets"], narrow["columns"]["set_index"][0]) == (1, 50)
+
+
 def test_trend_gives_the_chosen_fields_only(api):
     columns = get(api, "/api/v1/trends/A?fields=thickness_m")["columns"]
     assert set(columns) == {"set_index", "due_h", "due_utc", "age_h", "quality", "thickness_m"}

@@ -48,8 +48,8 @@ def test_port_in_use_is_a_clear_error(tmp_path):
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
-def test_other_addresses_need_tokens_that_do_not_exist_yet(host):
-    with pytest.raises(UsageError, match="no access tokens"):
+def test_other_addresses_are_not_listened_at_without_locks(host):
+    with pytest.raises(UsageError, match="without tokens and encryption"):
         bind(host, 0)
 
 

@@ -1,0 +1,94 @@
+"""Bins of a trend: what is told of many sets at once, and how bins are joined to greater ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_JOINED_BY = MappingProxyType(
+    {
+        # Of each value, shape (n_values,):
+        "count": np.add,
+        "sum": np.add,
+        "minimum": np.minimum,
+        "maximum": np.maximum,
+        # Of the bin:
+        "first_set": np.minimum,
+        "last_set": np.maximum,
+        "first_h": np.minimum,
+        "last_h": np.maximum,
+        "n_sets": np.add,
+        "n_missed": np.add,
+        "worst_quality": np.maximum,
+        "n_judged": np.add,
+        "n_outliers": np.add,
+        "first_outlier": np.minimum,
+        "n_judged_paper": np.add,
+        "n_outliers_paper": np.add,
+        "n_in_baseline": np.add,
+        "n_alarms": np.add,
+        "first_alarm": np.minimum,
+    }
+)
+"""What a bin says, and how it follows from the parts of the bin; of nothing, a minimum is infinite."""
+_OF_EACH_VALUE = 4
+
+
+def bin_type(n_values: int) -> np.dtype[np.void]:
+    """Type of a bin: a number, or one of each value, under the names that are told above."""
+    names = list(_JOINED_BY)
+    of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
+    return np.dtype([*of_value, *((name, "<f8") for name in names[_OF_EACH_VALUE:])])
+
+
+def bins_of_sets(
+    *,
+    set_index: ArrayLike,
+    due_h: ArrayLike,
+    values: ArrayLike,
+    quality: Sequence[int | None],
+    missed: Sequence[bool],
+    outlier: Sequence[bool | None],
+    outlier_paper: Sequence[bool | None],
+    in_baseline: Sequence[bool],
+    n_alarms: Sequence[int],
+) -> NDArray[np.void]:
+    """Make a bin of each set, exact.
+
+    Parameters
+    ----------
+    values
+        Shape (n, n_values); NaN where a set has none.
+    quality
+        The greater, the worse; None: nothing was measured.
+    outlier, outlier_paper
+        None: not judged.
+    """
+    index, numbers = np.asarray(set_index, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    bins = np.zeros(index.size, bin_type(numbers.shape[1]))
+    present = np.isfinite(numbers)
+    bins["count"], bins["sum"] = present, np.where(present, numbers, 0.0)
+    bins["minimum"], bins["maximum"] = (np.where(present, numbers, nothing) for nothing in (np.inf, -np.inf))
+    bins["first_set"] = bins["last_set"] = index
+    bins["first_h"] = bins["last_h"] = due_h
+    worst = np.asarray(quality, dtype=np.float64)
+    bins["n_sets"], bins["worst_quality"] = np.isfinite(worst), np.where(np.isfinite(worst), worst, -np.inf)
+    bins["n_missed"], bins["n_in_baseline"], bins["n_alarms"] = missed, in_baseline, n_alarms
+    beyond, beyond_paper = (np.asarray(told, dtype=np.float64) for told in (outlier, outlier_paper))
+    bins["n_judged"], bins["n_outliers"] = np.isfinite(beyond), beyond == 1.0
+    bins["n_judged_paper"], bins["n_outliers_paper"] = np.isfinite(beyond_paper), beyond_paper == 1.0
+    bins["first_outlier"] = np.where(beyond == 1.0, index, np.inf)
+    bins["first_alarm"] = np.where(bins["n_alarms"] > 0.0, index, np.inf)
+    return bins
+
+
+def joined_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
+    """Join the bins from each start to the next one, the last to the end; ``starts`` rise from 0."""
+    numbers = np.asarray(starts, dtype=np.intp)
+    joined = np.empty(numbers.size, bins.dtype)
+    for name, join in _JOINED_BY.items():
+        joined[name] = join.reduceat(bins[name], numbers, axis=0)
+    return joined

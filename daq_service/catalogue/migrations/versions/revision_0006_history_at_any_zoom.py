@@ -1,0 +1,30 @@
+"""Blocks of trends, so that no chart reads a whole test; alarms of a set are found in an index.
+
+The blocks are filled when all migrations are done (`pyramid.rebuild_trends`).
+"""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0006"
+down_revision = "0005"
+branch_labels = None
+depends_on = None
+
+
+def upgrade() -> None:
+    op.create_index("ix_alarms_position_raised_set_index", "alarms", ["position", "raised_set_index"])
+    op.create_table(
+        "trend_blocks",
+        sa.Column("place", sa.String(), nullable=False),
+        sa.Column("block", sa.LargeBinary(), nullable=False),
+        sa.Column("row_crc32", sa.BigInteger(), nullable=True),
+        sa.PrimaryKeyConstraint("place", name=op.f("pk_trend_blocks")),
+    )
+
+
+def downgrade() -> None:
+    op.drop_table("trend_blocks")
+    op.drop_index("ix_alarms_position_raised_set_index", "alarms")

@@ -1,0 +1,47 @@
+"""What the page of a set-up draws: records in columns, and the shot with its marks."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from analysis.waves.features import ShotFeatures
+from hardware_drivers.measurement import Waveform
+
+COLUMNS = 1000
+"""Columns that a record is drawn in: each from its lowest to its highest sample."""
+
+
+def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, Any]:
+    """Lowest and highest voltage of each of `COLUMNS` stretches of a record.
+
+    Parameters
+    ----------
+    first_s
+        Time of the first sample.
+    """
+    volts = record.volts()
+    columns = min(COLUMNS, volts.size)
+    edges = np.linspace(0, volts.size, columns, endpoint=False).astype(np.intp)
+    return {
+        "first_s": first_s,
+        "column_s": volts.size / columns / record.sample_rate_hz,
+        "lowest_v": np.minimum.reduceat(volts, edges),
+        "highest_v": np.maximum.reduceat(volts, edges),
+        "range_v": record.calibration.range_v,
+    }
+
+
+def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -> dict[str, Any]:
+    """Return a shot as it is recorded, its waves marked and its flags."""
+    sign = 1.0 if rising else -1.0
+    marks = {
+        "ISW": (features.isw_time_s, sign * features.isw_amplitude_v),
+        "PSW": (features.psw_time_s, sign * features.psw_amplitude_v),
+    }
+    return {
+        "shot": envelope(shot, -shot.pretrigger_samples / shot.sample_rate_hz),
+        "marks": [{"name": name, "time_s": time_s, "height_v": v} for name, (time_s, v) in marks.items()],
+        "flags": features.flags,
+    }

@@ -1,0 +1,349 @@
+"""A set-up of instruments of any installed kind: which serves a position, its parameters, what it shows."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from daq_service.cli.doctor.check import Check
+from daq_service.cli.doctor.command import rig_checks
+from daq_service.cli.doctor.storage import held_folder
+from daq_service.cli.doctor.trial import Trial, strike_transducer
+from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.drawn import shot_drawn
+from daq_service.cli.set_up.init import head_of, laboratory, settings_of, write_file
+from daq_service.cli.set_up.transducers import Flags, ask_position, strikes_or_goes_on, tell_file
+from daq_service.errors import BusyError, RigError, UsageError
+from daq_service.settings.instruments import configured, plain
+from daq_service.settings.stored import KeyPath
+from daq_service.settings.tree import Settings
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.kinds import Role
+from hardware_drivers.measurement import Waveform
+from hardware_drivers.methods import SOLITARY_WAVE
+from hardware_drivers.plug_ins import Offer, find_kind, offers
+
+ROLES_OF_A_TRANSDUCER: tuple[Role, ...] = ("digitizer", "striker")
+LEVEL = "trigger_level_v"
+NOT_INSTRUMENTS = frozenset({"twin", "playback"})
+
+
+def other_kinds() -> dict[str, Offer]:
+    """Kinds of packages beside solimon's own boards, that digitize or strike."""
+    own = NOT_INSTRUMENTS | {"daqmx"}
+    return {
+        name: offer
+        for name, offer in offers().items()
+        if name not in own and set(offer.roles) & set(ROLES_OF_A_TRANSDUCER)
+    }
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class KindsBench:
+    """Instruments, each named as its kind; opened for one strike at a time.
+
+    Attributes
+    ----------
+    parameters
+        Keys that somebody gave, by instrument.
+    served
+        Instrument of each role, by position.
+    trials
+        Newest strike by position.
+    """
+
+    file: Path
+    data_folder: Path
+    offers: Mapping[str, Offer]
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
+    served: dict[str, dict[Role, str]] = field(default_factory=dict)
+    position: str | None = None
+    strikes: int = 0
+    trials: dict[str, Trial] = field(default_factory=dict)
+
+    def watch(self) -> tuple[str | None, Waveform | None]:
+        """Tell the page what it looks at; nothing is recorded between strikes."""
+        return self.position, None
+
+    def newest(self) -> dict[str, Any]:
+        """Return the newest record of the position that the page looks at."""
+        answer: dict[str, Any] = {"strike": None, "shot": None}
+        trial = self.trials.get(self.position or "")
+        if trial is None or trial.record is None or trial.features is None:
+            return answer
+        level_v = trial.settings.get(LEVEL)
+        answer |= {"level_v": level_v if isinstance(level_v, float) else None}
+        return answer | shot_drawn(trial.record, trial.features)
+
+    def able(self, role: Role) -> list[str]:
+        """Instruments that can take a role."""
+        return [name for name, offer in self.offers.items() if role in offer.roles]
+
+    def known(self, instrument: str) -> dict[str, Any]:
+        """Parameters of an instrument by name, as JSON schema describes each."""
+        kind, _ = find_kind(instrument)
+        adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
+        properties: dict[str, Any] = adapter.json_schema().get("properties", {})
+        return properties
+
+    def given_in(self, text: str) -> str | None:
+        """Take a parameter as `give`; None for ``-``."""
+        if text == "-":
+            return None
+        self.give(text)
+        return text
+
+    def give(self, text: str) -> None:
+        """Take ``INSTRUMENT.KEY=VALUE``; dots in KEY lead into a table; no VALUE: its default again.
+
+        Raises
+        ------
+        ValueError
+            It is written otherwise, or there is no such instrument or key.
+        """
+        path, equals, value = text.partition("=")
+        instrument, *keys = path.strip().split(".")
+        if not equals or not keys:
+            raise ValueError(
+                f"{text!r} is no INSTRUMENT.KEY=VALUE, for example {next(iter(self.offers))}.KEY=1"
+            )
+        if instrument not in self.offers:
+            raise ValueError(f"there is no {instrument}; there are: {', '.join(self.offers)}")
+        if keys[0] not in (known := self.known(instrument)):
+            raise ValueError(f"{instrument} has no {keys[0]}; it has: {', '.join(known) or 'no parameters'}")
+        table = self.parameters[instrument]
+        for key in keys[:-1]:
+            table = table.setdefault(key, {})
+        if value.strip():
+            table[keys[-1]] = _toml_value(value.strip())
+        else:
+            table.pop(keys[-1], None)
+
+    def values(self, others: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the file will hold; `others` are further tables of [rig]."""
+        values, _ = laboratory()
+        labels = {name: place["label"] for name, place in values["positions"].items()}
+        rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
+        used = {name for roles in self.served.values() for name in roles.values()}
+        return {
+            **values,
+            "positions": {
+                name: {"method": SOLITARY_WAVE, "label": labels.get(name, ""), "serial_number": ""}
+                for name in sorted(self.served)
+            },
+            "rig": {
+                **rig,
+                **others,
+                "kind": "mixed",
+                "instruments": {
+                    name: {"kind": name, **given} for name, given in self.parameters.items() if name in used
+                },
+                "positions": {name: dict(self.served[name]) for name in sorted(self.served)},
+            },
+        }
+
+    def settings(self) -> Settings:
+        """Return the settings so far; UsageError tells what is missing or wrong."""
+        return settings_of(self.values({}), set(), self.file)
+
+    def checks(self) -> list[Check]:
+        """Look at every instrument that serves a position; nothing strikes."""
+        settings = self.settings()
+        return list(rig_checks(settings, configured(settings), set(), lambda what: None))
+
+    def strike(self, position: str, dialogue: Dialogue) -> Trial:
+        """Strike once as every shot is, and keep what came.
+
+        Raises
+        ------
+        BusyError
+            A recorder owns the data folder.
+        """
+        with held_folder(self.data_folder) as owner:
+            if owner:
+                raise BusyError(f"a strike is refused: {owner}")
+            trial = strike_transducer(self.settings(), position, tell=dialogue.tell)
+        self.position, self.trials[position] = position, trial
+        self.strikes += 1
+        return trial
+
+    def close(self) -> None:
+        """Nothing is open between strikes."""
+
+
+def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path) -> KindsBench:
+    """Take the kinds of these names, and what is known of their parameters.
+
+    Raises
+    ------
+    UsageError
+        One is not installed, or neither digitizes nor strikes; nothing digitizes, or nothing strikes; or a
+        parameter is none.
+    """
+    there = other_kinds()
+    try:
+        for name in names:
+            find_kind(name)
+    except ConfigurationError as error:
+        raise UsageError(f"--kind: {error}") from error
+    if idle := sorted(set(names) - set(there)):
+        raise UsageError(
+            f"--kind: {', '.join(idle)} neither digitizes nor strikes here; NI boards are set up without "
+            f"--kind, and others are: {', '.join(there) or 'none installed'}"
+        )
+    for role in ROLES_OF_A_TRANSDUCER:
+        if not any(role in there[name].roles for name in names):
+            able = ", ".join(name for name, offer in there.items() if role in offer.roles)
+            raise UsageError(
+                f"--kind: none of {', '.join(names)} is a {role}; add one that is: "
+                f"{able or 'none is installed (docs/how-to/write-a-driver.md)'}"
+            )
+    bench = KindsBench(
+        file=file,
+        data_folder=folder,
+        offers={name: there[name] for name in names},
+        parameters={name: {} for name in names},
+    )
+    try:
+        for assignment in assignments:
+            bench.give(assignment)
+    except ValueError as error:
+        raise UsageError(f"--set: {error}") from error
+    return bench
+
+
+def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
+    """Wire what the flags name, ``DIGITIZER/STRIKER`` a position; strike only if they say so.
+
+    Raises
+    ------
+    RigError
+        A strike gave no record.
+    """
+    for position, text in flags.transducers.items():
+        digitizer, slash, striker = text.partition("/")
+        bench.served[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
+    bench.settings()
+    _tell_checks(dialogue, bench.checks())
+    for position in flags.transducers if flags.strike else ():
+        trial = bench.strike(position, dialogue)
+        _tell_checks(dialogue, trial.checks)
+        if trial.record is None:
+            raise RigError(f"{position} gave no record; mend what is told above, then run it again")
+
+
+def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
+    """Go from position to position until no more is named."""
+    for name in bench.offers:
+        dialogue.tell(f"{name}: {_in_words(bench, name)}")
+    while (position := ask_position(dialogue, bench.served)) is not None:
+        bench.served[position] = {
+            role: _instrument(dialogue, bench, position, role) for role in ROLES_OF_A_TRANSDUCER
+        }
+        bench.position = position
+        _change(dialogue, bench)
+        _tell_checks(dialogue, bench.checks())
+        while strikes_or_goes_on(dialogue, position):
+            try:
+                trial = bench.strike(position, dialogue)
+            except BusyError as error:
+                dialogue.tell(f"  {error}")
+                continue
+            _tell_checks(dialogue, trial.checks)
+            _propose_level(dialogue, bench, position, trial)
+            _change(dialogue, bench)
+
+
+def _instrument(dialogue: Dialogue, bench: KindsBench, position: str, role: Role) -> str:
+    able = bench.able(role)
+    if len(able) == 1:
+        dialogue.tell(f"{position}      {role}: {able[0]}")
+        return able[0]
+    question = Question(
+        name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
+    )
+    return dialogue.ask(question, str)
+
+
+def _change(dialogue: Dialogue, bench: KindsBench) -> None:
+    """Ask for parameters until they are good and nobody changes one."""
+    while True:
+        good = True
+        try:
+            bench.settings()
+        except UsageError as error:
+            dialogue.tell(str(error))
+            good = False
+        question = Question(
+            name="parameter",
+            text="A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else ""),
+            default="-" if good else "",
+        )
+        given = dialogue.ask(question, bench.given_in)
+        if given is None and good:
+            return
+
+
+def _propose_level(dialogue: Dialogue, bench: KindsBench, position: str, trial: Trial) -> None:
+    """Offer a tenth of the incident wave as trigger level where the digitizer has such a parameter."""
+    digitizer = bench.served[position]["digitizer"]
+    unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
+    if not unfit or LEVEL not in bench.known(digitizer):
+        return
+    level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
+    proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
+    dialogue.tell(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
+    if dialogue.yes("accept", "Take this value", default="yes"):
+        bench.parameters[digitizer][LEVEL] = proposed_v
+
+
+def _tell_checks(dialogue: Dialogue, checks: Sequence[Check]) -> None:
+    for check in checks:
+        remedy = f"; {check.remedy}" if check.remedy else ""
+        dialogue.tell(f"{check.state:<6} {check.name}: {check.found}{remedy}")
+
+
+def _in_words(bench: KindsBench, name: str) -> str:
+    """Say which parameters there are, and what each is where nobody gives it."""
+    told = [
+        f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
+        for key, schema in bench.known(name).items()
+    ]
+    return f"{' and '.join(bench.offers[name].roles)}; {', '.join(told) or 'no parameters'}"
+
+
+def _toml_value(text: str) -> Any:
+    """Read a number, a truth value, a list or a table as TOML; anything else is text."""
+    with suppress(tomllib.TOMLDecodeError):
+        return tomllib.loads(f"value = {text}")["value"]
+    return text
+
+
+def write_kinds(
+    dialogue: Dialogue, bench: KindsBench, others: Mapping[str, Any], off: set[KeyPath]
+) -> dict[str, Any]:
+    """Write the file and its schema, and say what comes next; what ``--json`` prints."""
+    del off  # of other instruments only what is there has a table
+    values = bench.values(others)
+    settings = settings_of(values, set(), bench.file)
+    for item in configured(settings):  # the defaults, too: a person sees what there is
+        if item.name in bench.offers:
+            filled = {key: value for key, value in plain(item).items() if value is not None}
+            values["rig"]["instruments"][item.name] |= filled
+    struck = [name for name, trial in bench.trials.items() if trial.record is not None]
+    write_file(bench.file, values, head=head_of(bench.offers, struck), off=set())
+    tell_file(dialogue, bench.file, settings)
+    return {
+        "file": str(bench.file),
+        "configuration_hash": settings.configuration_hash(),
+        "instruments": {name: list(offer.distributions) for name, offer in bench.offers.items()},
+        "transducers": {name: dict(roles) for name, roles in bench.served.items()},
+        "struck": [trial.as_row() for trial in bench.trials.values()],
+    }

@@ -1,0 +1,50 @@
+"""Read a test in Python, from its folder or from its service: the same figures, with units and quality.
+
+>>> from daq_service import client
+>>> with client.open("my-test-data") as test:
+...     features = test.features("B")
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from daq_service.client.errors import ClientError, RefusedError, UnreachableError
+from daq_service.client.experiment import Event, Experiment
+
+__all__ = ["ClientError", "Event", "Experiment", "RefusedError", "UnreachableError", "open"]
+
+TOKEN_VARIABLE = "SOLIMON_TOKEN"
+TIMEOUT_S = 60.0
+"""Longer than the stream's heartbeat: only a dead connection is silent for so long."""
+
+
+def open(where: str | Path, *, token: str | None = None, timeout_s: float = TIMEOUT_S) -> Experiment:  # noqa: A001 - read as client.open
+    """Open a test.
+
+    Parameters
+    ----------
+    where
+        Its data folder, or the address of its service, such as ``http://127.0.0.1:8750``.
+    token
+        For a service that asks for one; default: the environment's ``SOLIMON_TOKEN``. A folder needs none.
+    timeout_s
+        Bounds every answer of a service.
+
+    Raises
+    ------
+    StorageError
+        The folder holds no test yet, or cannot be read.
+    """
+    import httpx
+
+    from daq_service.client.connection import Connection
+
+    if not str(where).startswith(("http://", "https://")):
+        from daq_service.client.in_process import folder_connection
+
+        return Experiment(folder_connection(Path(where)))
+    given = token or os.environ.get(TOKEN_VARIABLE)
+    headers = {"Authorization": f"Bearer {given}"} if given else {}
+    return Experiment(Connection(httpx.Client(base_url=str(where), headers=headers, timeout=timeout_s)))

@@ -1,0 +1,191 @@
+"""A test as a person reads it in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import pandas as pd
+import xarray
+
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    EnvironmentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
+)
+from daq_service.catalogue.told import ToldColumn
+from daq_service.client.connection import Connection
+from daq_service.client.errors import ClientError, RefusedError
+from daq_service.client.frames import frame
+from daq_service.client.waves import read_waveforms
+
+QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event:
+    """A piece of news; the fields of ``data`` are the API's (`docs/reference/api.md`).
+
+    Attributes
+    ----------
+    id
+        Pass it to `Experiment.follow` to go on behind it.
+    topic, kind
+        Such as ``sets`` and ``set_done``; ``gap``: events were skipped, read the tables again.
+    """
+
+    id: int
+    topic: str
+    kind: str
+    position: str | None
+    set_index: int | None
+    data: dict[str, Any]
+
+
+class Experiment:
+    """A test that runs or has ended, here or elsewhere (`daq_service.client.open`); it is only read.
+
+    Hours count from the begin of the test: ``from_h`` is included, ``to_h`` is not, None is open. Every table
+    has its quality and age beside the values and their units in ``attrs["units"]``. Methods raise
+    `RefusedError` where the service does, with its reason, and `UnreachableError` where nobody answers.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of files and connections."""
+        self._connection.close()
+
+    def info(self) -> dict[str, Any]:
+        """Tell name, rig, clock, schedule, limits and positions, as `/api/v1/info`."""
+        return self._connection.get("info")
+
+    def sets(
+        self,
+        position: str | None = None,
+        *,
+        from_h: float | None = None,
+        to_h: float | None = None,
+        state: str | None = None,
+    ) -> pd.DataFrame:
+        """Read planned sets and what became of them."""
+        return self._table(SetRow, "sets", position=position, from_h=from_h, to_h=to_h, state=state)
+
+    def features(
+        self,
+        position: str | None = None,
+        *,
+        from_h: float | None = None,
+        to_h: float | None = None,
+        scope: Literal["set", "shot"] = "set",
+    ) -> pd.DataFrame:
+        """Read features of the solitary waves: means of sets, or of single shots."""
+        asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope}
+        return self._table(FeatureRow, "features", **asked)
+
+    def verdicts(
+        self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
+    ) -> pd.DataFrame:
+        """Read squared distances, limits and outliers, with the quality of what was judged."""
+        asked = {"position": position, "from_h": from_h, "to_h": to_h}
+        return self._table(VerdictRow, "verdicts", QUALITY, **asked)
+
+    def thickness(
+        self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
+    ) -> pd.DataFrame:
+        """Read what pulse echo says of the wall."""
+        return self._table(ThicknessRow, "thickness", position=position, from_h=from_h, to_h=to_h)
+
+    def environment(self, *, from_h: float | None = None, to_h: float | None = None) -> pd.DataFrame:
+        """Read supply and climate around each set; empty where neither is configured."""
+        return self._table(EnvironmentRow, "environment", from_h=from_h, to_h=to_h)
+
+    def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
+        """Read alarms with their proofs; ``active`` True: those that stand, False: those that are over."""
+        return self._table(AlarmRow, "alarms", position=position, active=active)
+
+    def waveforms(
+        self,
+        position: str,
+        set_index: int | None = None,
+        *,
+        from_h: float | None = None,
+        to_h: float | None = None,
+    ) -> xarray.DataArray:
+        """Read stored records in volts: of one set, of a range of hours, or (nothing said) of the newest set.
+
+        Returns
+        -------
+        DataArray, shape (shots, samples), 8 bytes a sample
+            Coordinates: ``time`` in s from the trigger; ``set_index``, ``shot_index``, ``sequence``,
+            ``due_h``, ``utc``, ``valid``, ``flags`` and ``quality`` of each shot.
+
+        Raises
+        ------
+        ClientError
+            No record is stored there, or they differ in length or rate.
+        """
+        places = {place["position"]: place["method"] for place in self.info()["positions"]}
+        if position not in places:
+            raise ClientError(f"there is no position {position!r}; the positions are {', '.join(places)}")
+        if set_index is not None and (from_h, to_h) != (None, None):
+            raise ClientError("say either set_index or a range of hours")
+        indices: Sequence[int]
+        if set_index is not None:
+            indices = [set_index]
+        elif (from_h, to_h) == (None, None):
+            newest = self._connection.get(f"transducers/{position}")["last_set"]
+            indices = [] if newest is None else [newest["set_index"]]
+        else:
+            sets = self.sets(position, from_h=from_h, to_h=to_h)
+            indices = sets.loc[sets["n_taken"] > 0, "set_index"].tolist()
+        return read_waveforms(self._connection, position, places[position], indices)
+
+    def follow(self, *topics: str, after: int | None = None) -> Iterator[Event]:
+        """Yield events as they come, over restarts of recorder and service, until `close`.
+
+        Parameters
+        ----------
+        topics
+            Such as ``sets``, ``verdicts``, ``alarms``; none: all.
+        after
+            Id of the last event that is known; None: what comes from now on.
+        """
+        if after is None:
+            try:
+                after = int(self.info()["last_event_id"])
+            except RefusedError as error:
+                if not error.type.endswith(":no-data-yet"):
+                    raise
+                after = 0
+        for told in self._connection.events(after, ",".join(topics) or None):
+            yield Event(
+                id=told["id"],
+                topic=told["topic"],
+                kind=told["kind"],
+                position=told.get("position"),
+                set_index=told.get("set_index"),
+                data=told,
+            )
+
+    def _table(self, kind: type[Row], resource: str, *beside: ToldColumn, **asked: Any) -> pd.DataFrame:
+        items, as_of = self._connection.pages(resource, **asked)
+        return frame(kind, items, as_of, *beside)

@@ -1,0 +1,52 @@
+"""Rows of the API as DataFrames: numbers stay numbers where some are missing, times are times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+
+from daq_service.catalogue.rows import Row
+from daq_service.catalogue.told import Form, ToldColumn, told_columns
+
+DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
+
+
+def frame(
+    kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any], *beside: ToldColumn
+) -> pd.DataFrame:
+    """Make a table of rows; not available is NaN, NaT or NA.
+
+    Parameters
+    ----------
+    beside
+        Columns that the service adds to those of the row.
+
+    Returns
+    -------
+    DataFrame
+        ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` when it was read and how the
+        recorder was then.
+    """
+    columns = [*told_columns(kind), *beside]
+    if any(column.name in ("due_h", "raised_h") for column in columns):
+        columns.append(ToldColumn(name="age_h", form="number", unit="h", nullable=False))
+    table = pd.DataFrame({column.name: _series(column, items) for column in columns})
+    table.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
+    table.attrs["as_of"] = as_of
+    return table
+
+
+def _series(column: ToldColumn, items: Sequence[dict[str, Any]]) -> pd.Series[Any]:
+    values = [item[column.name] for item in items]
+    if column.form == "time":
+        return pd.to_datetime(pd.Series(values, dtype="object"), utc=True, format="ISO8601").astype(
+            "datetime64[ns, UTC]"
+        )
+    dtype = DTYPES.get(column.form, "object")
+    if column.form == "integer" and not column.nullable:
+        dtype = "int64"
+    if column.form == "truth" and not column.nullable:
+        dtype = "bool"
+    return pd.Series(values, dtype=dtype)

@@ -1,0 +1,69 @@
+"""Stored records as an array in volts, with what is known of each."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import xarray
+
+from daq_service.client.connection import Connection
+from daq_service.client.errors import ClientError
+
+PER_SHOT = ("set_index", "shot_index", "sequence", "valid")
+
+
+def read_waveforms(
+    connection: Connection, position: str, method: str, indices: Sequence[int]
+) -> xarray.DataArray:
+    """Read the accepted records of sets (`Experiment.waveforms`)."""
+    shots: list[Mapping[str, Any]] = []
+    for index in indices:
+        results, _ = _results(connection, position, method, index)
+        for shot in connection.get(f"sets/{position}/{index}/shots")["items"]:
+            if shot["outcome"] == "accepted":
+                shots.append({**shot, **results.get(shot["sequence"], {"due_h": np.nan, "quality": None})})
+    if not shots:
+        raise ClientError(f"no record of position {position} is stored in these sets; look at sets()")
+    volts, times = [], []
+    for shot in shots:
+        path = f"waveforms/{position}/{shot['set_index']}/{shot['shot_index']}"
+        time_s, voltage_v = np.load(io.BytesIO(connection.response(path, format="npy").content))
+        volts.append(voltage_v)
+        times.append(time_s)
+    if any(time_s.shape != times[0].shape or (time_s != times[0]).any() for time_s in times):
+        raise ClientError(
+            f"the records of position {position} in these sets differ in length or rate; choose fewer sets"
+        )
+    texts = {
+        "quality": [shot["quality"] for shot in shots],
+        "flags": [" ".join(shot["flags"]) for shot in shots],
+    }
+    utc = pd.to_datetime([shot["utc"] for shot in shots], utc=True, format="ISO8601").tz_localize(None)
+    return xarray.DataArray(
+        np.stack(volts),
+        dims=("shot", "time"),
+        name="voltage",
+        attrs={"units": "V", "position": position, "method": method},
+        coords={
+            "time": ("time", times[0], {"units": "s", "description": "from the trigger"}),
+            "due_h": ("shot", [shot["due_h"] for shot in shots], {"units": "h"}),
+            "utc": ("shot", utc.to_numpy(dtype="datetime64[ns]")),
+            **{name: ("shot", [shot[name] for shot in shots]) for name in PER_SHOT},
+            **{name: ("shot", np.array(values, dtype=object)) for name, values in texts.items()},
+        },
+    )
+
+
+def _results(
+    connection: Connection, position: str, method: str, index: int
+) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
+    """Hour and quality of each record of a set, by its sequence number."""
+    if method == "pulse_echo":
+        items, as_of = connection.pages("thickness", position=position, set_index=index)
+    else:
+        items, as_of = connection.pages("features", position=position, set_index=index, scope="shot")
+    return {item["sequence"]: {"due_h": item["due_h"], "quality": item["quality"]} for item in items}, as_of

@@ -1,0 +1,99 @@
+"""The table of the web service: where it answers, to whom, and what keeps others out."""
+
+from __future__ import annotations
+
+import ipaddress
+import json
+from typing import Annotated, Self
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+LOOPBACK = {"127.0.0.1": "127.0.0.1", "localhost": "127.0.0.1", "::1": "::1"}
+"""Names of this machine for itself, and their addresses."""
+HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$")]
+
+
+def is_address(text: str) -> bool:
+    """Tell that this is an IP address."""
+    try:
+        ipaddress.ip_address(text)
+    except ValueError:
+        return False
+    return True
+
+
+class WebSettings(BaseModel):
+    """The web service."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = Field(default="127.0.0.1", max_length=45)
+    """Address of this computer to listen at; any but 127.0.0.1, localhost and ::1 needs TLS or a proxy, and
+    tokens. 0.0.0.0 and :: are all of them."""
+    port: int = Field(default=8750, ge=0, le=65535)
+    """TCP port; 0 takes a free one."""
+    host_names: tuple[HostName, ...] = ()
+    """Names by which browsers reach the service from elsewhere; requests for others are refused."""
+    tls_certificate: str = ""
+    """PEM file of the service's own certificate with its chain, relative to the configuration file."""
+    tls_key: str = ""
+    """PEM file of its key, without a password, relative to the configuration file."""
+    proxy: str = ""
+    """Address of a proxy that terminates TLS; it alone is believed who asks (X-Forwarded-For and -Proto)."""
+    tokens_file: str = ""
+    """Hashes of the access tokens, relative to the configuration file; absent: tokens.json of the data
+    folder. On loopback nothing is asked for until there is a token."""
+
+    @field_validator("host", "proxy")
+    @classmethod
+    def _is_an_address(cls, text: str) -> str:
+        if text and text not in LOOPBACK and not is_address(text):
+            raise ValueError("give an IP address of a computer; names belong into web.host_names")
+        return text
+
+    @field_validator("host")
+    @classmethod
+    def _is_somewhere(cls, text: str) -> str:
+        if not text:
+            raise ValueError("give an IP address of this computer, for example 127.0.0.1")
+        return text
+
+    @model_validator(mode="after")
+    def _doors_have_locks(self) -> Self:
+        if bool(self.tls_certificate) != bool(self.tls_key):
+            raise ValueError("web.tls_certificate and web.tls_key belong together; give both or none")
+        if self.is_reachable and not (self.tls_certificate or self.proxy):
+            what = f"web.host is {self.host!r}"
+            if self.host in LOOPBACK:
+                what = f"web.host_names is {json.dumps(self.host_names)}"
+            raise ValueError(
+                f"{what}: other computers shall reach the service, so tokens and measurements must travel "
+                "encrypted; set web.tls_certificate and web.tls_key, or web.proxy to the address of a proxy "
+                f"that terminates TLS; or keep to this machine ({', '.join(LOOPBACK)})"
+            )
+        if self.is_reachable and not self.names_elsewhere:
+            raise ValueError(
+                "no name is given by which others reach the service; say in web.host_names how browsers call "
+                'this computer, for example ["lab.example.org"]'
+            )
+        return self
+
+    @property
+    def is_reachable(self) -> bool:
+        """True where other computers shall reach the service, by itself or through a proxy."""
+        return self.host not in LOOPBACK or bool(self.host_names) or bool(self.proxy)
+
+    @property
+    def names_elsewhere(self) -> frozenset[str]:
+        """Host names beside the loopback's that requests may be for."""
+        own = {self.host} - LOOPBACK.keys()
+        return frozenset(self.host_names) | {name for name in own if not _is_any(name)}
+
+    @property
+    def has_tls(self) -> bool:
+        """True where the service itself encrypts."""
+        return bool(self.tls_certificate)
+
+
+def _is_any(address: str) -> bool:
+    return ipaddress.ip_address(address).is_unspecified

@@ -1,0 +1,77 @@
+"""What a person's role allows: asked before every operation of the API, and by the routes of orders."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from fastapi import Depends
+from fastapi.routing import APIRoute
+from starlette.requests import HTTPConnection
+
+from daq_service.orders.audit import Result
+from daq_service.web.answers.problem import Problem
+from daq_service.web.context import context_of
+from daq_service.web.doors.entry import address_of, person_at
+from daq_service.web.doors.roles import OPERATIONS, Person, Role
+
+PersonOf = Annotated[Person, Depends(person_at)]
+
+
+def operation_of(route: Any) -> str:
+    """Name of an operation, as the table of roles calls it."""
+    return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
+
+
+async def admit(connection: HTTPConnection) -> None:
+    """Refuse an operation that the role does not allow; a dependency of every route of the API.
+
+    Raises
+    ------
+    Problem
+        401: nobody has said who asks. 403: the role is too low.
+    """
+    operation = operation_of(connection.scope["route"])
+    needed = OPERATIONS.get(operation, "admin")
+    if needed is not None:
+        person = person_at(connection)
+        if not person.may(needed):
+            problem = role_too_low(person, operation, needed)
+            await asyncio.to_thread(told, connection, person, operation, "refused", problem.detail)
+            raise problem
+
+
+def role_too_low(person: Person, what: str, needed: Role) -> Problem:
+    """Say which role is needed."""
+    return Problem(
+        403,
+        "role-too-low",
+        "Your role does not allow this",
+        f"{what} needs the role {needed}; {person.name} is {person.role}.",
+        "Ask somebody with that role, or an administrator for another token.",
+    )
+
+
+def told(
+    connection: HTTPConnection,
+    person: Person,
+    what: str,
+    result: Result,
+    why: str = "",
+    *,
+    arguments: Mapping[str, Any] | None = None,
+    claimed: str = "",
+    command_id: int | None = None,
+) -> None:
+    """Write into the audit what a person asked for."""
+    context_of(connection.app).doors.audit.tell(
+        who=person.name or claimed,
+        role=person.role,
+        source=address_of(connection.scope),
+        what=what,
+        arguments=dict(arguments or {}),
+        result=result,
+        why=why,
+        command_id=command_id,
+    )

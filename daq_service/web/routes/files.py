@@ -1,0 +1,89 @@
+"""`/api/v1/files`: finished files of sets as they lie on the disk, whole or a range of their bytes."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request
+from starlette.responses import FileResponse, Response
+
+from daq_service.catalogue.rows import SetRow
+from daq_service.web.answers.models import problems
+from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.context import Context, ContextOf
+
+router = APIRouter(tags=["files"])
+HDF5 = "application/x-hdf5"
+NAME = re.compile(r"set_(\d{1,9})_\w+\.h5", re.ASCII)
+RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+
+
+@router.head("/files/{name}", include_in_schema=False)
+@router.get(
+    "/files/{name}",
+    operation_id="get_file",
+    response_class=Response,
+    responses={
+        200: {"content": {HDF5: _BINARY}},
+        206: {"description": "The range that was asked for.", "content": {HDF5: _BINARY}},
+        304: {"description": "The client's copy, named by If-None-Match, is the file."},
+        **problems(404, 416, 422, 503),
+    },
+)
+def get_file(
+    request: Request,
+    context: ContextOf,
+    name: Annotated[str, Path(max_length=80, description="As `sets` names it, without its folder")],
+) -> Response:
+    """Send the file of a set; it never changes, so a range of it can be asked for at any time."""
+    row = _row_of(context, name)
+    path = None if row is None or row.file is None else context.data_folder / row.file
+    if row is None or path is None or not path.is_file():
+        raise not_found(
+            f"There is no finished file {name!r}.",
+            "/api/v1/sets names the files; the newest sets get theirs a moment later.",
+        )
+    size = path.stat()
+    # Compressed on the way, a range would be one of other bytes; in the file they are compressed already.
+    headers = {"Content-Encoding": "identity"}
+    if row.file_sha256 is not None:
+        of_content, known = unchanged(request, f'"{row.file_sha256}"')
+        if known is not None:
+            return known
+        headers |= of_content
+    response = FileResponse(path, headers=headers, media_type=HDF5, filename=name, stat_result=size)
+    asked, only_if = request.headers.get("range"), request.headers.get("if-range")
+    if asked is not None and only_if in (None, response.headers["etag"]):
+        _check_range(asked, size.st_size)
+    return response
+
+
+def _row_of(context: Context, name: str) -> SetRow | None:
+    """Row of the set that has this file; the name on the disk is the catalogue's, never the request's."""
+    match = NAME.fullmatch(name)
+    if match is None:
+        return None
+    catalogue, index = context.catalogue(), int(match[1])
+    rows = (
+        row
+        for position in context.settings.positions
+        for row in catalogue.rows(SetRow, position=position, set_index=index)
+    )
+    return next((row for row in rows if row.file is not None and row.file.rpartition("/")[2] == name), None)
+
+
+def _check_range(asked: str, n_bytes: int) -> None:
+    match = RANGE.fullmatch(asked.replace(" ", ""))
+    first, last = match.groups() if match else ("", "")
+    is_good = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
+    if not is_good:
+        raise Problem(
+            416,
+            "range-not-satisfiable",
+            "There is no such range",
+            f"Range is {asked[:60]!r}; the file has {n_bytes} bytes.",
+            "Ask for one range, such as bytes=0-1023 or bytes=-1024, or for the whole file.",
+        )

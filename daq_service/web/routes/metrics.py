@@ -1,0 +1,199 @@
+"""`/metrics` in OpenMetrics, for Prometheus and Grafana: the present only, nothing reads history."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, get_args
+
+from fastapi import APIRouter, Request
+from prometheus_client import CollectorRegistry
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
+from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
+from prometheus_client.registry import Collector
+from starlette.responses import Response
+
+from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.rows import AlarmRow, Quality
+from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
+from daq_service.processes.disk_policy import LEVELS, outlook
+from daq_service.processes.recorder_state import Word, look_at_recorder
+from daq_service.web.answers.models import PositionState, problems
+from daq_service.web.answers.version import distribution_version
+from daq_service.web.context import Context, ContextOf, Freshness
+from hardware_drivers.nanoseconds import NS_PER_S
+
+probes = APIRouter(tags=["health"])
+S_PER_H = 3600.0
+WORDS = get_args(PositionState.model_fields["state"].annotation)
+
+Sample = tuple[tuple[str, ...], float | None]
+"""Values of the labels, and the number; None is left out."""
+
+
+@probes.get(
+    "/metrics",
+    operation_id="get_metrics",
+    response_class=Response,
+    responses={
+        200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
+        **problems(503),
+    },
+)
+def get_metrics(request: Request, context: ContextOf) -> Response:
+    """Tell state, age and last values of every position, alarms, recorder, disk and this service."""
+    registry = CollectorRegistry()
+    registry.register(_Present(context))
+    present, times = (
+        bytes(generate_latest(part))  # type: ignore[no-untyped-call] # the package does not annotate it
+        for part in (registry, request.app.state.answer_times.registry)
+    )
+    return Response(present.removesuffix(b"# EOF\n") + times, media_type=CONTENT_TYPE_LATEST)
+
+
+class _Present(Collector):
+    """The test at this moment, as Prometheus wants it."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+
+    def collect(self) -> Iterable[Metric]:
+        context = self._context
+        yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
+        yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
+        yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
+        has_data = context.has_data()
+        yield _gauge("has_data", "1: something is stored", [((), has_data)])
+        if has_data:
+            yield from _of_test(context, context.freshness())
+        else:
+            yield _recorder(look_at_recorder(context.data_folder, []).word)
+
+
+def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:
+    catalogue = context.catalogue()
+    beat_age_s = fresh.recorder.beat_age_s
+    yield _recorder(fresh.recorder.word)
+    yield _gauge(
+        "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", [((), beat_age_s)]
+    )
+    yield _gauge("write_age_seconds", "Wall time since something was stored", [((), fresh.wall_age_s)])
+    yield _gauge("test_hours", "Hour of the test", [((), fresh.now_h)])
+    yield _gauge("held", "1: somebody holds the test", [((), catalogue.held() is not None)])
+    counts = catalogue.counts()
+    yield _counter("sets", "Due times with a record", counts["sets"])
+    yield _counter("missed_sets", "Due times without any record", counts["missed_sets"])
+    yield _counter("partial_sets", "Due times with a record that lack something", counts["partial_sets"])
+    yield _counter("shots", "Stored solitary-wave shots", counts["shots"])
+    yield _counter("pulse_echo_records", "Stored pulse-echo records", counts["pulse_echo_records"])
+    disk = outlook(context.data_folder, context.settings, catalogue)
+    yield _gauge("disk_free_bytes", "Free on the volume of the data folder", [((), disk.free_bytes)])
+    yield _gauge("disk_size_bytes", "Size of that volume", [((), disk.total_bytes)])
+    yield _gauge("disk_needed_bytes", "What the rest of the test takes", [((), disk.needed_bytes)])
+    yield _states("disk_level", "How full the volume is", [((), disk.level)], LEVELS, ())
+    yield _alarms(catalogue.rows(AlarmRow, active=True))
+    found = catalogue.positions_state()
+    words = {
+        name: found.get(name, LastWord(position=name, method=place.method))
+        for name, place in context.settings.positions.items()
+    }
+    yield from _of_positions(context, fresh, words)
+
+
+def _of_positions(context: Context, fresh: Freshness, words: dict[str, LastWord]) -> Iterator[Metric]:
+    of_position = ("position",)
+    ages_h = {
+        name: None if (hour := data_hour(word)) is None else fresh.age_h(hour) for name, word in words.items()
+    }
+
+    def each(name: str, told: str, value: Any) -> Metric:
+        return _gauge(name, told, [((place,), value(word)) for place, word in words.items()], of_position)
+
+    def of(row: str, column: str) -> Any:
+        return lambda word: getattr(getattr(word, row), column, None)
+
+    def limit_beside(row: str) -> Any:
+        return lambda word: None if getattr(word, row) is None else limit_of(word, context.settings)
+
+    schedule = context.settings.schedule
+    yield _states(
+        *("position_state", "How a position stands"),
+        [((name,), state_word(word)) for name, word in words.items()],
+        WORDS,
+        of_position,
+    )
+    yield _states(
+        *("quality", "Quality of the newest values"),
+        [((name,), _quality(word)) for name, word in words.items()],
+        get_args(Quality),
+        of_position,
+    )
+    stale = [((name,), is_stale(schedule, fresh, age_h)) for name, age_h in ages_h.items()]
+    yield _gauge("stale", "1: older than the schedule explains", stale, of_position)
+    ages = [((name,), None if age_h is None else S_PER_H * age_h) for name, age_h in ages_h.items()]
+    yield _gauge("data_age_seconds", "Age of the newest measured set on the test's clock", ages, of_position)
+    yield each("outlier", "1: the newest judged set is an outlier", of("last_verdict", "outlier"))
+    yield each("distance_squared", "Mahalanobis squared distance", of("last_verdict", "distance_squared"))
+    yield each("distance_squared_limit", "The limit that decides", limit_beside("last_verdict"))
+    yield each("time_of_flight_seconds", "Peak to peak", of("last_feature", "tof_pp_s"))
+    yield each("amplitude_ratio", "PSW over ISW", of("last_feature", "amplitude_ratio"))
+    yield each("thickness_meters", "Wall by pulse echo", of("last_thickness", "thickness_m"))
+    yield each("thickness_limit_meters", "Below it the probe alarms", limit_beside("last_thickness"))
+    yield each("thickness_loss_meters", "Since the test began", of("last_thickness", "thickness_loss_m"))
+    yield each("last_set_shots", "Shots of the newest set", of("last_set", "n_taken"))
+    yield each("last_set_missed_shots", "Strikes without a record", of("last_set", "n_missed"))
+    yield each("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)
+
+
+def _quality(word: LastWord) -> str | None:
+    measured = word.last_feature or word.last_thickness
+    return None if measured is None else measured.quality
+
+
+def _delay_s(word: LastWord) -> float | None:
+    row = word.last_set
+    if row is None or row.started_utc_ns is None:
+        return None
+    return (row.started_utc_ns - row.due_utc_ns) / NS_PER_S
+
+
+def _alarms(active: Iterable[AlarmRow]) -> Metric:
+    numbers: dict[tuple[str, ...], int] = {}
+    for row in active:
+        labels = (row.kind, row.severity, row.state, row.position or "")
+        numbers[labels] = numbers.get(labels, 0) + 1
+    return _gauge(
+        "alarms_active",
+        "Alarms that are not over",
+        numbers.items(),
+        ("kind", "severity", "state", "position"),
+    )
+
+
+def _recorder(word: str) -> Metric:
+    return _states("recorder_state", "How the recorder is", [((), word)], get_args(Word), ())
+
+
+def _counter(name: str, told: str, number: int) -> Metric:
+    return CounterMetricFamily(f"solimon_{name}", told, value=number)
+
+
+def _gauge(name: str, told: str, samples: Iterable[Sample], labels: tuple[str, ...] = ()) -> Metric:
+    family = GaugeMetricFamily(f"solimon_{name}", told, labels=labels)
+    for of_labels, number in samples:
+        if number is not None:
+            family.add_metric(of_labels, float(number))
+    return family
+
+
+def _states(
+    name: str,
+    told: str,
+    samples: Iterable[tuple[tuple[str, ...], str | None]],
+    known: Iterable[str],
+    labels: tuple[str, ...],
+) -> Metric:
+    """One sample a state, 1 where it holds."""
+    every = [
+        ((*of_labels, state), float(state == word)) for of_labels, word in samples for state in known if word
+    ]
+    return _gauge(name, told, every, (*labels, "state"))

@@ -1,0 +1,118 @@
+"""`/api/v1/tables`: whole tables as files, for spreadsheets, Python, MATLAB and viewers."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Query, Request
+from starlette.responses import Response, StreamingResponse
+
+from daq_service.errors import UsageError
+from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.models import TableList, problems
+from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.context import ContextOf
+from daq_service.web.routes.listing import FromHour, PositionFilter, ToHour, last_hour
+from daq_service.web.tables.choice import TABLES, chosen
+from daq_service.web.tables.export import exported
+from daq_service.web.tables.formats import FORMATS, available
+
+router = APIRouter(tags=["tables"])
+MOST_ROWS = 100_000
+"""Some 50 MB while a file of all rows is made."""
+AT_ONCE = 2
+_making = threading.BoundedSemaphore(AT_ONCE)
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_CONTENT = {kind.media_type: _BINARY for kind in FORMATS.values()}
+
+
+@router.get("/tables", operation_id="list_tables", response_model=TableList)
+def list_tables() -> JsonAnswer:
+    """List the tables, their columns with units, and the formats that this installation writes."""
+    items = [
+        {
+            "table": name,
+            "told": kind.told,
+            "columns": [{"name": c.name, "form": c.form, "unit": c.unit} for c in kind.columns],
+        }
+        for name, kind in TABLES.items()
+    ]
+    return JsonAnswer({"formats": available(), "items": items})
+
+
+@router.get(
+    "/tables/{table}",
+    operation_id="get_table",
+    response_class=Response,
+    responses={200: {"content": _CONTENT}, **problems(404, 422, 503)},
+)
+def get_table(
+    request: Request,
+    context: ContextOf,
+    table: str,
+    position: PositionFilter = None,
+    from_h: FromHour = None,
+    to_h: ToHour = None,
+    fields: Annotated[
+        str | None, Query(max_length=1000, description="Comma-separated columns; absent: all of the table")
+    ] = None,
+    form: Annotated[
+        Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
+        Query(alias="format", description="Absent: by the header Accept, else csv"),
+    ] = None,
+) -> Response:
+    """Export a table or a range of it; hour, quality and what tells rows apart are always in it."""
+    if table not in TABLES:
+        raise not_found(f"There is no table {table!r}.", f"The tables are {', '.join(TABLES)}.")
+    if position is not None:
+        context.known(position)
+    last_hour(from_h, to_h)
+    name = form or accepted(request.headers.get("accept", ""))
+    catalogue, fresh = context.catalogue(), context.freshness()
+    headers = {"Vary": "Accept"}
+    try:
+        choice = chosen(table, position=position, from_h=from_h, to_h=to_h, fields=fields)
+        headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
+        parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
+        if FORMATS[name].whole:
+            return Response(_alone(parts), media_type=FORMATS[name].media_type, headers=headers)
+        first = next(parts, b"")  # what is wrong shows before the answer begins
+    except UsageError as error:
+        raise Problem(
+            422, "invalid-request", "No such export", str(error), "/api/v1/tables lists tables and formats."
+        ) from error
+    return StreamingResponse(
+        itertools.chain([first], parts), media_type=FORMATS[name].media_type, headers=headers
+    )
+
+
+def accepted(accept: str) -> str:
+    """Choose the format by the header ``Accept``: the first known type of the highest quality, else csv."""
+    types = {kind.media_type: name for name, kind in FORMATS.items()}
+    offers: list[tuple[float, str]] = []
+    for part in accept.split(","):
+        media_type, *parameters = (piece.strip().lower() for piece in part.split(";"))
+        weight = next((piece[2:] for piece in parameters if piece.startswith("q=")), "1")
+        if media_type in types:
+            offers.append((float(weight) if weight.replace(".", "", 1).isdigit() else 0.0, types[media_type]))
+    best = max(offers, key=lambda offer: offer[0], default=(0.0, "csv"))
+    return best[1] if best[0] > 0.0 else "csv"
+
+
+def _alone(parts: Iterator[bytes]) -> bytes:
+    """Make a file of all rows, beside one other at most: each holds all its rows."""
+    if not _making.acquire(blocking=False):
+        raise Problem(
+            503,
+            "too-many-exports",
+            "Other exports are being made",
+            f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
+            "Ask again in a moment, or take csv.",
+        )
+    try:
+        return b"".join(parts)
+    finally:
+        _making.release()

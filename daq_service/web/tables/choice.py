@@ -1,0 +1,156 @@
+"""Which tables there are, and the rows that somebody chose of one, a page at a time."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    EnvironmentRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
+    values,
+)
+from daq_service.catalogue.told import ToldColumn, told_columns
+from daq_service.errors import UsageError
+from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.tables.quality import judged_qualities
+
+PAGE_ROWS = 1000
+ALWAYS = (
+    *("id", "set_index", "position", "shot_index", "due_h", "due_utc", "quality"),
+    *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "severity", "state"),
+)
+"""What tells rows apart, and how good their numbers are: these are never left out."""
+QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
+
+Columns = Mapping[str, list[Any]]
+"""Values of a page by column, as JSON has them, what is nested as JSON text; None: not available."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TableKind:
+    """A table that can be exported."""
+
+    row: type[Row]
+    told: str
+    fixed: Filters
+
+    @property
+    def columns(self) -> tuple[ToldColumn, ...]:
+        """All of its columns."""
+        return told_columns(self.row) + ((QUALITY,) if self.row is VerdictRow else ())
+
+
+TABLES: Mapping[str, TableKind] = {
+    "sets": TableKind(row=SetRow, told="Planned sets and what became of them", fixed={}),
+    "features": TableKind(row=FeatureRow, told="Features of sets", fixed={"scope": "set"}),
+    "shot_features": TableKind(row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}),
+    "verdicts": TableKind(row=VerdictRow, told="Squared distances, limits and outliers", fixed={}),
+    "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
+    "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
+    "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Choice:
+    """Rows and columns of a table; ``from_h`` is included, ``to_h`` is not, None is open."""
+
+    table: str
+    position: str | None = None
+    from_h: float | None = None
+    to_h: float | None = None
+    fields: tuple[str, ...] | None = None
+
+    @property
+    def columns(self) -> tuple[ToldColumn, ...]:
+        """Columns that were chosen, in the order of the table."""
+        every = TABLES[self.table].columns
+        wanted = {column.name for column in every} if self.fields is None else {*self.fields, *ALWAYS}
+        return tuple(column for column in every if column.name in wanted)
+
+    @property
+    def name(self) -> str:
+        """Name of a file of it, without ending."""
+        return self.table if self.position is None else f"{self.table}_{self.position}"
+
+
+def chosen(
+    table: str,
+    *,
+    position: str | None = None,
+    from_h: float | None = None,
+    to_h: float | None = None,
+    fields: str | None = None,
+) -> Choice:
+    """Check what somebody asks for; ``fields`` are names with commas between.
+
+    Raises
+    ------
+    UsageError
+        There is no such table or field, the table has no positions, or the range is upside down.
+    """
+    if table not in TABLES:
+        raise UsageError(f"there is no table {table!r}; choose from {', '.join(TABLES)}")
+    known = [column.name for column in TABLES[table].columns]
+    if position is not None and "position" not in known:
+        raise UsageError(f"the table {table} has no positions; leave the position out")
+    if from_h is not None and to_h is not None and to_h < from_h:
+        raise UsageError(f"the range ends at {to_h:g} h, before {from_h:g} h; let it end later")
+    names = None if fields is None else tuple(part.strip() for part in fields.split(",") if part.strip())
+    if names is not None and (not names or (unknown := sorted(set(names) - set(known)))):
+        raise UsageError(
+            f"the table {table} has no field {', '.join(unknown) if names else '(none named)'}; "
+            f"choose from {', '.join(known)}"
+        )
+    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names)
+
+
+def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
+    """Read what was chosen, `PAGE_ROWS` rows at a time, in the order of the table; at least one page."""
+    experiment = catalogue.experiment_row()
+    kind, names = TABLES[choice.table], [column.name for column in choice.columns]
+    asked: Filters = {**kind.fixed, "position": choice.position}
+    by_set = kind.row is not AlarmRow
+    if by_set:
+        asked |= {"first_h": choice.from_h, "last_h": _last(choice.to_h)}
+    is_first = True
+    while True:
+        rows = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
+        if rows or is_first:
+            kept: Sequence[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
+            if kind.row is VerdictRow:
+                methods = {
+                    name: place["method"] for name, place in experiment.configuration["positions"].items()
+                }
+                for row, quality in zip(told, judged_qualities(catalogue, methods, kept), strict=True):
+                    row["quality"] = quality
+            yield {name: [_plain(row[name]) for row in told] for name in names}
+        if len(rows) < PAGE_ROWS:
+            return
+        asked["after_id"] = rows[-1].id  # type: ignore[attr-defined] # each of these kinds has one
+        is_first = False
+
+
+def _last(to_h: float | None) -> float | None:
+    return None if to_h is None else math.nextafter(to_h, -math.inf)
+
+
+def _inside(choice: Choice, row: Any) -> bool:
+    hour = row.raised_h
+    return (choice.from_h is None or hour >= choice.from_h) and (choice.to_h is None or hour < choice.to_h)
+
+
+def _plain(value: Any) -> Any:
+    return json.dumps(value) if isinstance(value, dict | list) else value

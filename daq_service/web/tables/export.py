@@ -1,0 +1,67 @@
+"""An export as a whole: the bytes of a choice in a format, with the facts of where they come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.metadata import version
+
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import ExperimentRow
+from daq_service.clock import format_utc
+from daq_service.errors import UsageError
+from daq_service.processes.freshness import Freshness
+from daq_service.web.tables.choice import Choice, Columns, pages
+from daq_service.web.tables.formats import FORMATS, Facts
+
+
+def exported(
+    catalogue: Catalogue, fresh: Freshness, choice: Choice, form: str, *, most_rows: int | None = None
+) -> Iterator[bytes]:
+    """Give the bytes of a file in parts; streamed formats read a page for each part.
+
+    Parameters
+    ----------
+    form
+        One of `formats.FORMATS`.
+    most_rows
+        Limit of formats that hold all rows; None: as many as there are.
+
+    Raises
+    ------
+    UsageError
+        There are more rows, or a package for the format is missing; before the first part.
+    """
+    kind = FORMATS[form]
+    read = pages(catalogue, choice)
+    if kind.whole and most_rows is not None:
+        read = _bounded(read, form, most_rows)
+    return kind.write(choice, _facts(catalogue.experiment_row(), fresh, choice), read)
+
+
+def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
+    n_rows = 0
+    for page in read:
+        n_rows += len(next(iter(page.values())))
+        if n_rows > most_rows:
+            raise UsageError(
+                f"these are more than {most_rows} rows, which the service does not hold at once for {form}; "
+                "take csv, parquet or arrow, which have no limit, a shorter range, or solimon export"
+            )
+        yield page
+
+
+def _facts(experiment: ExperimentRow, fresh: Freshness, choice: Choice) -> Facts:
+    return {
+        "test": experiment.name,
+        "table": choice.table,
+        "position": choice.position,
+        "from_h": choice.from_h,
+        "to_h": choice.to_h,
+        "units": {column.name: column.unit for column in choice.columns if column.unit},
+        "epoch_utc": format_utc(experiment.epoch_utc_ns),
+        "now_utc": format_utc(fresh.now_utc_ns),
+        "now_h": fresh.now_h,
+        "recorder": fresh.recorder.word,
+        "configuration_hash": experiment.configuration_hash,
+        "solimon_version": version("solimon"),
+    }

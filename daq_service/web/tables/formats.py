@@ -1,0 +1,232 @@
+"""Formats of an exported table. Streamed ones hold a page in memory, whole ones all rows.
+
+============ ===========================================================================================
+csv          RFC 4180: one header, units in the names; an empty cell is not available
+parquet      null is not available; units in the fields' metadata, facts in the schema's (key ``solimon``)
+arrow        the same as an Arrow IPC stream
+npz          an array a column, and ``solimon``: the facts as JSON text
+mat          MATLAB 5: a struct of columns named as the table, a struct ``units``, and ``facts`` as JSON text
+h5           NXdata of the first chosen number over the hour, as silx and H5Web plot it
+============ ===========================================================================================
+
+In the last three a missing number is NaN, a missing integer or truth value -1, a missing text empty.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import zipfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq_service.archive.table_file import table_image
+from daq_service.catalogue.told import ToldColumn
+from daq_service.errors import UsageError
+from daq_service.web.tables.choice import Choice, Columns
+
+MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+_ARROW = {"number": "float64", "integer": "int64", "truth": "bool_"}
+
+Facts = Mapping[str, Any]
+Write = Callable[[Choice, Facts, Iterable[Columns]], Iterator[bytes]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """A kind of file; ``whole``: all rows are in memory while it is made."""
+
+    media_type: str
+    whole: bool
+    write: Write
+
+
+def facts_text(facts: Facts) -> str:
+    """Facts as JSON."""
+    return json.dumps(facts, sort_keys=True)
+
+
+def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    names = [column.name for column in choice.columns]
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(names)
+    for page in pages:
+        columns = [[_cell(value) for value in page[name]] for name in names]
+        writer.writerows(zip(*columns, strict=True))
+        yield text.getvalue().encode()
+        text.seek(0)
+        text.truncate()
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, float) else str(value)
+
+
+class _Drain(io.RawIOBase):
+    """Takes what a writer writes; hands it on between two pages."""
+
+    def __init__(self) -> None:
+        self._waiting = bytearray()
+        self._place = 0
+
+    def writable(self) -> bool:
+        """Say so."""
+        return True
+
+    def write(self, content: Any) -> int:
+        """Keep some bytes."""
+        n_bytes = len(memoryview(content).cast("B"))
+        self._waiting += content
+        self._place += n_bytes
+        return n_bytes
+
+    def tell(self) -> int:
+        """Bytes so far."""
+        return self._place
+
+    def taken(self) -> bytes:
+        """Everything since the last call."""
+        content = bytes(self._waiting)
+        self._waiting.clear()
+        return content
+
+
+def _arrow_like(kind: str) -> Write:
+    def write(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+        arrow = pyarrow()
+        schema = arrow.schema(
+            [_arrow_field(arrow, column) for column in choice.columns],
+            metadata={"solimon": facts_text(facts)},
+        )
+        drain = _Drain()
+        if kind == "parquet":
+            from pyarrow import parquet
+
+            writing = parquet.ParquetWriter(drain, schema)
+        else:
+            writing = arrow.ipc.new_stream(drain, schema)
+        with writing as writer:
+            for page in pages:
+                arrays = [_arrow_array(arrow, field.type, page[field.name]) for field in schema]
+                writer.write(arrow.record_batch(arrays, schema=schema))
+                yield drain.taken()
+        yield drain.taken()
+
+    return write
+
+
+def _arrow_field(arrow: Any, column: ToldColumn) -> Any:
+    kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
+    kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
+    return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
+
+
+def _arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
+    if arrow.types.is_timestamp(of_type):
+        return arrow.array(values, type=arrow.string()).cast(of_type)
+    return arrow.array(values, type=of_type)
+
+
+def pyarrow() -> Any:
+    """Import the package, where it is installed.
+
+    Raises
+    ------
+    UsageError
+        It is not.
+    """
+    try:
+        import pyarrow as arrow
+    except ImportError as error:
+        raise UsageError(
+            "Parquet and Arrow need the package pyarrow, which is not installed: pip install "
+            "'solimon[parquet]', or take csv, npz, mat or h5"
+        ) from error
+    return arrow
+
+
+def _arrays(choice: Choice, pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
+    """All rows as an array a column."""
+    parts = [[_array(column, page[column.name]) for column in choice.columns] for page in pages]
+    joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
+    return dict(zip([column.name for column in choice.columns], joined, strict=True))
+
+
+def _array(column: ToldColumn, values: list[Any]) -> NDArray[Any]:
+    if column.form == "number":
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+    if column.form in ("integer", "truth"):
+        numbers = [-1 if value is None else value for value in values]
+        return np.array(numbers, dtype=np.int64 if column.form == "integer" else np.int8)
+    return np.array(["" if value is None else value for value in values], dtype=np.str_)
+
+
+def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    content = io.BytesIO()
+    arrays = {**_arrays(choice, pages), "solimon": np.array(facts_text(facts))}
+    # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as members:
+        for name, array in arrays.items():
+            with members.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+    yield content.getvalue()
+
+
+def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    # Brings SciPy along, half a second that a starting service does not need.
+    from scipy.io import savemat
+
+    content = io.BytesIO()
+    columns = {
+        # Texts become cells: MATLAB would pad the rows of a matrix of letters with blanks.
+        name: array.astype(object) if array.dtype.kind == "U" else array
+        for name, array in _arrays(choice, pages).items()
+    }
+    units = {column.name: column.unit for column in choice.columns if column.unit}
+    stored = {choice.table: columns, "units": units, "facts": facts_text(facts)}
+    savemat(content, stored, long_field_names=True, oned_as="column", do_compression=True)
+    yield content.getvalue()
+
+
+def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    arrays = _arrays(choice, pages)
+    names = choice.fields or tuple(arrays)
+    numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
+    hours = next(name for name in ("due_h", "raised_h") if name in arrays)
+    yield table_image(
+        choice.table,
+        {name: array.tolist() if array.dtype.kind == "U" else array for name, array in arrays.items()},
+        signal=numbers[0] if numbers else None,
+        axis=hours,
+        facts_text=facts_text(facts),
+    )
+
+
+FORMATS: Mapping[str, Format] = {
+    "csv": Format(media_type="text/csv", whole=False, write=_csv),
+    "parquet": Format(media_type="application/vnd.apache.parquet", whole=False, write=_arrow_like("parquet")),
+    "arrow": Format(
+        media_type="application/vnd.apache.arrow.stream", whole=False, write=_arrow_like("arrow")
+    ),
+    "npz": Format(media_type="application/x-npz", whole=True, write=_npz),
+    "mat": Format(media_type="application/x-matlab-data", whole=True, write=_mat),
+    "h5": Format(media_type="application/x-hdf5", whole=True, write=_h5),
+}
+
+
+def available() -> list[str]:
+    """Name the formats that this installation can write."""
+    from importlib.util import find_spec
+
+    return [name for name in FORMATS if name not in ("parquet", "arrow") or find_spec("pyarrow")]

@@ -1,0 +1,33 @@
+"""Quality of what a verdict judged: it stands with the feature or the thickness."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement.methods import METHODS
+from hardware_drivers.methods import Method
+
+
+def judged_qualities(
+    catalogue: Catalogue, methods: Mapping[str, Method], rows: Sequence[VerdictRow]
+) -> list[str | None]:
+    """Give the quality beside each verdict; ``methods`` are those of the positions."""
+    if not rows:
+        return []
+    hours, positions = [row.due_h for row in rows], {row.position for row in rows}
+    found: dict[tuple[str, int], str] = {}
+    for method in {methods[position] for position in positions}:
+        judged = METHODS[method]
+        filters: Filters = {
+            "position": None if len(positions) > 1 else rows[0].position,
+            "first_h": min(hours),
+            "last_h": max(hours),
+            **judged.of_sets,
+        }
+        columns = catalogue.columns(judged.row, ("position", "set_index", "quality"), **filters)
+        keys = zip(columns["position"], columns["set_index"], strict=True)
+        found |= zip(keys, columns["quality"], strict=True)
+    return [found.get((row.position, row.set_index)) for row in rows]

@@ -1,0 +1,103 @@
+"""Every operation of the OpenAPI document against every role: the table of roles is what the service does."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.orders.kinds import KINDS
+from daq_service.settings.tree import Settings
+from daq_service.web.app import RESOURCES
+from daq_service.web.doors.roles import OPERATIONS, ORDERS, ROLES
+from daq_service.web.doors.tokens import create_token
+from daq_service.web.routes.admission import operation_of
+
+DOCUMENT = json.loads(Path(__file__).with_name("openapi.json").read_text(encoding="utf-8"))
+CALLS = {
+    operation["operationId"]: (method, path)
+    for path, item in DOCUMENT["paths"].items()
+    for method, operation in item.items()
+}
+SAMPLES = {"position": "B", "name": "nobody"}
+ALARM, POSITION = {"alarm_id": 1}, {"position": "B"}
+ARGUMENTS = {"acknowledge_alarm": ALARM, "retire": POSITION, "reinstate": POSITION, "hold": {"note": "why"}}
+
+
+@pytest.fixture(scope="module")
+def clients(tmp_path_factory):
+    """One of each role, one with a wrong token, one without any."""
+    folder = tmp_path_factory.mktemp("data")
+    filled = FilledFolder(folder, Settings())
+    filled.add_set(0, stored=False)
+    tokens = {role: create_token(folder / "tokens.json", f"the-{role}", role)[1] for role in ROLES}
+    with served(Settings(), folder) as service:
+        made = {
+            name: service.client(Authorization=f"Bearer {text}")
+            for name, text in {**tokens, "wrong": "x" * 43}.items()
+        }
+        made["nobody"] = service.client()
+        yield made
+        for client in made.values():
+            client.close()
+    filled.close()
+
+
+def status(client, method, path, body=None):
+    """Only of the head: streams do not end."""
+    json_body = {"json": {} if body is None else body} if method == "post" else {}
+    with client.stream(method, path, **json_body) as answer:
+        return answer.status_code
+
+
+def filled_in(path):
+    for name, value in SAMPLES.items():
+        path = path.replace(f"{{{name}}}", value)
+    return re.sub(r"\{\w+\}", "0" if "set_index" in path else "1", path)
+
+
+def test_every_operation_and_every_kind_of_order_has_a_role():
+    """A new one is one line of `daq_service/web/doors/roles.py`."""
+    routes = {operation_of(route) for resource in RESOURCES for route in resource.router.routes}
+    assert (CALLS.keys() | routes) - OPERATIONS.keys() == set()
+    assert OPERATIONS.keys() - (CALLS.keys() | routes) == set()
+    assert KINDS.keys() == ORDERS.keys()
+
+
+@pytest.mark.parametrize("operation", CALLS)
+def test_an_operation_is_done_for_its_role_and_those_above_and_for_nobody_else(clients, operation):
+    method, path = CALLS[operation]
+    needed = OPERATIONS[operation]
+    answers = {name: status(client, method, filled_in(path)) for name, client in clients.items()}
+    if needed is None:
+        assert {answers[role] for role in ROLES} & {401, 403, 429} == set()
+        return
+    assert answers["nobody"] == 401
+    assert answers["wrong"] in {401, 429}
+    rank = ROLES.index(needed)
+    assert [answers[role] for role in ROLES[:rank]] == [403] * rank
+    assert {answers[role] for role in ROLES[rank:]} & {401, 403, 429} == set()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
+    order = {"kind": kind, "author": "somebody else", "arguments": ARGUMENTS.get(kind, {})}
+    answers = {name: status(client, "post", "/api/v1/commands", order) for name, client in clients.items()}
+    assert answers["nobody"] == 401
+    rank = ROLES.index(ORDERS[kind])
+    assert [answers[role] for role in ROLES[:rank]] == [403] * rank
+    assert {answers[role] for role in ROLES[rank:]} <= {202, 404, 409}
+
+
+def test_the_document_says_which_role_each_operation_needs():
+    for operation, (method, path) in CALLS.items():
+        described = DOCUMENT["paths"][path][method]
+        needed = OPERATIONS[operation]
+        if needed is None:
+            assert described["security"] == [{}]
+        else:
+            assert described["security"] == [{"token": [needed]}, {"cookie": [needed]}, {}]
+            assert {"401", "403", "429"} <= described["responses"].keys()
+    assert DOCUMENT["paths"]["/api/v1/commands"]["post"]["x-role-by-kind"] == dict(ORDERS)

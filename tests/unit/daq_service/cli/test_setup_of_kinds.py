@@ -1,0 +1,135 @@
+"""`solimon setup --kind`: instruments of any installed kind, from nothing to a file that is good."""
+
+import json
+import re
+
+import pytest
+from click.testing import CliRunner
+from support.offered_kinds import offer
+from support.scripted_kinds import OFFERED, begin_script
+
+from daq_service.cli.main import cli
+from daq_service.cli.set_up.dialogue import Dialogue
+from daq_service.cli.set_up.kinds import bench_of_kinds, take_kinds
+from daq_service.cli.set_up.transducers import Flags
+from daq_service.errors import BusyError, RigError, UsageError
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.settings.file import load_settings
+from daq_service.settings.instruments import configured
+
+SCOPE_AND_HAMMER = ("--kind", "scripted-scope", "--kind", "scripted-hammer")
+AT_B = ("--transducer", "B=scripted-scope/scripted-hammer")
+NO_OTHERS = "-\n-\n"
+"""Neither supply nor climate probe."""
+
+
+@pytest.fixture
+def script(monkeypatch, tmp_path):
+    offer(monkeypatch, tmp_path / "site", OFFERED)
+    return begin_script()
+
+
+@pytest.fixture
+def file(script, tmp_path):
+    return tmp_path / "laboratory.toml"
+
+
+def set_up(file, *flags, answers=""):
+    return CliRunner().invoke(
+        cli, ["setup", str(file), *flags, "--no-web"], input=answers, catch_exceptions=False
+    )
+
+
+def instruments(file):
+    return {item.name: item.parameters for item in configured(load_settings(file))}
+
+
+def test_a_person_is_led_to_a_file_that_no_hand_edited(file, script):
+    answers = "B\nscripted-scope.range_v=200\nscripted-scope.range_v=5\n-\nstrike\n-\ngo on\n-\n" + NO_OTHERS
+    ended = set_up(file, *SCOPE_AND_HAMMER, answers=answers)
+    assert ended.exit_code == 0, ended.output
+    assert "range_v: Input should be less than or equal to 50 (value: 200)" in ended.output
+    assert "front panel: lamp: it is dark; switch on" in ended.output, "its own checks are told"
+    assert script.events.count("strike B") == 1
+    assert "strike B now" in ended.output, "a person is asked to"
+    assert "record: good, flags: none; incident wave 5 V (50% of the range)" in ended.output
+    assert "From strikes of B." in file.read_text(encoding="utf-8")
+    assert instruments(file)["scripted-scope"].range_v == 5.0
+    assert 'address = "usb"' in file.read_text(encoding="utf-8"), "the defaults are there to be seen"
+
+
+def test_a_level_that_does_not_fit_is_proposed_anew(file):
+    answers = "B\n-\nstrike\nyes\n-\ngo on\n-\n" + NO_OTHERS
+    ended = set_up(file, "--kind", "scripted-levelled", "--kind", "scripted-hammer", answers=answers)
+    assert ended.exit_code == 0, ended.output
+    assert "take   scripted-levelled.trigger_level_v 0.5 V, a tenth of the incident wave" in ended.output
+    assert instruments(file)["scripted-levelled"].trigger_level_v == 0.5
+
+
+def test_flags_answer_everything_and_strike_only_when_they_say_so(file, script):
+    given = (*SCOPE_AND_HAMMER, *AT_B, "--set", "scripted-scope.range_v=2.5", "--json")
+    ended = set_up(file, *given)
+    assert ended.exit_code == 0, ended.output
+    assert "strike B" not in script.events
+    assert "Nothing was struck" in file.read_text(encoding="utf-8")
+    assert json.loads(ended.stdout)["transducers"] == {
+        "B": {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
+    }
+    assert instruments(file)["scripted-scope"].range_v == 2.5
+    file.unlink()
+    ended = set_up(file, *given, "--strike")
+    (struck,) = json.loads(ended.stdout)["struck"]
+    assert struck["features"]["quality"] == "good"
+    assert script.events.count("strike B") == 1
+
+
+def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
+    script.comes = False
+    bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
+    dialogue = Dialogue()
+    with pytest.raises(RigError, match="B gave no record"):
+        take_kinds(dialogue, bench, Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True))
+    assert any("no record (" in line and "nothing came at B" in line for line in dialogue.lines)
+    assert not file.exists()
+
+
+def test_nothing_strikes_while_a_recorder_owns_the_folder(file, script, tmp_path):
+    folder = tmp_path / "data"
+    bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, folder)
+    bench.served["B"] = {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
+    prepare_data_folder(folder)
+    with own_data_folder(folder), pytest.raises(BusyError, match="a strike is refused: "):
+        bench.strike("B", Dialogue())
+    assert "strike B" not in script.events
+
+
+def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
+    bench = bench_of_kinds(["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data")
+    bench.served["B"] = {"digitizer": "scripted-levelled", "striker": "scripted-hammer"}
+    assert bench.newest() == {"strike": None, "shot": None}
+    bench.strike("B", Dialogue())
+    newest = bench.newest()
+    assert bench.watch() == ("B", None)
+    assert newest["level_v"] == 0.05
+    assert max(newest["shot"]["highest_v"]) == bench.trials["B"].record.volts().max()
+    assert [mark["name"] for mark in newest["marks"]] == ["ISW", "PSW"]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (("--kind", "oscilloscope"), "no installed package offers the kind 'oscilloscope'"),
+        (("--kind", "scripted-supply"), "scripted-supply neither digitizes nor strikes here"),
+        (("--kind", "scripted-scope"), "none of scripted-scope is a striker; add one that is: "),
+        ((*SCOPE_AND_HAMMER, "--set", "range_v"), "'range_v' is no INSTRUMENT.KEY=VALUE"),
+        ((*SCOPE_AND_HAMMER, "--set", "scope.range_v=1"), "there is no scope; there are: scripted-scope"),
+        ((*SCOPE_AND_HAMMER, "--set", "scripted-scope.rnage_v=1"), "scripted-scope has no rnage_v; it has"),
+        ((*SCOPE_AND_HAMMER, "--transducer", "B=nobody/scripted-hammer"), "nobody"),
+        (("--set", "scripted-scope.range_v=1", *AT_B), "--set is for --kind"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_opened(file, script, given, told):
+    with pytest.raises(UsageError, match=re.escape(told)):
+        set_up(file, *given)
+    assert script.events == []
+    assert not file.exists()

@@ -1,0 +1,228 @@
+"""The client: a folder and a service give the same figures, which are those of the API."""
+
+import itertools
+import os
+import subprocess
+import sys
+import threading
+
+import httpx
+import numpy as np
+import pandas as pd
+import pytest
+import xarray
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service import client
+from daq_service.client.connection import Connection, parsed
+from daq_service.errors import StorageError
+from daq_service.settings.tree import Settings
+
+N_SETS = 60
+TABLES = {
+    "features": lambda test: test.features(),
+    "features?scope=shot&position=B": lambda test: test.features("B", scope="shot"),
+    "verdicts?position=B&from_h=5&to_h=20": lambda test: test.verdicts("B", from_h=5, to_h=20),
+    "thickness": lambda test: test.thickness(),
+    "sets?position=C": lambda test: test.sets("C"),
+    "environment": lambda test: test.environment(),
+    "alarms": lambda test: test.alarms(),
+}
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
+    for index in range(N_SETS):
+        folder.add_set(index, stored=index in (3, 4, N_SETS - 1))
+        if index > 1:
+            folder.add_environment(index)
+    folder.add_alarm("B", 55)
+    folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space")
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def of_folder(filled):
+    with client.open(filled.folder) as test:
+        yield test
+
+
+@pytest.fixture(scope="module")
+def of_service(service):
+    with client.open(service.url) as test:
+        yield test
+
+
+@pytest.mark.parametrize("resource", TABLES)
+def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, service):
+    here, there = TABLES[resource](of_folder), TABLES[resource](of_service)
+    pd.testing.assert_frame_equal(here, there, check_exact=True)
+    with service.client() as http:
+        path, _, asked = resource.partition("?")
+        page = http.get(f"/api/v1/{path}?limit=1000&{asked}").json()
+    assert len(here) == len(page["items"]) > 0
+    for column in here:
+        for value, told in zip(here[column], [item[column] for item in page["items"]], strict=True):
+            if told is None:
+                assert value is None or pd.isna(value), column
+            elif column.endswith("_utc"):
+                assert value == pd.Timestamp(told), column
+            else:
+                assert value == told, column
+    assert set(here) == set(page["items"][0]), "nothing that the page has is missing"
+
+
+def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):
+    features = of_folder.features("B")
+    assert features["ssw_amplitude_v"].isna().all()
+    assert features["ssw_amplitude_v"].dtype == np.float64
+    assert features["shot_index"].dtype == "Int64"
+    assert features.attrs["units"]["tof_pp_s"] == "s"
+    assert features.attrs["units"]["psw_area_v_s"] == "V s"
+    assert features.attrs["as_of"]["recorder"] == "running"
+    empty = of_folder.features("B", from_h=1e6)
+    assert list(empty) == list(features)
+    assert empty.dtypes.to_dict() == features.dtypes.to_dict()
+
+
+def test_waveforms_are_the_records_in_volts(filled, of_folder, of_service, service):
+    both = [test.waveforms("B", from_h=2.0, to_h=2.6) for test in (of_folder, of_service)]
+    xarray.testing.assert_identical(*both)
+    waves = both[0]
+    records = [record for index in (3, 4) for record in filled.records(index) if record.key.position == "B"]
+    assert waves["set_index"].values.tolist() == [3, 3, 4, 4]
+    np.testing.assert_array_equal(waves, [record.waveform.volts() for record in records])
+    np.testing.assert_array_equal(waves["time"], records[0].waveform.time_s())
+    assert (waves.attrs["units"], waves["time"].attrs["units"]) == ("V", "s")
+    assert waves["quality"].values.tolist() == ["good"] * 4
+    assert waves["due_h"].values.tolist() == [2.0, 2.0, 2.5, 2.5]
+    assert waves["utc"].values.astype("int64").tolist() == [record.stamp.utc_ns for record in records]
+    with service.client() as http:
+        shown = http.get("/api/v1/waveforms/B/3/1").json()
+    assert waves[1].values.tolist() == shown["voltage_v"]
+
+
+def test_waveforms_of_the_newest_set_and_of_the_probe(of_folder):
+    assert of_folder.waveforms("B")["set_index"].values.tolist() == [N_SETS - 1] * 2
+    echo = of_folder.waveforms("A", 3)
+    assert echo.shape == (1, 2000)
+    assert echo["quality"].values.tolist() == ["good"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (lambda test: test.waveforms("B", 10), "not stored"),
+        (lambda test: test.waveforms("X"), "the positions are A, B, C, D"),
+        (lambda test: test.waveforms("B", 3, from_h=1.0), "either set_index or a range"),
+        (lambda test: test.features("X"), "There is no position 'X'. The positions are A, B, C, D."),
+        (lambda test: test.verdicts(from_h=5, to_h=1), "Let to_h be at least from_h"),
+    ],
+)
+def test_what_cannot_be_says_why(asked, said, of_folder, of_service):
+    for test in (of_folder, of_service):
+        with pytest.raises(client.ClientError, match=said):
+            asked(test)
+
+
+def test_an_empty_folder_and_a_silent_address_are_told(tmp_path, service):
+    with pytest.raises(StorageError):
+        client.open(tmp_path)
+    with (
+        client.open("http://127.0.0.1:9") as nobody,  # the discard port: nobody listens
+        pytest.raises(client.UnreachableError, match="solimon serve"),
+    ):
+        nobody.info()
+    with client.open(service.url + "static/") as elsewhere, pytest.raises(client.RefusedError):
+        elsewhere.info()
+
+
+@pytest.mark.parametrize("way", ["of_folder", "of_service"])
+def test_news_is_followed_from_where_one_left(way, filled, request):
+    test = request.getfixturevalue(way)
+    first = test.info()["last_event_id"]
+    said = filled.say("noted", text="one")
+    filled.say("noted", text="two")
+    news = test.follow("service", after=first)
+    event = next(news)
+    assert (event.id, event.topic, event.kind) == (said, "service", "noted")
+    assert event.data["payload"]["text"] == "one"
+    again = next(test.follow("service", after=event.id))
+    assert again.data["payload"]["text"] == "two"
+
+
+def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
+    folder = FilledFolder(tmp_path, Settings())
+    folder.add_set(0)
+    texts = []
+    with served(folder.settings, tmp_path) as first:
+        test = client.open(first.url)
+        reading = threading.Thread(
+            target=lambda: texts.extend(event.data["payload"]["text"] for event in itertools.islice(news, 3))
+        )
+        before = test.info()["last_event_id"]
+        assert before > 0
+        news = test.follow("service", after=before)
+        folder.say("noted", text="one")
+        reading.start()
+        port = int(first.netloc.rpartition(":")[2])
+    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
+    folder.close()
+    again = FilledFolder(tmp_path, Settings(), begun=True)
+    again.say("noted", text="two")
+    with served(again.settings, tmp_path, port=port):
+        again.say("noted", text="three")
+        reading.join(60.0)
+        assert texts == ["one", "two", "three"]
+    test.close()
+    again.close()
+
+
+def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
+    given = []
+    monkeypatch.setattr(httpx, "Client", lambda **options: given.append(options))
+    client.open("http://127.0.0.1:8750", token="abc")
+    monkeypatch.setenv("SOLIMON_TOKEN", "def")
+    client.open("https://rig.example")
+    client.open("https://rig.example", token="abc")
+    sent = [options["headers"]["Authorization"] for options in given]
+    assert sent == ["Bearer abc", "Bearer def", "Bearer abc"]
+
+
+def test_the_stream_s_heartbeats_and_goodbye_are_no_events():
+    lines = [": heartbeat", "", "id: 7", "event: gap", 'data: {"after": 1}', "", "event: bye", "data: {}", ""]
+    assert list(parsed(iter(lines))) == [{"topic": "gap", "kind": "gap", "after": 1, "id": 7}]
+
+
+HEAVY = "numba llvmlite nidaqmx niscope serial pyvisa nptdms matplotlib scipy"
+
+
+@pytest.mark.parametrize("way", ["folder", "service"])
+def test_the_client_imports_nothing_heavy(way, filled, service):
+    where = str(filled.folder) if way == "folder" else service.url
+    more = "" if way == "folder" else " fastapi sqlalchemy h5py pydantic"
+    script = (
+        "import sys; from daq_service import client\n"
+        f"with client.open({where!r}) as test:\n"
+        "    assert len(test.features('B')) == 60 and test.waveforms('B', 3).shape[0] == 2\n"
+        f"print(*[name for name in {(HEAVY + more).split()} if name in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False, env=dict(os.environ)
+    )
+    assert (done.returncode, done.stdout) == (0, "\n"), done.stderr
+
+
+def test_a_connection_that_is_closed_ends_who_follows(of_service, service):
+    connection = Connection(httpx.Client(base_url=service.url))
+    connection.close()
+    assert list(connection.events(0, None)) == []

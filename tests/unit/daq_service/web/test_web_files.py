@@ -1,0 +1,99 @@
+"""Finished files by HTTP: whole, in ranges, only what the catalogue names, only when it changed."""
+
+import hashlib
+import io
+
+import h5py
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.settings.tree import Settings
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
+    for index in range(3):
+        folder.add_set(index, stored=index < 2)
+    file = next(iter(sorted((folder.folder / "sets").iterdir())))
+    folder.catalogue.set_digest(0, f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest())
+    (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def api(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        yield client
+
+
+@pytest.fixture(scope="module")
+def file(filled):
+    return min((filled.folder / "sets").iterdir())
+
+
+def test_a_file_is_the_one_on_the_disk_as_the_catalogue_names_it(api, file):
+    (row, *_) = api.get("/api/v1/sets?position=B").json()["items"]
+    answer = api.get(f"/api/v1/files/{row['file'].removeprefix('sets/')}")
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "application/x-hdf5")
+    assert answer.content == file.read_bytes()
+    assert hashlib.sha256(answer.content).hexdigest() == row["file_sha256"]
+    assert answer.headers["etag"] == f'"{row["file_sha256"]}"'
+    with h5py.File(io.BytesIO(answer.content)) as opened:
+        assert "B_waveforms" in opened["entry"]
+    head = api.head(f"/api/v1/files/{file.name}")
+    assert (head.content, int(head.headers["content-length"])) == (b"", len(answer.content))
+
+
+@pytest.mark.parametrize(
+    ("asked", "part"),
+    [("0-7", slice(0, 8)), ("100-", slice(100, None)), ("-64", slice(-64, None)), ("5-5", slice(5, 6))],
+)
+def test_a_range_is_those_bytes_also_for_who_takes_gzip(api, file, asked, part):
+    headers = {"Range": f"bytes={asked}", "Accept-Encoding": "gzip"}
+    answer = api.get(f"/api/v1/files/{file.name}", headers=headers)
+    content = file.read_bytes()
+    assert (answer.status_code, answer.content) == (206, content[part])
+    first = range(len(content))[part][0]
+    expected = f"bytes {first}-{first + len(answer.content) - 1}/{len(content)}"
+    assert answer.headers["content-range"] == expected
+
+
+@pytest.mark.parametrize(
+    "asked", ["bytes=9999999-", "bytes=7-3", "bytes=-0", "bytes=x", "lines=1-2", "bytes=0-1,5-6"]
+)
+def test_a_range_that_cannot_be_is_a_problem(api, file, asked):
+    answer = api.get(f"/api/v1/files/{file.name}", headers={"Range": asked})
+    assert (answer.status_code, answer.headers["content-type"]) == (416, "application/problem+json")
+
+
+def test_what_a_client_has_is_not_sent_again(api, file):
+    path = f"/api/v1/files/{file.name}"
+    etag = api.get(path).headers["etag"]
+    same = api.get(path, headers={"If-None-Match": etag})
+    assert (same.status_code, same.content) == (304, b"")
+    other = {"Range": "bytes=0-7", "If-Range": '"another file"'}
+    assert api.get(path, headers=other).content == file.read_bytes(), "the range belonged to another file"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "set_000009_secret.h5",  # lies there, but is none of the catalogue's
+        "set_000002_20240101T013000Z.h5",  # has no file yet
+        "..%2fcatalogue.sqlite",
+        "..%2f..%2f..%2fetc%2fpasswd",
+        "%2e%2e/catalogue.sqlite",
+        "..%5ccatalogue.sqlite",
+        "catalogue.sqlite",
+        "set_000000_..%2f..%2fcatalogue.h5",
+        "set_999999999999999999_x.h5",
+        "set_%D9%A3_x.h5",
+    ],
+)
+def test_only_names_of_the_catalogue_lead_to_files(api, name):
+    answer = api.get(f"/api/v1/files/{name}")
+    assert answer.status_code == 404
+    assert answer.headers["content-type"] == "application/problem+json"

@@ -1,0 +1,237 @@
+"""Exported tables read back equal in pandas, pyarrow, numpy, scipy, h5py and silx."""
+
+import io
+import json
+import math
+import sys
+import threading
+
+import h5py
+import numpy as np
+import pandas as pd
+import pyarrow
+import pytest
+import silx.io
+import silx.io.nxdata
+from pyarrow import parquet
+from scipy.io import loadmat
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.settings.tree import Settings
+from daq_service.web.routes import tables
+from daq_service.web.tables import choice
+from daq_service.web.tables.choice import TABLES
+from daq_service.web.tables.formats import FORMATS, MATLAB_NAME
+
+N_SETS = 60
+LISTED = {"shot_features": ("features", {"scope": "shot"})}
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
+    for index in range(N_SETS):
+        folder.add_set(index, stored=index == 0, judged=index != 7)
+        folder.add_environment(index)
+    folder.add_alarm("B", 55)
+    folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space", message="Ø, 5 %")
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def api(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        yield client
+
+
+@pytest.fixture
+def small_pages(monkeypatch):
+    """Pages end and begin within the tables of this test."""
+    monkeypatch.setattr(choice, "PAGE_ROWS", 50)
+
+
+def listed(api, table, **asked):
+    """Rows as the page gets them, without their age, what is nested as JSON text."""
+    resource, fixed = LISTED.get(table, (table, {}))
+    rows = api.get(f"/api/v1/{resource}", params={"limit": 1000, **fixed, **asked}).raise_for_status().json()
+    nested = (dict, list)
+    return [
+        {
+            name: json.dumps(value) if isinstance(value, nested) else value
+            for name, value in row.items()
+            if name != "age_h"
+        }
+        for row in rows["items"]
+    ]
+
+
+def exported(api, table, form, **asked):
+    answer = api.get(f"/api/v1/tables/{table}", params={"format": form, **asked})
+    assert answer.status_code == 200, answer.text
+    assert answer.headers["content-type"].partition(";")[0] == FORMATS[form].media_type
+    return answer.content
+
+
+def as_stored(value, column):
+    """A value in the formats that have no word for "not available"."""
+    if value is None:
+        return {"number": math.nan, "integer": -1, "truth": -1}.get(column.form, "")
+    return value
+
+
+def check_arrays(read, rows, table):
+    for column in TABLES[table].columns:
+        expected = np.array([as_stored(row[column.name], column) for row in rows])
+        np.testing.assert_array_equal(read(column.name), expected, err_msg=column.name)
+
+
+@pytest.mark.usefixtures("small_pages")
+@pytest.mark.parametrize("table", TABLES)
+def test_every_table_is_the_listing_in_every_format(api, table):
+    rows = listed(api, table)
+    assert rows
+    if table not in ("alarms",):
+        assert len(rows) > choice.PAGE_ROWS, "several pages"
+    names = [column.name for column in TABLES[table].columns]
+    assert set(names) == set(rows[0])
+
+    csv = pd.read_csv(io.BytesIO(exported(api, table, "csv")), dtype=str, keep_default_na=False)
+    assert list(csv) == names
+    for column in TABLES[table].columns:
+        for cell, row in zip(csv[column.name], rows, strict=True):
+            value = row[column.name]
+            if value is None:
+                assert cell == ""
+            elif column.form == "number":
+                assert float(cell) == value, "to the last bit"
+            else:
+                assert cell == (str(value).lower() if column.form == "truth" else str(value))
+
+    for read in (
+        parquet.read_table(io.BytesIO(exported(api, table, "parquet"))),
+        pyarrow.ipc.open_stream(exported(api, table, "arrow")).read_all(),
+    ):
+        for column in TABLES[table].columns:
+            values = read[column.name].to_pandas()
+            unit = (read.schema.field(column.name).metadata or {}).get(b"unit", b"").decode()
+            assert unit == column.unit
+            for value, row in zip(values, rows, strict=True):
+                told = row[column.name]
+                if told is None:
+                    assert pd.isna(value)
+                else:
+                    assert value == (pd.Timestamp(told) if column.form == "time" else told), column.name
+        assert json.loads(read.schema.metadata[b"solimon"])["table"] == table
+
+    with np.load(io.BytesIO(exported(api, table, "npz"))) as arrays:
+        check_arrays(lambda name: arrays[name], rows, table)
+        assert json.loads(arrays["solimon"].item())["now_h"] == 30.0
+
+    mat = loadmat(io.BytesIO(exported(api, table, "mat")), squeeze_me=True, chars_as_strings=True)
+    struct = mat[table]
+
+    def of_matlab(name):
+        values = np.atleast_1d(struct[name].item())
+        texts = values.dtype == object  # an empty text is an empty matrix there
+        return np.array([v if isinstance(v, str) else "" for v in values]) if texts else values
+
+    check_arrays(of_matlab, rows, table)
+    assert all(MATLAB_NAME.fullmatch(name) for name in (table, *names))
+    units = {name: str(mat["units"][name].item()) for name in mat["units"].dtype.names}
+    assert units == {column.name: column.unit for column in TABLES[table].columns if column.unit}
+
+    with h5py.File(io.BytesIO(exported(api, table, "h5"))) as file:
+        group = file["entry"][table]
+        check_arrays(
+            lambda name: group[name].asstr()[()] if group[name].dtype.kind == "S" else group[name][()],
+            rows,
+            table,
+        )
+        for column in TABLES[table].columns:
+            assert group[column.name].attrs.get("units", "") == column.unit
+
+
+def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
+    asked = {"position": "B", "from_h": 5.0, "to_h": 10.0}
+    rows = listed(api, "features", **asked)
+    assert len(rows) == 10
+    csv = pd.read_csv(io.BytesIO(exported(api, "features", "csv", fields="tof_pp_s,noise_rms_v", **asked)))
+    assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
+    assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
+    assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
+    alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv", from_h=26.0)))
+    assert alarms["raised_h"].tolist() == [28.0]
+    assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
+
+
+def test_viewers_plot_the_chosen_number_over_the_hour(api, tmp_path):
+    path = tmp_path / "part.h5"
+    path.write_bytes(exported(api, "features", "h5", position="B", fields="amplitude_ratio"))
+    with silx.io.open(str(path)) as file:
+        shown = silx.io.nxdata.get_default(file)
+        assert (shown.signal_name, shown.axes_names) == ("amplitude_ratio", ["due_h (h)"])
+        assert shown.signal.shape == (N_SETS,)
+        assert not shown.issues
+
+
+def test_the_header_accept_chooses_the_format(api):
+    for accept, media_type in {
+        "text/csv;q=0.5, application/x-npz": "application/x-npz",
+        "application/vnd.apache.parquet;q=0.2, text/csv;q=0.1": "application/vnd.apache.parquet",
+        "*/*": "text/csv",
+        "text/html": "text/csv",
+    }.items():
+        answer = api.get("/api/v1/tables/sets", headers={"Accept": accept})
+        assert answer.headers["content-type"].partition(";")[0] == media_type
+        assert answer.headers["vary"].startswith("Accept")
+    assert 'filename="sets_B.csv"' in api.get("/api/v1/tables/sets?position=B").headers["content-disposition"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "said"),
+    [
+        ("nothing", 404, "The tables are sets, features"),
+        ("features?position=X", 404, "The positions are"),
+        ("features?fields=tof", 422, "has no field tof; choose from"),
+        ("features?fields=,", 422, "none named"),
+        ("environment?position=B", 422, "has no positions"),
+        ("features?from_h=2&to_h=1", 422, "to_h"),
+        ("features?format=xlsx", 422, "csv"),
+    ],
+)
+def test_what_cannot_be_exported_is_told(api, asked, status, said):
+    answer = api.get(f"/api/v1/tables/{asked}")
+    assert answer.status_code == status
+    assert said in answer.text
+
+
+def test_no_answer_is_without_a_bound(api, monkeypatch):
+    monkeypatch.setattr(tables, "MOST_ROWS", 100)
+    answer = api.get("/api/v1/tables/features?format=npz")
+    assert answer.status_code == 422
+    assert "more than 100 rows" in answer.json()["detail"]
+    assert (
+        len(listed(api, "features")) == len(pd.read_csv(io.BytesIO(exported(api, "features", "csv")))) == 180
+    )
+    monkeypatch.setattr(tables, "_making", threading.BoundedSemaphore(1))
+    with tables._making:
+        busy = api.get("/api/v1/tables/features?format=npz&position=B")
+        assert (busy.status_code, busy.headers["retry-after"]) == (503, "1")
+        assert exported(api, "features", "csv")
+    assert exported(api, "features", "npz", position="B")
+
+
+def test_without_pyarrow_the_others_are_offered(api, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    answer = api.get("/api/v1/tables/features?format=parquet")
+    assert answer.status_code == 422
+    assert "pip install 'solimon[parquet]'" in answer.json()["detail"]
+
+
+def test_the_list_tells_columns_units_and_formats(api):
+    told = api.get("/api/v1/tables").json()
+    assert told["formats"] == list(FORMATS)
+    (features,) = [item for item in told["items"] if item["table"] == "features"]
+    assert {"name": "tof_pp_s", "form": "number", "unit": "s"} in features["columns"]
