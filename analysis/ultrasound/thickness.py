@@ -39,6 +39,8 @@ Quality = Literal["good", "suspect", "bad"]
 EXTRACTOR_VERSION = "1.1"
 """Of the travel time; changes whenever any result of any record would."""
 
+THINNEST_FRACTION, THICKEST_FRACTION = 0.1, 1.15
+"""Gate for later echoes, in parts of UT_0 - D."""
 FIRST_ECHO_FRACTION = 0.5
 """The first maximum of the envelope above this part of the gate's largest is the first echo; each later
 echo has lost more energy, and the front wall's is far smaller."""
@@ -148,8 +150,8 @@ def reference_echo(
     initial_thickness_m: float,
     velocity_m_per_s: float = 5900.0,
     tolerance_fraction: float = 0.25,
-    thinnest_fraction: float = 0.1,
-    thickest_fraction: float = 1.15,
+    thinnest_fraction: float = THINNEST_FRACTION,
+    thickest_fraction: float = THICKEST_FRACTION,
 ) -> EchoReference:
     """Take the first back-wall echo as the reference.
 

@@ -119,6 +119,29 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged)
 
 
+def search_windows_s(
+    isw_time_s: float, psw_time_s: float | None, settings: ExtractionSettings
+) -> dict[str, tuple[float, float]]:
+    """Tell where pulses were looked for: the window around the ISW, then those of PSW and SSW.
+
+    Parameters
+    ----------
+    isw_time_s, psw_time_s
+        From the trigger; without a PSW there is no window for the SSW.
+    """
+    half = settings.window_half_width_s
+    windows = {
+        "ISW": (isw_time_s - half, isw_time_s + half),
+        "PSW": (isw_time_s + settings.psw_earliest_s, isw_time_s + settings.psw_latest_s),
+    }
+    if psw_time_s is not None:
+        windows["SSW"] = (
+            psw_time_s + settings.ssw_after_psw_earliest_s,
+            psw_time_s + settings.ssw_after_psw_latest_s,
+        )
+    return windows
+
+
 def _find_isw(
     record: ReducedRecord, maxima: list[int], top: float, settings: ExtractionSettings
 ) -> Pulse | None:

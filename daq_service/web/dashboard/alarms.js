@@ -79,6 +79,16 @@ export class SolimonAlarms extends HTMLElement {
       button.addEventListener("click", () => this.trustClock(button));
       foot.append(button);
     }
+    if (alarm.position !== null && alarm.raised_set_index !== null) {
+      // A link, so that it can be copied and sent as any other view.
+      const link = el("a", { class: "small", href: `?position=${alarm.position}&set=${alarm.raised_set_index}`, "data-focus": `set-${alarm.id}`, text: "Open set", "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` });
+      link.addEventListener("click", (event) => {
+        if (event.ctrlKey || event.metaKey || event.shiftKey) return;
+        event.preventDefault();
+        this.dispatchEvent(new CustomEvent("open-set", { detail: { position: alarm.position, set: alarm.raised_set_index } }));
+      });
+      foot.append(link);
+    }
     const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
     const item = el(
       "li",

@@ -1,4 +1,6 @@
-// The REST side: JSON in, problem details as errors.
+// The REST side: JSON in, problem details as errors, and a deadline for every answer.
+
+const DEADLINE_MS = 15_000;
 
 export class ProblemError extends Error {
   /** @param {number} status @param {{type?: string, detail?: string, hint?: string}} problem */
@@ -17,25 +19,52 @@ async function answer(response) {
   return body;
 }
 
+/**
+ * Ask and read the answer, or fail once nobody may be expected to answer any more.
+ *
+ * @template T
+ * @param {string} address @param {RequestInit} request @param {(response: Response) => Promise<T>} read
+ */
+async function ask(address, request, read) {
+  const control = new AbortController();
+  const timer = setTimeout(() => control.abort(new Error(`no answer within ${DEADLINE_MS / 1000} s`)), DEADLINE_MS);
+  try {
+    return await read(await fetch(address, { ...request, signal: control.signal }));
+  } finally {
+    clearTimeout(timer);
+  }
+}
+
 /** @param {string} path below /api/v1 @returns {Promise<any>} */
 export async function get(path) {
-  return answer(await fetch(`/api/v1${path}`, { headers: { Accept: "application/json" } }));
+  return ask(`/api/v1${path}`, { headers: { Accept: "application/json" } }, answer);
+}
+
+/** @param {string} path below /api/v1, of binary content @returns {Promise<ArrayBuffer>} */
+export async function octets(path) {
+  return ask(`/api/v1${path}`, {}, async (response) => (response.ok ? response.arrayBuffer() : answer(response)));
+}
+
+/**
+ * Columns of a position over the test.
+ *
+ * @param {string} position @param {string[] | undefined} fields undefined: all @param {{from_h?: number, to_h?: number}} [range]
+ */
+export async function trend(position, fields, range = {}) {
+  const query = new URLSearchParams();
+  for (const [name, value] of Object.entries({ fields, ...range })) if (value !== undefined) query.set(name, String(value));
+  return get(`/trends/${position}?${query}`);
 }
 
 /** Whether anything is stored yet; asked so because a browser reports every 503 as an error. */
 export async function hasData() {
-  return (await answer(await fetch("/healthz"))).data === true;
+  return (await ask("/healthz", {}, answer)).data === true;
 }
 
 /** @param {string} path @param {object} body @returns {Promise<any>} */
 export async function post(path, body) {
-  return answer(
-    await fetch(`/api/v1${path}`, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify(body),
-    }),
-  );
+  const headers = { "Content-Type": "application/json" };
+  return ask(`/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, answer);
 }
 
 /** All pages of a listing. @param {string} path @returns {Promise<any[]>} */

@@ -1,50 +1,4 @@
-// The two live connections: events (SSE, resumes by itself) and waveforms (WebSocket, latest only).
-
-const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "environment", "service"];
-
-export class EventStream {
-  /**
-   * @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers
-   */
-  constructor(handlers) {
-    this.handlers = handlers;
-    this.lastId = 0;
-    /** @type {EventSource | null} */
-    this.source = null;
-  }
-
-  /** @param {number | null} after id of the last event that the page already shows */
-  open(after) {
-    this.close();
-    if (after !== null) this.lastId = after;
-    const source = new EventSource(`/api/v1/stream${after === null ? "" : `?after=${after}`}`);
-    this.source = source;
-    source.onopen = () => this.handlers.onState(true);
-    source.onerror = () => {
-      this.handlers.onState(false);
-      // A refused connection is final to EventSource: try again from where we are.
-      if (source.readyState === EventSource.CLOSED && this.source === source) {
-        setTimeout(() => this.source === source && this.open(this.lastId), 1000);
-      }
-    };
-    for (const topic of TOPICS) {
-      source.addEventListener(topic, (message) => {
-        this.lastId = Number(message.lastEventId);
-        this.handlers.onEvent(topic, JSON.parse(message.data));
-      });
-    }
-    source.addEventListener("gap", (message) => {
-      this.lastId = Number(message.lastEventId);
-      this.handlers.onGap();
-    });
-    source.addEventListener("bye", () => this.handlers.onState(false));
-  }
-
-  close() {
-    this.source?.close();
-    this.source = null;
-  }
-}
+// The live waveforms (WebSocket, latest only), and how records come as bytes.
 
 /**
  * @typedef {object} Record_
@@ -53,12 +7,15 @@ export class EventStream {
  * @property {Float64Array} micros time from the trigger in µs
  */
 
-/** @param {ArrayBuffer} buffer @returns {Record_} */
-export function decode(buffer) {
+/** @param {ArrayBuffer} buffer @returns {{header: any, start: number}} the JSON in front, and where the samples begin */
+export function head(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
-  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  const Samples = header.dtype === "int32" ? Int32Array : Int16Array;
-  const counts = new Samples(buffer, 4 + length);
+  return { header: JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length))), start: 4 + length };
+}
+
+/** @param {ArrayBuffer} buffer @param {number} start @param {any} header dtype, scale and clock of the samples @param {number} [length] */
+export function record(buffer, start, header, length) {
+  const counts = new (header.dtype === "int32" ? Int32Array : Int16Array)(buffer, start, length);
   const volts = new Float64Array(counts.length);
   const micros = new Float64Array(counts.length);
   const polynomial = header.coefficients_v;
@@ -69,6 +26,12 @@ export function decode(buffer) {
     micros[i] = ((i - header.pretrigger_samples) / header.sample_rate_hz) * 1e6;
   }
   return { header, volts, micros };
+}
+
+/** @param {ArrayBuffer} buffer a live picture @returns {Record_} */
+export function decode(buffer) {
+  const { header, start } = head(buffer);
+  return record(buffer, start, header);
 }
 
 export class WaveformStream {

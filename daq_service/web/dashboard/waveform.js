@@ -1,17 +1,13 @@
 // The newest record of a position, as the recorder's live picture shows it.
 
 import uPlot from "./vendor/uplot/uPlot.esm.js";
+import { axisLook } from "./charts/plot.js";
 import { color, el, setText } from "./dom.js";
 import { NONE, fixed, hour, quantity } from "./format.js";
+import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
 /** @typedef {import("./streams.js").Record_} Record_ */
 
-const PULSES = [
-  { name: "ISW", long: "incident", time: "isw_time_s", height: "isw_amplitude_v" },
-  { name: "PSW", long: "primary reflected", time: "psw_time_s", height: "psw_amplitude_v" },
-  { name: "SSW", long: "secondary reflected", time: "ssw_time_s", height: "ssw_amplitude_v" },
-];
-const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
 
 export class SolimonWaveform extends HTMLElement {
   constructor() {
@@ -141,14 +137,7 @@ export class SolimonWaveform extends HTMLElement {
     this.plot = null;
     const { clientWidth: width, clientHeight: height } = this.box;
     if (!this.record || !width || !height) return;
-    const axis = {
-      stroke: color("--quiet"),
-      font: FONT,
-      labelFont: FONT,
-      grid: { stroke: color("--grid"), width: 1 },
-      ticks: { stroke: color("--grid"), width: 1, size: 4 },
-      labelGap: 2,
-    };
+    const axis = axisLook();
     this.plot = new uPlot(
       {
         width,
@@ -189,36 +178,7 @@ export class SolimonWaveform extends HTMLElement {
   /** @param {any} u */
   drawMarks(u) {
     const { header } = /** @type {Record_} */ (this.record);
-    if (header.method !== "solitary_wave") return;
-    const { ctx, bbox } = u;
-    const ratio = devicePixelRatio;
-    ctx.save();
-    ctx.font = `600 ${12 * ratio}px system-ui, "Liberation Sans", Arial, sans-serif`;
-    ctx.textAlign = "center";
-    ctx.textBaseline = "bottom";
-    for (const pulse of PULSES) {
-      const time = header.marks[pulse.time];
-      const height = header.marks[pulse.height];
-      if (time === null || height === null) continue;
-      const x = u.valToPos(time * 1e6, "x", true);
-      const y = u.valToPos(height, "y", true);
-      if (x < bbox.left || x > bbox.left + bbox.width) continue;
-      ctx.strokeStyle = color("--fit");
-      ctx.fillStyle = color("--fit");
-      ctx.lineWidth = 1.5 * ratio;
-      ctx.setLineDash([4 * ratio, 4 * ratio]);
-      ctx.beginPath();
-      ctx.moveTo(x, y);
-      ctx.lineTo(x, bbox.top + bbox.height);
-      ctx.stroke();
-      ctx.setLineDash([]);
-      ctx.beginPath();
-      ctx.arc(x, y, 4 * ratio, 0, 2 * Math.PI);
-      ctx.fill();
-      ctx.fillStyle = color("--ink");
-      ctx.fillText(pulse.name, x, Math.max(y - 7 * ratio, 14 * ratio));
-    }
-    ctx.restore();
+    if (header.method === "solitary_wave") drawPulses(u, marksOf(header.marks));
   }
 
   /** What is drawn, for tests and for the curious; copies. */

@@ -37,6 +37,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_trend": "viewer",
     "get_fit": "viewer",
     "get_waveform": "viewer",
+    "get_set_waveforms": "viewer",
     "get_live_waveform": "viewer",
     "live_waveforms": "viewer",
     "list_environment": "viewer",

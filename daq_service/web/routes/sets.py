@@ -11,7 +11,7 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import SetPage, ShotPage, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import HOURS, LARGEST_INDEX, POSITION, add_listing
+from daq_service.web.routes.listing import HOURS, LARGEST_INDEX, POSITION, SET_INDEX, add_listing
 
 router = APIRouter(tags=["sets"])
 add_listing(
@@ -20,7 +20,7 @@ add_listing(
     SetRow,
     SetPage,
     "List one row a planned set and position, in the order in which they were stored.",
-    POSITION | {"state": (SetState | None, None)} | HOURS,
+    POSITION | {"state": (SetState | None, None)} | SET_INDEX | HOURS,
 )
 
 

@@ -1,0 +1,176 @@
+// The charts of the page: which features they show, of which positions, over what hours.
+
+import { byId, el, setText } from "../dom.js";
+import { fixed, scientific, significant } from "../format.js";
+import { isFeature, wordOf } from "./features.js";
+import { baselineMean, colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
+
+/** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
+
+/** @param {any} fit @param {number} scale @param {string} unit */
+function equation(fit, scale, unit) {
+  if (!fit?.coefficients) return fit?.reason ?? "no fit yet";
+  const [c0, c1, c2] = fit.coefficients.map((/** @type {number} */ c) => scale * c);
+  const sign = (/** @type {number} */ value) => (value < 0 ? "− " : "+ ") + scientific(Math.abs(value));
+  return `${significant(c0)} ${sign(c1)} t ${sign(c2)} t²${unit ? ` ${unit}` : ""}, t in h · R² ${fixed(fit.r_squared, 3)} · residual SD ${significant(scale * fit.residual_sd)}${unit ? ` ${unit}` : ""}`;
+}
+
+/** Missed and retired sets that follow each other, as hours. @param {any[]} gaps @returns {import("./marks.js").Range[]} */
+export function rangesOf(gaps) {
+  /** @type {any[]} */
+  const ranges = [];
+  for (const row of gaps) {
+    const word = row.state === "retired" ? "retired" : String(row.cause).startsWith("held") ? "held" : "missed";
+    const last = ranges.at(-1);
+    if (last && last.word === word && last.set_index + 1 === row.set_index) Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
+    else ranges.push({ from_h: row.due_h, to_h: row.due_h, word, tone: word === "retired" ? "alarm" : "warn", set_index: row.set_index });
+  }
+  return ranges.map(({ from_h, to_h, word, tone }) => ({ from_h, to_h, word, tone }));
+}
+
+export class Board {
+  /** @param {import("../reading.js").Reading} reading @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature */
+  constructor(reading, host, onFeature) {
+    this.reading = reading;
+    const chart = (/** @type {string} */ id) => /** @type {SolimonChart} */ (byId(id));
+    this.charts = { distance: chart("distance"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
+    this.charts.distance.configure({ title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" }, host);
+    this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
+    this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
+    this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo record yet" }, host);
+    this.charts.feature.configure({ title: "Any feature", empty: "No set yet" }, host);
+    this.choice = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Feature of this chart" }));
+    this.choice.addEventListener("change", () => onFeature(this.choice.value));
+    this.charts.feature.actions.prepend(this.choice);
+    this.offered = "";
+  }
+
+  get all() {
+    return Object.values(this.charts);
+  }
+
+  redraw() {
+    for (const chart of this.all) chart.draw();
+  }
+
+  /** @param {View} view what is shown @param {string} charted position of the solitary-wave charts */
+  update(view, charted) {
+    const { info } = this.reading;
+    if (!info) return;
+    this.offer(view.feature);
+    const probes = info.positions.filter((/** @type {any} */ place) => place.method === "pulse_echo").map((/** @type {any} */ place) => place.position);
+    const probe = probes.includes(view.position) ? view.position : probes[0];
+    const over = view.compare.filter((position) => position !== charted && this.reading.place(position)?.method === "solitary_wave");
+    const waves = [charted, ...over];
+    this.charts.thickness.hidden = !probe;
+    if (this.reading.trends.has(charted)) {
+      this.distance(view, waves);
+      this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
+      this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
+    }
+    if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe], "thickness_m", "thickness_mm", "thickness");
+    const ofProbe = probe && view.feature in (this.reading.baselines.get(probe)?.units ?? {});
+    const shown = ofProbe ? [probe] : waves;
+    if (this.reading.trends.get(shown[0])?.columns[view.feature]) {
+      this.charts.feature.entitle(wordOf(view.feature));
+      this.draw(this.charts.feature, view, shown, view.feature, view.feature, wordOf(view.feature));
+    }
+    for (const chart of this.all) chart.showTable(view.tables.includes(chart.id));
+  }
+
+  /** All features that the API has, by method. @param {string} feature */
+  offer(feature) {
+    const groups = new Map();
+    for (const place of this.reading.info.positions) {
+      const units = this.reading.baselines.get(place.position)?.units;
+      if (units) groups.set(place.method, Object.keys(units).filter(isFeature));
+    }
+    const offered = JSON.stringify([...groups]);
+    if (offered !== this.offered) {
+      this.offered = offered;
+      this.choice.replaceChildren(...[...groups].map(([method, names]) => el("optgroup", { label: method.replace("_", " ") }, ...names.map((/** @type {string} */ name) => el("option", { value: name, text: wordOf(name) })))));
+    }
+    this.choice.value = feature;
+  }
+
+  /**
+   * Lines of one feature for some positions, on one axis.
+   *
+   * @param {View} view @param {string[]} positions the first one is the chosen one
+   * @param {string} field @param {string} key @param {string} short
+   */
+  lines(view, positions, field, key, short) {
+    const shown = positions.filter((position) => this.reading.trends.get(position)?.columns[field]);
+    const columns = shown.map((position) => this.reading.trends.get(position).columns);
+    const { factor, unit, digits } = shownUnit(this.reading.trends.get(positions[0]).units[field]);
+    const { x, rows } = joined(columns.map((one) => one.due_h));
+    const relative = view.relative && field !== "distance_squared";
+    /** @type {Map<string, import("./series.js").Scale>} */
+    const scales = new Map();
+    const lines = shown.map((position, k) => {
+      const reference = relative ? baselineMean(this.reading.baselines.get(position), field) : null;
+      const scale = reference ? relativeTo(reference) : (/** @type {number} */ value) => value * factor;
+      scales.set(position, scale);
+      const of = positions.length > 1 ? ` ${position}` : "";
+      return /** @type {Line} */ ({
+        key: k ? `${key} ${position}` : key,
+        label: `${short}${of}`,
+        short: `${short}${of}`,
+        color: colorOf(k),
+        shape: k,
+        points: true,
+        // Without a baseline nothing is relative to it.
+        y: onAxis(relative && !reference ? columns[k][field].map(() => null) : scaled(columns[k][field], scale), rows[k]),
+        position,
+        sets: onAxis(columns[k].set_index, rows[k]),
+        quality: onAxis(columns[k].quality, rows[k]),
+      });
+    });
+    return { x, rows, lines, scales, relative, unit: relative ? "%" : unit, digits: relative ? 2 : digits, factor };
+  }
+
+  /** @param {View} view @param {string[]} positions */
+  about(view, positions) {
+    const { info } = this.reading;
+    const [position] = positions;
+    const baseline = { from_h: 0, to_h: info.schedule.baseline_h, word: "baseline", tone: "good" };
+    const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
+    const opened = view.set === null ? null : this.hourOf(view.position, view.set);
+    return { ranges: [baseline, ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
+  }
+
+  /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
+  hourOf(position, index) {
+    const columns = this.reading.trends.get(position)?.columns;
+    const row = columns?.set_index.indexOf(index) ?? -1;
+    return row >= 0 ? columns.due_h[row] : (this.reading.gaps.get(position)?.find((gap) => gap.set_index === index)?.due_h ?? null);
+  }
+
+  /** @param {SolimonChart} chart @param {View} view @param {string[]} positions @param {string} field @param {string} key @param {string} short */
+  draw(chart, view, positions, field, key, short) {
+    const { lines, x, scales, relative, unit, digits, factor } = this.lines(view, positions, field, key, short);
+    const { at, ...about } = this.about(view, positions);
+    const fit = this.reading.fits.get(`${positions[0]} ${field}`);
+    if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
+    const word = chart.options.title;
+    const name = relative ? `${word}, change (%)` : unit ? `${word} (${unit})` : word;
+    const says = relative ? "relative to each position's own baseline" : fit ? equation(fit, factor, unit) : "";
+    chart.update({ x, lines, name, unit, digits, subtitle: [at, says].filter(Boolean).join(" · "), ...about });
+  }
+
+  /** @param {View} view @param {string[]} positions */
+  distance(view, positions) {
+    const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
+    lines.forEach((line) => (line.outlier = onAxis(this.reading.trends.get(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
+    const { at, ...about } = this.about(view, positions);
+    const { columns } = this.reading.trends.get(positions[0]);
+    const { limits } = this.reading.info;
+    const of = positions.length > 1 ? ` of ${positions[0]}` : "";
+    lines.push(
+      { key: "limit_f", label: `predictive F limit${of}`, short: "F limit", color: "--limit", points: false, y: onAxis(columns.limit_f, rows[0]) },
+      { key: "limit_paper", label: `paper's mean + 3 SD limit${of}`, short: "paper's limit", color: "--limit-other", points: false, dash: [2, 4], y: onAxis(columns.limit_paper, rows[0]) },
+    );
+    const deciding = limits.deciding === "f_predictive" ? `the F limit decides (${significant(100 * limits.false_alarm_rate)} % false alarms)` : "the paper's limit decides";
+    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · alarm at ${limits.k} of ${limits.n}`, ...about });
+  }
+}

@@ -1,0 +1,260 @@
+// A trend over the hours of the experiment: a plot, a table of the same numbers for those who do not see
+// it, keys for those without a pointer; each point leads to its set.
+
+import { el, setText } from "../dom.js";
+import { NONE, fixed } from "../format.js";
+import { onZoomKey, within } from "./gestures.js";
+import { swatch } from "./legend.js";
+import { dataOf, makePlot, wholeOf } from "./plot.js";
+
+/**
+ * @typedef {object} ChartOptions
+ * @property {string} title
+ * @property {boolean} [log]
+ * @property {string} empty what to say without data
+ *
+ * @typedef {object} Series
+ * @property {number[]} x hours
+ * @property {import("./series.js").Line[]} lines the first one is the measured one
+ * @property {string} name what the y axis shows, with its unit
+ * @property {string} unit
+ * @property {number} digits of the read-out
+ * @property {import("./marks.js").Range[]} ranges
+ * @property {number[]} alarms hours
+ * @property {number | null} opened hour of the opened set
+ * @property {string} subtitle
+ * @property {number} endHour of the schedule
+ *
+ * @typedef {object} Host what all charts of the page share
+ * @property {() => import("./gestures.js").Span | null} span null: the whole test
+ * @property {(span: import("./gestures.js").Span | null, gesture?: boolean) => void} show
+ * @property {() => import("../time.js").Timeline} timeline
+ * @property {(position: string, setIndex: number) => void} open
+ * @property {(id: string, shown: boolean) => void} table
+ */
+
+const LONGEST_TABLE = 500;
+/** @type {Series} */
+const NOTHING = { x: [], lines: [], name: "", unit: "", digits: 0, ranges: [], alarms: [], opened: null, subtitle: "", endHour: 1 };
+
+export class SolimonChart extends HTMLElement {
+  constructor() {
+    super();
+    /** @type {ChartOptions} */
+    this.options = { title: "", empty: "" };
+    /** @type {Host} */
+    this.host = /** @type {any} */ (null);
+    this.series = NOTHING;
+    /** @type {any} */
+    this.plot = null;
+    this.detach = () => {};
+    /** What the plot was made for: lines, unit, axis. */
+    this.made = "";
+    /** Index under the pointer or the keyboard's cursor, or -1. @type {number} */
+    this.cursor = -1;
+    this.heading = el("h2");
+    this.subtitle = el("p");
+    this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
+    this.actions = el("div", { class: "card-actions" }, this.toggle);
+    this.readout = el("p", { class: "readout", "aria-live": "polite" });
+    this.canvasBox = el("div", { class: "plot", tabindex: "0", role: "img" });
+    this.emptyText = el("p", { class: "empty", text: "Reading" });
+    this.canvasBox.append(this.emptyText);
+    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", hidden: true });
+    this.legend = el("ul", { class: "legend" });
+    this.toggle.addEventListener("click", () => this.host.table(this.id, this.tableBox.hidden));
+    this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
+    new ResizeObserver(() => this.resize()).observe(this.canvasBox);
+  }
+
+  /** @param {ChartOptions} options @param {Host} host */
+  configure(options, host) {
+    this.options = options;
+    this.host = host;
+    this.heading.id = `${this.id}-title`;
+    setText(this.heading, options.title);
+    this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
+    this.tableBox.setAttribute("aria-label", `${options.title}, table`);
+    this.setAttribute("role", "group");
+    this.setAttribute("aria-labelledby", this.heading.id);
+    this.append(el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions), this.readout, this.canvasBox, this.tableBox, this.legend);
+  }
+
+  /** Name the feature that it shows now. @param {string} title */
+  entitle(title) {
+    this.options = { ...this.options, title };
+    setText(this.heading, title);
+  }
+
+  /** @param {boolean} shown */
+  showTable(shown) {
+    if (shown === !this.tableBox.hidden) return;
+    this.tableBox.hidden = !shown;
+    this.canvasBox.hidden = shown;
+    this.toggle.setAttribute("aria-pressed", String(shown));
+    if (shown) this.fillTable();
+  }
+
+  /** @param {Series} series */
+  update(series) {
+    this.series = series;
+    const [first] = series.lines;
+    this.dataset.points = String(first ? first.y.filter((value) => value !== null).length : 0);
+    setText(this.subtitle, series.subtitle);
+    setText(this.emptyText, this.options.empty);
+    this.emptyText.hidden = series.x.length > 0;
+    const last = series.x.length - 1;
+    this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set. ${last >= 0 ? this.describe(last) : this.options.empty}`);
+    if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
+    const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
+    if (!series.x.length) this.destroy();
+    else if (this.plot && made === this.made) this.plot.setData(dataOf(series));
+    else this.draw();
+    if (made !== this.made) {
+      const outlier = series.lines.some((line) => line.outlier) ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")] : [];
+      this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
+    }
+    this.made = made;
+    if (!this.tableBox.hidden) this.fillTable();
+  }
+
+  /** Show the span and the opened set of now. */
+  respan() {
+    if (this.plot) this.plot.setScale("x", this.plot.scales.x);
+  }
+
+  /** @param {number} index */
+  describe(index) {
+    const { x, lines } = this.series;
+    const parts = [`hour ${fixed(x[index], 1)}`, this.host.timeline().text(x[index])];
+    for (const line of lines) {
+      const value = line.y[index];
+      if (value !== null && value !== undefined) parts.push(`${line.short} ${this.number(value)}`);
+      else if (line === lines[0]) parts.push(`${line.short} ${NONE}`);
+      if (line.quality?.[index] && (line === lines[0] || line.quality[index] !== "good")) parts.push(`quality ${line.quality[index]}`);
+      if (line.outlier?.[index]) parts.push("outlier");
+    }
+    return parts.filter(Boolean).join(" · ");
+  }
+
+  /** @param {number} value */
+  number(value) {
+    return `${fixed(value, this.series.digits)}${this.series.unit ? ` ${this.series.unit}` : ""}`;
+  }
+
+  /** @param {number} index */
+  showReadout(index) {
+    setText(this.readout, index >= 0 && index < this.series.x.length ? this.describe(index) : "");
+  }
+
+  /** @param {KeyboardEvent} event */
+  onKey(event) {
+    if (!this.plot || !this.series.x.length) return;
+    const { x, lines } = this.series;
+    const at = this.cursor < 0 ? x.length - 1 : this.cursor;
+    const whole = () => wholeOf(this.series);
+    const span = () => this.host.span() ?? whole();
+    if (onZoomKey(event, { span, whole, show: (to) => this.host.show(to, true), centre: () => x[at] })) return;
+    if (event.key === "Enter") {
+      event.preventDefault();
+      this.open(lines[0], at);
+      return;
+    }
+    const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10, Home: -1e9, End: 1e9 });
+    const step = steps[event.key];
+    if (step === undefined) return;
+    event.preventDefault();
+    this.cursor = Math.max(0, Math.min(x.length - 1, at + step));
+    const [from, to] = span();
+    const beyond = x[this.cursor] < from || x[this.cursor] > to;
+    if (beyond) this.host.show(within([x[this.cursor] - (to - from) / 2, x[this.cursor] + (to - from) / 2], whole()), true);
+    this.point(this.cursor);
+  }
+
+  /** Put the cursor of all charts on a set. @param {number} index */
+  point(index) {
+    const { x, lines } = this.series;
+    const value = lines[0].y[index];
+    this.plot.setCursor({ left: this.plot.valToPos(x[index], "x"), top: value === null ? 0 : this.plot.valToPos(value, "y") }, true, true);
+  }
+
+  /** The set whose point is nearest to the pointer. @param {any} plot */
+  openNearest(plot) {
+    const index = plot.cursor.idx;
+    if (index === null || index === undefined) return;
+    const away = (/** @type {import("./series.js").Line} */ line) => {
+      const value = line.y[index];
+      return value === null ? Infinity : Math.abs(plot.valToPos(value, "y") - plot.cursor.top);
+    };
+    const lines = this.series.lines.filter((line) => line.sets?.[index] !== null && line.sets?.[index] !== undefined);
+    lines.sort((a, b) => away(a) - away(b));
+    this.open(lines[0], index);
+  }
+
+  /** @param {import("./series.js").Line | undefined} line @param {number} index */
+  open(line, index) {
+    const set = line?.sets?.[index];
+    if (line?.position && set !== null && set !== undefined) this.host.open(line.position, set);
+  }
+
+  fillTable() {
+    const { x, lines, unit } = this.series;
+    const shown = lines.filter((line) => line.tabled !== false);
+    const head = el("tr", {}, el("th", { scope: "col", text: "Hour" }));
+    for (const line of shown) head.append(el("th", { scope: "col", text: `${line.label}${unit ? ` (${unit})` : ""}` }));
+    const [first] = lines;
+    if (first?.quality) head.append(el("th", { scope: "col", text: "Quality" }));
+    const body = el("tbody");
+    const [from, to] = this.host.span() ?? [-Infinity, Infinity];
+    const rows = [...x.keys()].filter((k) => x[k] >= from && x[k] <= to).reverse();
+    for (const k of rows.slice(0, LONGEST_TABLE)) {
+      const opens = el("button", { class: "link", type: "button", text: fixed(x[k], 1), "aria-label": `Open the set of hour ${fixed(x[k], 1)}` });
+      opens.addEventListener("click", () => this.open(first, k));
+      const row = el("tr", {}, el("td", {}, opens));
+      for (const line of shown) row.append(el("td", { text: fixed(line.y[k], this.series.digits) }));
+      if (first.quality) row.append(el("td", { text: first.quality[k] ?? NONE }));
+      body.append(row);
+    }
+    const caption = el("caption", { text: `${this.options.title}: ${rows.length > LONGEST_TABLE ? `the newest ${LONGEST_TABLE} of ` : ""}${rows.length} sets, newest first` });
+    this.tableBox.replaceChildren(el("table", {}, caption, el("thead", {}, head), body));
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.canvasBox;
+    if (this.plot && width && height) this.plot.setSize({ width, height });
+    else if (!this.plot && this.series.x.length) this.draw();
+  }
+
+  destroy() {
+    this.detach();
+    this.plot?.destroy();
+    this.plot = null;
+    this.detach = () => {};
+  }
+
+  /** Draw anew, e.g. in the colours of another theme. */
+  draw() {
+    this.destroy();
+    if (!this.canvasBox.clientWidth || !this.canvasBox.clientHeight || !this.series.x.length) return;
+    const handlers = {
+      onCursor: (/** @type {number} */ index) => {
+        this.cursor = index;
+        this.showReadout(index < 0 ? this.series.x.length - 1 : index);
+      },
+      onClick: (/** @type {any} */ plot) => this.openNearest(plot),
+    };
+    ({ plot: this.plot, detach: this.detach } = makePlot(this.canvasBox, this.options, this.host, () => this.series, handlers));
+  }
+
+  /** What is drawn, for tests and for the curious; copies. */
+  snapshot() {
+    return {
+      x: [...this.series.x],
+      y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),
+      span: this.plot ? [this.plot.scales.x.min, this.plot.scales.x.max] : null,
+      ranges: this.series.ranges.map((range) => ({ ...range })),
+      cursor: this.cursor,
+      drawn: Boolean(this.plot),
+    };
+  }
+}

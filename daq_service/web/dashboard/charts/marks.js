@@ -1,0 +1,132 @@
+// What a chart draws beside its lines: points by quality, the baseline, holds, retirements, alarms, the opened set.
+
+import { color } from "../dom.js";
+
+const FONT = 'system-ui, "Liberation Sans", Arial, sans-serif';
+const TAU = 2 * Math.PI;
+
+/** @typedef {{from_h: number, to_h: number, word: string, tone: string}} Range */
+/** @typedef {(path: Path2D, x: number, y: number, r: number) => void} Shape */
+
+/** @type {Shape} */
+const cross = (path, x, y, r) => {
+  path.moveTo(x - r, y - r);
+  path.lineTo(x + r, y + r);
+  path.moveTo(x - r, y + r);
+  path.lineTo(x + r, y - r);
+};
+
+/** @param {number[]} corners x and y in turn @returns {Shape} */
+const polygon = (corners) => (path, x, y, r) => {
+  for (let k = 0; k < corners.length; k += 2) path[k ? "lineTo" : "moveTo"](x + r * corners[k], y + r * corners[k + 1]);
+  path.closePath();
+};
+const diamond = polygon([0, -1.35, 1.35, 0, 0, 1.35, -1.35, 0]);
+
+/** Of the chosen position, then of those drawn over it. @type {Shape[]} */
+const SHAPES = [
+  (path, x, y, r) => {
+    path.moveTo(x + r, y);
+    path.arc(x, y, r, 0, TAU);
+  },
+  polygon([-0.9, -0.9, 0.9, -0.9, 0.9, 0.9, -0.9, 0.9]),
+  polygon([0, -1.2, 1.1, 0.9, -1.1, 0.9]),
+  polygon([0, 1.2, 1.1, -0.9, -1.1, -0.9]),
+];
+
+/** @param {any} u @param {(ctx: CanvasRenderingContext2D) => void} draw inside the plot's area */
+export function clipped(u, draw) {
+  const { ctx, bbox } = u;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  draw(ctx);
+  ctx.restore();
+}
+
+/**
+ * Points of a line: filled where good, hollow where suspect, a cross where bad, a diamond beyond the limit.
+ *
+ * @param {any} u @param {number[]} x @param {import("./series.js").Line} line
+ */
+export function drawPoints(u, x, line) {
+  const [from, to] = u.series[0].idxs ?? [0, x.length - 1];
+  const r = (to - from > 250 ? 1.9 : 2.5) * devicePixelRatio;
+  const shape = SHAPES[(line.shape ?? 0) % SHAPES.length];
+  const paths = { good: new Path2D(), suspect: new Path2D(), bad: new Path2D(), outlier: new Path2D() };
+  for (let k = from; k <= to; k++) {
+    const value = line.y[k];
+    const quality = line.quality?.[k];
+    const px = u.valToPos(x[k], "x", true);
+    if (value === null) {
+      // Nothing was measured, and that is said: a cross on the axis.
+      if (quality === "bad") cross(paths.bad, px, u.bbox.top + u.bbox.height - 2 * r, 1.4 * r);
+      continue;
+    }
+    const py = u.valToPos(value, "y", true);
+    if (line.outlier?.[k]) diamond(paths.outlier, px, py, 1.25 * r);
+    else if (quality === "bad") cross(paths.bad, px, py, 1.4 * r);
+    else shape(quality === "suspect" ? paths.suspect : paths.good, px, py, r);
+  }
+  clipped(u, (ctx) => {
+    ctx.lineWidth = 1.4 * devicePixelRatio;
+    ctx.fillStyle = ctx.strokeStyle = color(line.color);
+    ctx.fill(paths.good);
+    ctx.stroke(paths.suspect);
+    ctx.fillStyle = ctx.strokeStyle = color("--alarm");
+    ctx.fill(paths.outlier);
+    ctx.lineWidth = 2 * devicePixelRatio;
+    ctx.stroke(paths.bad);
+  });
+}
+
+/** Hours with a word at their top: the baseline, a hold, a retirement. @param {any} u @param {Range[]} ranges */
+export function drawRanges(u, ranges) {
+  const { bbox } = u;
+  const ratio = devicePixelRatio;
+  clipped(u, (ctx) => {
+    ctx.font = `${11 * ratio}px ${FONT}`;
+    ctx.textBaseline = "top";
+    for (const range of ranges) {
+      const left = u.valToPos(range.from_h, "x", true);
+      const right = Math.max(u.valToPos(range.to_h, "x", true), left + 2 * ratio);
+      if (right < bbox.left || left > bbox.left + bbox.width) continue;
+      ctx.fillStyle = color(`--${range.tone}-band`);
+      ctx.fillRect(left, bbox.top, right - left, bbox.height);
+      if (range.tone !== "good") {
+        // Edges, so that it is no matter of colour alone.
+        ctx.strokeStyle = color(`--${range.tone}`);
+        ctx.lineWidth = ratio;
+        ctx.setLineDash([3 * ratio, 3 * ratio]);
+        ctx.strokeRect(left, bbox.top - ratio, right - left, bbox.height + 2 * ratio);
+        ctx.setLineDash([]);
+      }
+      const start = Math.max(left, bbox.left) + 4 * ratio;
+      if (Math.min(right, bbox.left + bbox.width) - start < ctx.measureText(range.word).width) continue;
+      ctx.fillStyle = color(`--${range.tone}`);
+      ctx.fillText(range.word, start, bbox.top + 4 * ratio);
+    }
+  });
+}
+
+/** Alarms as small bells' places on top, and the opened set as a line. @param {any} u @param {number[]} alarms hours @param {number | null} opened hour */
+export function drawMoments(u, alarms, opened) {
+  const { bbox } = u;
+  const ratio = devicePixelRatio;
+  clipped(u, (ctx) => {
+    ctx.fillStyle = color("--alarm");
+    const path = new Path2D();
+    for (const hour of alarms) polygon([0, 1, 1, -0.8, -1, -0.8])(path, u.valToPos(hour, "x", true), bbox.top + 5 * ratio, 5 * ratio);
+    ctx.fill(path);
+    if (opened === null) return;
+    const px = u.valToPos(opened, "x", true);
+    ctx.strokeStyle = color("--accent");
+    ctx.lineWidth = 1.5 * ratio;
+    ctx.setLineDash([]);
+    ctx.beginPath();
+    ctx.moveTo(px, bbox.top);
+    ctx.lineTo(px, bbox.top + bbox.height);
+    ctx.stroke();
+  });
+}

@@ -1,0 +1,150 @@
+// The uPlot of one chart: axes, lines with their gaps, a cursor and a span that all charts share.
+
+import uPlot from "../vendor/uplot/uPlot.esm.js";
+import { color } from "../dom.js";
+import { attach } from "./gestures.js";
+import { drawMoments, drawPoints, drawRanges } from "./marks.js";
+import { missing } from "./series.js";
+
+/** @typedef {import("./chart.js").Series} Series @typedef {import("./chart.js").Host} Host @typedef {import("./gestures.js").Span} Span */
+
+const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Liberation Sans", Arial, sans-serif';
+const CURSOR_KEY = "hours";
+const CLICK_PX = 5;
+
+/** Keeps the powers of ten of a logarithmic axis. @param {any} _u @param {number[]} splits */
+function decades(_u, splits) {
+  return splits.map((v) => (Math.abs(Math.log10(v) - Math.round(Math.log10(v))) < 1e-6 ? v : null));
+}
+
+/** The axis grows in steps, so that a new set does not move everything. @param {Series} series @returns {Span} */
+export function wholeOf({ x, endHour }) {
+  const max = x.length ? x[x.length - 1] : 1;
+  const step = max <= 30 ? 6 : max <= 120 ? 24 : 50;
+  return [0, Math.max(step, Math.min(Math.ceil((max * 1.02) / step) * step, Math.max(endHour, max)))];
+}
+
+/** @param {boolean} log @param {number | null} min @param {number | null} max */
+function yRange(log, min, max) {
+  if (min === null || max === null) return log ? [0.1, 100] : [0, 1];
+  if (log) return [10 ** Math.floor(Math.log10(Math.max(min, 1e-3))), 10 ** Math.ceil(Math.log10(max * 1.05))];
+  const pad = Math.max(0.08 * (max - min), 0.004 * Math.abs(max), 1e-9);
+  return [min - pad, max + pad];
+}
+
+/** How axes look, in the colours of now. */
+export function axisLook() {
+  const grid = { stroke: color("--grid"), width: 1 };
+  return { stroke: color("--quiet"), font: FONT, labelFont: FONT, grid, ticks: { ...grid, size: 4 }, labelGap: 2 };
+}
+
+/** @param {import("./series.js").Line} line @param {() => Series} series */
+function lineOptions(line, series) {
+  const stroke = color(line.color);
+  const gaps = (/** @type {any} */ u, /** @type {number} */ index, /** @type {number} */ from, /** @type {number} */ to, /** @type {[number, number][]} */ found) => {
+    const { x, lines } = series();
+    const { sets } = lines[index - 1];
+    if (!sets) return found;
+    const all = [...found];
+    for (let k = from + 1; k <= to; k++) if (missing(sets, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
+    return all.sort((a, b) => a[0] - b[0]);
+  };
+  // Points speak, and are drawn by their quality (marks.js); the line only leads from one to the next.
+  return { label: line.label, stroke: line.points ? `${stroke}4d` : stroke, width: line.points ? 1 : 2, dash: line.dash, points: { show: false }, spanGaps: false, gaps };
+}
+
+/**
+ * @param {HTMLElement} box
+ * @param {import("./chart.js").ChartOptions} options
+ * @param {Host} host
+ * @param {() => Series} series what is shown now
+ * @param {{onCursor: (index: number) => void, onClick: (plot: any) => void}} handlers
+ */
+export function makePlot(box, options, host, series, handlers) {
+  const axis = axisLook();
+  const log = Boolean(options.log);
+  const whole = () => wholeOf(series());
+  const span = () => host.span() ?? whole();
+  const timeline = host.timeline();
+  const dates = timeline.axis !== "hours";
+  let pressed = 0;
+  const now = series();
+  const plot = new uPlot(
+    /** @type {any} */ ({
+      width: box.clientWidth,
+      height: box.clientHeight,
+      padding: [8, dates ? 24 : 12, 0, 0],
+      legend: { show: false },
+      cursor: {
+        drag: { x: true, y: false, setScale: false },
+        points: { show: false },
+        focus: { prox: -1 },
+        sync: { key: CURSOR_KEY, scales: ["x", null], filters: { pub: (/** @type {string} */ type) => type === "mousemove" || type === "mouseleave" } },
+      },
+      scales: {
+        x: { time: false, range: span },
+        y: { distr: log ? 3 : 1, range: (/** @type {any} */ _u, /** @type {number | null} */ min, /** @type {number | null} */ max) => yRange(log, min, max) },
+      },
+      axes: [
+        {
+          ...axis,
+          label: timeline.label,
+          size: dates ? 40 : 26,
+          labelSize: 20,
+          ...(dates
+            ? {
+                splits: (/** @type {any} */ u) => timeline.splits(u.scales.x.min, u.scales.x.max, u.bbox.width / devicePixelRatio),
+                values: (/** @type {any} */ _u, /** @type {number[]} */ splits) => timeline.values(splits),
+              }
+            : {}),
+        },
+        {
+          ...axis,
+          label: now.name,
+          size: 58,
+          labelSize: 18,
+          ...(log
+            ? {
+                filter: decades,
+                grid: { ...axis.grid, filter: decades },
+                ticks: { ...axis.ticks, filter: decades },
+                values: (/** @type {any} */ _u, /** @type {(number | null)[]} */ splits) => splits.map((v) => (v === null ? "" : v.toLocaleString("en"))),
+              }
+            : {}),
+        },
+      ],
+      series: [{}, ...now.lines.map((line) => lineOptions(line, series))],
+      hooks: {
+        drawClear: [(/** @type {any} */ u) => drawRanges(u, series().ranges)],
+        draw: [
+          (/** @type {any} */ u) => {
+            const { x, lines, alarms, opened } = series();
+            for (const line of lines) if (line.points) drawPoints(u, x, line);
+            drawMoments(u, alarms, opened);
+          },
+        ],
+        setCursor: [(/** @type {any} */ u) => handlers.onCursor(u.cursor.idx ?? -1)],
+        setSelect: [
+          (/** @type {any} */ u) => {
+            const { left, width } = u.select;
+            if (width < CLICK_PX) return;
+            host.show([u.posToVal(left, "x"), u.posToVal(left + width, "x")]);
+            u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+          },
+        ],
+      },
+    }),
+    dataOf(now),
+    box,
+  );
+  const over = /** @type {HTMLElement} */ (plot.over);
+  const detach = attach(over, { span, whole, show: (to) => host.show(to, true), centre: () => (span()[0] + span()[1]) / 2 });
+  over.addEventListener("mousedown", (event) => void (pressed = event.clientX));
+  over.addEventListener("click", (event) => Math.abs(event.clientX - pressed) < CLICK_PX && handlers.onClick(plot));
+  return { plot, detach };
+}
+
+/** The drawn arrays, for uPlot. @param {Series} series */
+export function dataOf({ x, lines }) {
+  return /** @type {any} */ ([x, ...lines.map((line) => line.y)]);
+}

@@ -1,0 +1,94 @@
+// From the columns of the API to what a chart draws: scaled, relative to the baseline, one position over another.
+
+/**
+ * @typedef {object} Line
+ * @property {string} key name in the read-only state
+ * @property {string} label of the legend and the table
+ * @property {string} short of the read-out
+ * @property {string} color custom property
+ * @property {(number | null)[]} y one entry a set of the chart's `x`
+ * @property {boolean} points points and a thin line that leads from one to the next; else a line
+ * @property {number} [shape] of its points
+ * @property {number[]} [dash]
+ * @property {boolean} [tabled] false: not a column of the table
+ * @property {string} [position] whose sets these are
+ * @property {(number | null)[]} [sets] index of each; null: it has none there
+ * @property {(string | null)[]} [quality]
+ * @property {(boolean | null)[]} [outlier]
+ *
+ * @typedef {(value: number) => number} Scale
+ */
+
+/** Colours and shapes of positions drawn over the chosen one; beyond these shapes tell them apart. */
+const COLORS = ["--data", "--second", "--third", "--fourth"];
+
+/** @param {number} index */
+export const colorOf = (index) => COLORS[index % COLORS.length];
+
+/** Units as people read them: factor, name, digits. @type {Record<string, [number, string, number]>} */
+const SHOWN = { s: [1e6, "µs", 3], m: [1e3, "mm", 3], v: [1, "V", 4], "V s": [1e6, "µV s", 3], V: [1, "V", 4], h: [1, "h", 2], 1: [1, "", 4] };
+
+/** @param {string} unit of the API @returns {{factor: number, unit: string, digits: number}} */
+export function shownUnit(unit) {
+  const [factor, name, digits] = SHOWN[unit] ?? [1, unit, 4];
+  return { factor, unit: name, digits };
+}
+
+/** @param {(number | null)[]} values @param {Scale} scale */
+export function scaled(values, scale) {
+  return values.map((value) => (value === null ? null : scale(value)));
+}
+
+/**
+ * Mean of the baseline's sets: what "relative" refers to.
+ *
+ * @param {any} trend of the hours of the baseline @param {string} field
+ * @returns {number | null} null: there is none yet
+ */
+export function baselineMean(trend, field) {
+  const { columns, method } = trend;
+  // A probe has no frozen baseline: each good reading of these hours counts.
+  const counts = (/** @type {unknown} */ _, /** @type {number} */ k) => columns[field][k] !== null && (method === "pulse_echo" ? columns.quality[k] === "good" : columns.in_baseline[k] === true);
+  const values = columns[field].filter(counts);
+  return values.length ? values.reduce((/** @type {number} */ sum, /** @type {number} */ value) => sum + value, 0) / values.length : null;
+}
+
+/** Percent above or below a reference. @param {number} reference @returns {Scale} */
+export const relativeTo = (reference) => (value) => 100 * (value / reference - 1);
+
+/**
+ * One axis for sets of several positions, which need not have the same ones.
+ *
+ * @param {number[][]} hours of each position
+ * @returns {{x: number[], rows: (number[] | null)[]}} rows: of each position the row of each x, -1 without one; null: its own order
+ */
+export function joined(hours) {
+  const [first, ...others] = hours;
+  if (others.every((one) => one.length === first.length && one.every((hour, k) => hour === first[k]))) return { x: first, rows: hours.map(() => null) };
+  const x = [...new Set(hours.flat())].sort((a, b) => a - b);
+  return {
+    x,
+    rows: hours.map((its) => {
+      const rowOf = new Map(its.map((hour, row) => [hour, row]));
+      return x.map((hour) => rowOf.get(hour) ?? -1);
+    }),
+  };
+}
+
+/** @template T @param {T[]} column @param {number[] | null} rows @returns {(T | null)[]} */
+export function onAxis(column, rows) {
+  return rows === null ? column : rows.map((row) => (row < 0 ? null : column[row]));
+}
+
+/** Whether a set is missing between two points of a line. @param {(number | null)[] | undefined} sets @param {number} a @param {number} b rows */
+export function missing(sets, a, b) {
+  const [before, after] = [sets?.[a], sets?.[b]];
+  return before !== null && before !== undefined && after !== null && after !== undefined && after > before + 1;
+}
+
+/** @param {any} fit of /fits @param {number[]} x @param {Scale} scale */
+export function fitLine(fit, x, scale) {
+  if (!fit?.coefficients) return x.map(() => null);
+  const [c0, c1, c2] = fit.coefficients;
+  return x.map((t) => (t >= fit.from_h && t <= fit.to_h ? scale(c0 + (c1 + c2 * t) * t) : null));
+}

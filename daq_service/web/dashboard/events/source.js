@@ -1,0 +1,49 @@
+// One connection to the service's events (SSE): resumes by itself, also after it was refused.
+
+const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "environment", "service"];
+const RETRY_MS = 1000;
+
+/**
+ * @typedef {{topic: string, id: number, event: any}} News
+ * @typedef {object} Listener
+ * @property {(news: News) => void} onNews
+ * @property {(id: number) => void} onGap what came before this id is to be read anew
+ * @property {(open: boolean) => void} onState
+ */
+
+export class Source {
+  /** @param {number} after id of the last event that is known already @param {Listener} listener */
+  constructor(after, listener) {
+    this.lastId = after;
+    this.listener = listener;
+    this.isOpen = false;
+    this.connect();
+  }
+
+  connect() {
+    const source = new EventSource(`/api/v1/stream?after=${this.lastId}`);
+    source.onopen = () => this.say(true);
+    source.onerror = () => {
+      this.say(false);
+      // A refused connection is final to EventSource: try again from where we are.
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.connect(), RETRY_MS);
+    };
+    for (const topic of TOPICS) {
+      source.addEventListener(topic, (message) => {
+        this.lastId = Number(message.lastEventId);
+        this.listener.onNews({ topic, id: this.lastId, event: JSON.parse(message.data) });
+      });
+    }
+    source.addEventListener("gap", (message) => {
+      this.lastId = Number(message.lastEventId);
+      this.listener.onGap(this.lastId);
+    });
+    source.addEventListener("bye", () => this.say(false));
+  }
+
+  /** @param {boolean} open */
+  say(open) {
+    this.isOpen = open;
+    this.listener.onState(open);
+  }
+}

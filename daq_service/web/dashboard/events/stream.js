@@ -1,0 +1,55 @@
+// The events of the service, for this page: from the worker that all tabs share, else by its own connection.
+
+import { Source } from "./source.js";
+
+/** Changes when what is said between page and worker does: a tab of an older version keeps its own. */
+const NAME = "solimon-events-1";
+
+export class EventStream {
+  /** @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers */
+  constructor(handlers) {
+    this.handlers = handlers;
+    this.lastId = -1;
+    this.started = false;
+    /** @type {MessagePort | null} */
+    this.port = null;
+    addEventListener("pagehide", () => this.port?.postMessage({ leave: true }));
+    // A page that the browser kept aside comes back: what happened meanwhile is asked for.
+    addEventListener("pageshow", (event) => event.persisted && this.port?.postMessage({ after: this.lastId }));
+  }
+
+  /** @param {number} after id of the last event that the page already shows */
+  open(after) {
+    this.lastId = after;
+    if (this.started) return;
+    this.started = true;
+    if (typeof SharedWorker === "undefined") return this.openOwn();
+    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: NAME });
+    // A browser that cannot run it says so here.
+    worker.onerror = () => this.port !== null && ((this.port = null), this.openOwn());
+    this.port = worker.port;
+    this.port.onmessage = ({ data }) => {
+      if (data.news) this.hear(data.news);
+      else if (data.gap !== undefined) this.miss(data.gap);
+      else this.handlers.onState(data.open);
+    };
+    this.port.postMessage({ after });
+  }
+
+  openOwn() {
+    new Source(this.lastId, { onNews: (news) => this.hear(news), onGap: (id) => this.miss(id), onState: this.handlers.onState });
+  }
+
+  /** @param {import("./source.js").News} news */
+  hear({ topic, id, event }) {
+    if (id <= this.lastId) return;
+    this.lastId = id;
+    this.handlers.onEvent(topic, event);
+  }
+
+  /** @param {number} id */
+  miss(id) {
+    this.lastId = id;
+    this.handlers.onGap();
+  }
+}

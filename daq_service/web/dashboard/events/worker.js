@@ -1,0 +1,49 @@
+// Shared by all tabs of a browser: one connection for them together, since a browser opens no more than
+// six to a service and the tabs beyond would wait for ever.
+
+import { Source } from "./source.js";
+
+const KEPT = 2000;
+
+/** @type {Set<MessagePort>} */
+const ports = new Set();
+/** News for a tab that comes later: all ids above `since`. @type {import("./source.js").News[]} */
+let kept = [];
+let since = 0;
+/** @type {Source | null} */
+let source = null;
+
+/** @param {object} message */
+function tell(message) {
+  for (const port of ports) port.postMessage(message);
+}
+
+/** @param {MessagePort} port @param {number} after */
+function join(port, after) {
+  ports.add(port);
+  if (source === null) {
+    since = after;
+    source = new Source(after, {
+      onNews: (news) => {
+        kept.push(news);
+        if (kept.length > KEPT) since = kept.splice(0, KEPT / 2).at(-1)?.id ?? since;
+        tell({ news });
+      },
+      onGap: (id) => {
+        kept = [];
+        since = id;
+        tell({ gap: id });
+      },
+      onState: (open) => tell({ open }),
+    });
+    return;
+  }
+  if (after < since) port.postMessage({ gap: source.lastId });
+  else for (const news of kept) if (news.id > after) port.postMessage({ news });
+  port.postMessage({ open: source.isOpen });
+}
+
+globalThis.addEventListener("connect", (event) => {
+  const [port] = /** @type {MessageEvent} */ (event).ports;
+  port.onmessage = (message) => (message.data.leave ? ports.delete(port) : join(port, message.data.after));
+});

@@ -1,0 +1,35 @@
+// A reading that failed, and how old what is shown has become since.
+
+import { el, setText } from "./dom.js";
+import { duration } from "./format.js";
+import { icon } from "./icons.js";
+
+const TICK_MS = 1000;
+
+export class Failing {
+  /** @param {HTMLElement} root */
+  constructor(root) {
+    this.root = root;
+    this.why = el("strong");
+    this.age = el("span");
+    root.append(el("span", { class: "chip", "data-tone": "alarm" }, icon("link"), "Not read"), el("p", {}, this.why, " ", this.age));
+    this.readAt = 0;
+    setInterval(() => this.tick(), TICK_MS);
+  }
+
+  /** @param {Error} error @param {number} readAt when everything was last read, by `performance.now()`; 0: never */
+  fail(error, readAt) {
+    this.readAt = readAt;
+    setText(this.why, `The last reading failed: ${error.message}.`);
+    this.root.hidden = false;
+    this.tick();
+  }
+
+  end() {
+    this.root.hidden = true;
+  }
+
+  tick() {
+    if (!this.root.hidden) setText(this.age, this.readAt ? `What is shown was read ${duration((performance.now() - this.readAt) / 1000)} ago.` : "Nothing has been read yet.");
+  }
+}

@@ -1,0 +1,202 @@
+// What is read and when: history first, then what an event says has changed. The API is the only source of
+// what is drawn; an event only says what to read again.
+
+import { all, get, hasData, trend } from "./api.js";
+
+const REFRESH_MS = 200;
+const FIT_REFRESH_MS = 1000;
+const RETRY_MS = 1000;
+const WAITING_MS = 300;
+
+/** Columns that the charts always need, by method. @type {Record<string, string[]>} */
+const FIELDS = {
+  solitary_wave: ["tof_pp_s", "amplitude_ratio", "distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper"],
+  pulse_echo: ["thickness_m", "travel_time_s"],
+};
+const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_pp_s", "amplitude_ratio"], pulse_echo: ["thickness_m"] });
+
+/**
+ * @typedef {object} Reader
+ * @property {() => void} onBegin the experiment is known: its positions may be chosen now
+ * @property {(news: {alarms?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
+ * @property {() => void} onColumns columns or fits of a position are new
+ * @property {(why: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: over
+ * @property {(error: Error) => void} onTrouble a reading failed
+ */
+
+export class Reading {
+  /** @param {Reader} reader */
+  constructor(reader) {
+    this.reader = reader;
+    /** @type {any} */
+    this.info = null;
+    /** @type {Map<string, any>} columns by position */
+    this.trends = new Map();
+    /** @type {Map<string, any>} all columns of the hours of the baseline, by position */
+    this.baselines = new Map();
+    /** @type {Map<string, any>} fits by position and field */
+    this.fits = new Map();
+    /** @type {Map<string, any[]>} sets without a record, by position */
+    this.gaps = new Map();
+    /** @type {any[]} */
+    this.alarms = [];
+    this.feature = "";
+    this.refreshes = 0;
+    /** When everything that is shown was last read, by `performance.now()`. */
+    this.readAt = 0;
+    this.dirty = { positions: new Set(), whole: new Set(), fits: new Set(), gaps: new Set(), alarms: false, info: false, environment: false };
+    this.refreshing = false;
+    this.refreshAgain = false;
+    this.fitsReadAt = -Infinity;
+  }
+
+  /** @param {string} position */
+  place(position) {
+    return this.info?.positions.find((/** @type {any} */ place) => place.position === position);
+  }
+
+  /** Read on until there is something to show. @param {(after: number) => void} follow opens the events from there on */
+  async begin(follow) {
+    try {
+      if (!(await hasData())) {
+        this.reader.onWaiting("Waiting for the first record. This page fills itself as soon as the recorder has stored something.");
+        // From the first event on: somebody may have been asked to strike the first shot.
+        follow(0);
+        setTimeout(() => this.begin(follow), WAITING_MS);
+        return;
+      }
+      this.info = await get("/info");
+    } catch (error) {
+      this.reader.onWaiting(`The service does not answer: ${/** @type {Error} */ (error).message}`);
+      setTimeout(() => this.begin(follow), RETRY_MS);
+      return;
+    }
+    this.reader.onWaiting("");
+    // Events from here on are read again; those before are in what is read now.
+    follow(this.info.last_event_id);
+    this.reader.onBegin();
+    this.everything();
+  }
+
+  everything() {
+    for (const place of this.info?.positions ?? []) this.wholly(place.position);
+    this.dirty.alarms = this.dirty.info = this.dirty.environment = true;
+    this.schedule();
+  }
+
+  /** @param {string} position */
+  wholly(position) {
+    this.dirty.whole.add(position);
+    this.dirty.gaps.add(position);
+  }
+
+  /** Another feature is to be drawn. @param {string} feature */
+  choose(feature) {
+    if (feature === this.feature) return;
+    this.feature = feature;
+    for (const place of this.info?.positions ?? []) this.dirty.whole.add(place.position);
+    if (this.info) this.schedule();
+  }
+
+  /** @param {string} topic @param {any} event */
+  hear(topic, event) {
+    if (!this.info) return;
+    const { dirty } = this;
+    if (topic === "alarms") dirty.alarms = true;
+    if (topic === "service") dirty.info = true;
+    if (topic === "environment") dirty.environment = true;
+    if (event.position) {
+      const last = this.trends.get(event.position)?.columns.set_index.at(-1) ?? -1;
+      // A frozen baseline or a correction changes sets that are already drawn.
+      if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) this.wholly(event.position);
+      if (event.kind === "set_missed" || event.kind === "set_retired") dirty.gaps.add(event.position);
+      dirty.positions.add(event.position);
+    } else if (!["alarms", "service", "environment"].includes(topic)) this.everything();
+    else if (topic !== "environment" && event.set_index !== null) for (const place of this.info.positions) dirty.positions.add(place.position);
+    this.schedule();
+  }
+
+  schedule() {
+    if (this.refreshing) {
+      this.refreshAgain = true;
+      return;
+    }
+    this.refreshing = true;
+    setTimeout(async () => {
+      this.refreshAgain = false;
+      try {
+        await this.refresh();
+      } catch (error) {
+        this.reader.onTrouble(/** @type {Error} */ (error));
+        setTimeout(() => this.everything(), 2 * RETRY_MS);
+      }
+      this.refreshing = false;
+      if (this.refreshAgain) this.schedule();
+    }, REFRESH_MS);
+  }
+
+  async refresh() {
+    const { dirty } = this;
+    const whole = new Set(dirty.whole);
+    const changed = new Set([...dirty.positions, ...whole]);
+    const { alarms, info, environment } = dirty;
+    const gaps = [...dirty.gaps];
+    this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, info: false, environment: false };
+    const { onRead } = this.reader;
+    const readings = [...changed].map((position) => this.readTrend(position, whole.has(position)));
+    readings.push(...gaps.map((position) => this.readGaps(position)));
+    if (alarms) readings.push(all("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
+    if (info) readings.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
+    readings.push(get("/transducers").then((answer) => onRead({ transducers: answer })));
+    if (environment) readings.push(this.readEnvironment());
+    await Promise.all(readings);
+    for (const position of changed) this.dirty.fits.add(position);
+    if (performance.now() - this.fitsReadAt > FIT_REFRESH_MS) await this.readFits();
+    else setTimeout(() => this.dirty.fits.size && this.readFits().then(this.reader.onColumns, this.reader.onTrouble), FIT_REFRESH_MS);
+    this.refreshes += 1;
+    this.readAt = performance.now();
+    this.reader.onColumns();
+  }
+
+  async readEnvironment() {
+    this.reader.onRead({ environment: await get("/environment/latest") });
+  }
+
+  /** @param {string} position @param {boolean} whole false: only what is newer than what is here */
+  async readTrend(position, whole) {
+    const place = this.place(position);
+    if (!place) return;
+    const before = whole ? undefined : this.trends.get(position);
+    const from_h = before?.columns.due_h.at(-1);
+    const fields = [...FIELDS[place.method]];
+    const inBaseline = { to_h: this.info.schedule.baseline_h + 1e-6 };
+    if (whole || (from_h ?? 0) <= inBaseline.to_h) this.baselines.set(position, await trend(position, undefined, inBaseline));
+    if (this.feature in this.baselines.get(position).columns && !fields.includes(this.feature)) fields.push(this.feature);
+    const answer = await trend(position, fields, { from_h });
+    if (!before) {
+      this.trends.set(position, answer);
+      return;
+    }
+    // Another reading may have come first: keep each set once.
+    const last = before.columns.set_index.at(-1) ?? -1;
+    const start = answer.columns.set_index.findIndex((/** @type {number} */ index) => index > last);
+    if (start >= 0) for (const key of Object.keys(before.columns)) before.columns[key].push(...answer.columns[key].slice(start));
+    before.as_of = answer.as_of;
+  }
+
+  /** Sets that were missed or fell into a retirement: marks of the charts. @param {string} position */
+  async readGaps(position) {
+    const states = ["missed", "retired"];
+    const pages = await Promise.all(states.map((state) => all(`/sets?position=${position}&state=${state}&limit=1000`)));
+    this.gaps.set(position, pages.flat().sort((a, b) => a.set_index - b.set_index));
+  }
+
+  async readFits() {
+    this.fitsReadAt = performance.now();
+    const positions = [...this.dirty.fits];
+    this.dirty.fits.clear();
+    await Promise.all(
+      positions.flatMap((position) => (FITTED[this.place(position)?.method] ?? []).map(async (field) => this.fits.set(`${position} ${field}`, await get(`/fits/${position}?field=${field}`)))),
+    );
+  }
+}

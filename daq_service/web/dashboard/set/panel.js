@@ -1,0 +1,323 @@
+// One set in depth: its records over one another and everything that is known of it.
+
+import { onZoomKey } from "../charts/gestures.js";
+import { swatch } from "../charts/legend.js";
+import { el, setText } from "../dom.js";
+import { duration, fixed, hour, utc } from "../format.js";
+import { SEVERITIES, chip } from "../icons.js";
+import { marksOf } from "../pulses.js";
+import { readEvidence } from "./evidence.js";
+import { climate, distance, features, provenance, shots } from "./facts.js";
+import { plotRecords } from "./plot.js";
+import { mean, readRecords } from "./records.js";
+
+/** @typedef {import("./evidence.js").Evidence} Evidence @typedef {import("./records.js").Record_} Record_ */
+
+const TABLE_ROWS = 400;
+const QUALITY = /** @type {Record<string, import("../icons.js").Look>} */ ({
+  good: { word: "Good", icon: "check", tone: "good" },
+  suspect: { word: "Suspect", icon: "triangle", tone: "warn" },
+  bad: { word: "Bad", icon: "stop", tone: "alarm" },
+});
+
+/**
+ * @typedef {object} Host
+ * @property {() => any} info
+ * @property {(position: string) => Record<string, string>} units of the position's columns
+ * @property {(position: string) => number | null} ghost a set of the baseline whose mean is drawn beside
+ * @property {(position: string) => number} last newest set
+ * @property {() => import("../view.js").View} view
+ * @property {(part: Partial<import("../view.js").View>, how?: {step?: boolean, gesture?: boolean}) => void} go
+ */
+
+export class SolimonSet extends HTMLElement {
+  constructor() {
+    super();
+    /** @type {Host} */
+    this.host = /** @type {any} */ (null);
+    /** @type {Evidence | null} */
+    this.evidence = null;
+    /** @type {Float64Array | null} */
+    this.ghost = null;
+    this.ghostOf = "";
+    /** @type {any} */
+    this.plotted = null;
+    this.asked = "";
+    /** What of the view was drawn last, beside set and span. */
+    this.shown = "";
+    /** @type {HTMLElement | null} where the reader came from */
+    this.cameFrom = null;
+    this.heading = el("h2", { id: "set-title", tabindex: "-1" });
+    this.subtitle = el("p");
+    this.chips = el("span", { class: "chips" });
+    const button = (/** @type {string} */ text, /** @type {() => void} */ act) => {
+      const made = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text }));
+      made.addEventListener("click", act);
+      return made;
+    };
+    this.previous = button("‹ Previous set", () => this.step(-1));
+    this.next = button("Next set ›", () => this.step(1));
+    this.whole = button("Whole record", () => this.host.go({ from_us: null, to_us: null }));
+    this.toggle = button("Table", () => this.host.go({ tables: this.tabled() ? this.host.view().tables.filter((id) => id !== "set") : [...this.host.view().tables, "set"] }));
+    this.toggle.setAttribute("aria-label", "Table of: records of the set");
+    this.close = button("Close", () => this.leave());
+    this.box = el("div", { class: "plot tall", role: "img", tabindex: "0" });
+    this.emptyText = el("p", { class: "empty" });
+    this.readout = el("p", { class: "plot-readout" });
+    this.box.append(this.emptyText, this.readout);
+    this.tableBox = el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Records of the set, table", hidden: true });
+    this.legend = el("ul", { class: "legend" });
+    this.facts = el("div", { class: "facts-grid" });
+    this.box.addEventListener("keydown", (event) => this.onPlotKey(event));
+    new ResizeObserver(() => this.resize()).observe(this.box);
+  }
+
+  connectedCallback() {
+    this.setAttribute("role", "region");
+    this.setAttribute("aria-labelledby", "set-title");
+    this.append(
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle, this.chips), el("div", { class: "card-actions" }, this.previous, this.next, this.whole, this.toggle, this.close)),
+      this.box,
+      this.tableBox,
+      this.legend,
+      this.facts,
+    );
+    document.addEventListener("keydown", (event) => this.onKey(event));
+  }
+
+  tabled() {
+    return this.host.view().tables.includes("set");
+  }
+
+  /** Show what the view says; called after every change of it. */
+  update() {
+    const { position, set } = this.host.view();
+    if (set === null) {
+      if (this.hidden) return;
+      this.hidden = true;
+      this.asked = "";
+      this.evidence = null;
+      this.undraw();
+      this.cameFrom?.focus();
+      return;
+    }
+    if (this.hidden) {
+      this.hidden = false;
+      this.cameFrom = /** @type {HTMLElement | null} */ (document.activeElement);
+      this.heading.focus();
+      this.scrollIntoView({ block: "start" });
+    }
+    this.whole.disabled = this.host.view().from_us === null;
+    const { from_us, to_us, ...rest } = this.host.view();
+    const shown = JSON.stringify([rest.shot, rest.tables, rest.theme]);
+    if (this.asked === `${position} ${set}` && this.evidence && shown === this.shown) return this.plotted?.plot.setScale("x", this.plotted.plot.scales.x);
+    this.shown = shown;
+    if (this.asked !== `${position} ${set}`) void this.read();
+    else if (this.evidence) this.render();
+  }
+
+  /** Read the set anew, e.g. because it was judged meanwhile. */
+  async read() {
+    const { position, set } = this.host.view();
+    if (set === null) return;
+    const asked = (this.asked = `${position} ${set}`);
+    const place = this.host.info().positions.find((/** @type {any} */ one) => one.position === position);
+    setText(this.heading, `Position ${position} · set ${set}`);
+    setText(this.subtitle, place.label);
+    this.neighbours();
+    try {
+      const evidence = await readEvidence(position, place.method, set);
+      if (this.asked !== asked) return;
+      this.evidence = evidence;
+      this.render();
+      await this.readGhost(position);
+      if (this.asked === asked) this.draw();
+    } catch (error) {
+      // The next reading asks again; until then it is said, and nothing old stands below a new heading.
+      if (this.asked !== asked) return;
+      this.asked = "";
+      this.evidence = null;
+      this.undraw();
+      this.facts.replaceChildren();
+      setText(this.emptyText, `This set cannot be read: ${/** @type {Error} */ (error).message}`);
+      this.emptyText.hidden = false;
+    }
+  }
+
+  /** @param {string} position */
+  async readGhost(position) {
+    const index = this.host.ghost(position);
+    const wanted = index === null ? "" : `${position} ${index}`;
+    if (wanted === this.ghostOf) return;
+    this.ghost = null;
+    this.ghostOf = wanted;
+    if (index === null) return;
+    try {
+      const { records } = await readRecords(position, index);
+      this.ghost = mean(records);
+    } catch (error) {
+      console.info(`no baseline record beside the set: ${/** @type {Error} */ (error).message}`);
+    }
+  }
+
+  /** Buttons of the neighbours. */
+  neighbours() {
+    const { position, set } = this.host.view();
+    this.previous.disabled = set === 0;
+    this.next.disabled = set !== null && set >= this.host.last(position);
+  }
+
+  /** @param {number} by */
+  step(by) {
+    const { position, set } = this.host.view();
+    if (set === null) return;
+    const next = Math.max(0, Math.min(this.host.last(position), set + by));
+    if (next !== set) this.host.go({ set: next, shot: null }, { step: true });
+  }
+
+  leave() {
+    this.host.go({ set: null, shot: null, from_us: null, to_us: null });
+  }
+
+  /** @param {KeyboardEvent} event */
+  onKey(event) {
+    if (this.hidden || event.defaultPrevented || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
+    const target = /** @type {HTMLElement} */ (event.target);
+    if (target.closest("dialog, input, textarea, select, [role=radiogroup], .plot, .table-wrap") && event.key !== "Escape") return;
+    if (document.querySelector("dialog[open]")) return;
+    if (event.key === "Escape") this.leave();
+    else if (event.key === "ArrowLeft") this.step(-1);
+    else if (event.key === "ArrowRight") this.step(1);
+    else return;
+    event.preventDefault();
+  }
+
+  /** @param {KeyboardEvent} event */
+  onPlotKey(event) {
+    if (!this.plotted) return;
+    const { plot, zoomable } = this.plotted;
+    if (onZoomKey(event, zoomable)) return;
+    const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -20, PageDown: 20 });
+    const step = steps[event.key];
+    if (step === undefined) return;
+    event.preventDefault();
+    const at = plot.cursor.left < 0 ? plot.over.clientWidth / 2 : plot.cursor.left;
+    plot.setCursor({ left: Math.max(0, Math.min(plot.over.clientWidth, at + 3 * step)), top: plot.over.clientHeight / 2 }, true);
+  }
+
+  render() {
+    const evidence = /** @type {Evidence} */ (this.evidence);
+    const { set, verdict, feature } = evidence;
+    const info = this.host.info();
+    const view = this.host.view();
+    const units = this.host.units(view.position);
+    const place = info.positions.find((/** @type {any} */ one) => one.position === view.position);
+    this.neighbours();
+    setText(this.heading, `Position ${view.position} · set ${view.set}${set ? ` · hour ${hour(set.due_h)}` : ""}`);
+    setText(this.subtitle, set ? `${place.label} · ${utc(set.due_utc)} · ${duration(3600 * set.age_h)} old on the experiment's clock` : place.label);
+    const chips = [];
+    if (set && set.state !== "done") chips.push(chip({ word: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));
+    if (feature) chips.push(chip({ ...QUALITY[feature.quality], word: `Quality ${feature.quality}` }));
+    if (verdict?.outlier) chips.push(chip({ ...SEVERITIES.high, word: "Outlier" }));
+    if (verdict?.in_baseline) chips.push(chip({ word: "Baseline", icon: "flag", tone: "info" }));
+    this.chips.replaceChildren(...chips);
+    const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.shot;
+    const parts = [features(evidence, units), place.method === "solitary_wave" ? distance(evidence, info.limits) : null, shots(evidence, units, view.shot, (shot) => this.host.go({ shot }, { step: true })), climate(evidence), provenance(evidence, info)];
+    this.facts.replaceChildren(...parts.filter((one) => one !== null));
+    if (focused) /** @type {HTMLElement | null} */ (this.facts.querySelector(`[data-shot="${focused}"]`))?.focus();
+    this.dataset.set = `${view.position} ${view.set}`;
+    this.dataset.records = String(evidence.stored?.records.length ?? 0);
+    this.draw();
+  }
+
+  /** @returns {import("./plot.js").Overlay | null} what there is to draw */
+  overlay() {
+    const stored = this.evidence?.stored;
+    if (!stored?.records.length) return null;
+    const { feature, shots: all } = /** @type {Evidence} */ (this.evidence);
+    const [first] = stored.records;
+    const same = stored.records.filter((one) => one.volts.length === first.volts.length);
+    const valid = new Set(all.filter((shot) => shot.valid).map((shot) => shot.sequence));
+    const { shot } = this.host.view();
+    /** @type {import("./plot.js").Trace[]} */
+    const traces = same.map((one) => ({
+      label: `shot ${one.header.shot_index + 1}${valid.has(one.header.sequence) ? "" : ", not valid"}`,
+      volts: one.volts,
+      color: valid.has(one.header.sequence) ? "--data" : "--alarm",
+      width: 1,
+      faint: same.length > 1,
+      dash: valid.has(one.header.sequence) ? undefined : [3, 3],
+    }));
+    if (this.ghost?.length === first.volts.length) traces.unshift({ label: `baseline: mean of set ${this.ghostOf.split(" ")[1]}, the most typical`, volts: this.ghost, color: "--ghost", width: 2, dash: [6, 4] });
+    const averaged = same.length > 1 ? mean(same.filter((one) => valid.has(one.header.sequence))) : null;
+    if (averaged) traces.push({ label: "mean of the valid shots", volts: averaged, color: "--ink", width: 2 });
+    const chosen = shot === null ? undefined : same.find((one) => one.header.shot_index === shot);
+    if (chosen) traces.push({ label: `shot ${chosen.header.shot_index + 1}, chosen`, volts: chosen.volts, color: "--limit", width: 2 });
+    const marks = feature === null ? [] : stored.header.method === "pulse_echo" ? this.echoMarks(feature.travel_time_s, first) : marksOf(feature);
+    return { micros: first.micros, traces, marks, windows_s: stored.header.windows_s };
+  }
+
+  /** @param {number | null} time_s @param {Record_} record */
+  echoMarks(time_s, record) {
+    if (time_s === null) return [];
+    const { sample_rate_hz, pretrigger_samples } = record.header;
+    const height_v = record.volts[Math.round(time_s * sample_rate_hz) + pretrigger_samples];
+    return [{ name: "first echo", time_s, height_v: height_v ?? 0 }];
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.box;
+    if (this.plotted && width && height) this.plotted.plot.setSize({ width, height });
+    else if (this.evidence && !this.plotted) this.draw();
+  }
+
+  undraw() {
+    this.plotted?.detach();
+    this.plotted?.plot.destroy();
+    this.plotted = null;
+  }
+
+  /** Draw anew, e.g. in the colours of another theme. */
+  draw() {
+    this.undraw();
+    const overlay = this.overlay();
+    setText(this.emptyText, overlay ? "" : this.evidence ? this.evidence.missing : "Reading");
+    this.emptyText.hidden = overlay !== null;
+    const tabled = this.tabled();
+    this.tableBox.hidden = !tabled;
+    this.box.hidden = tabled;
+    this.toggle.setAttribute("aria-pressed", String(tabled));
+    this.legend.replaceChildren();
+    if (!overlay) return this.tableBox.replaceChildren();
+    const { stored } = /** @type {Evidence} */ (this.evidence);
+    if (tabled) this.fillTable(overlay);
+    for (const trace of overlay.traces.filter((one) => !/^shot \d+$/.test(one.label))) this.legend.append(el("li", {}, swatch(trace.color, "line", trace.dash), trace.label));
+    if (stored && stored.records.length > 1) this.legend.prepend(el("li", {}, swatch("--data", "line"), `${stored.records.length} shots`));
+    if (stored?.header.n_damaged) this.legend.append(el("li", { text: `${stored.header.n_damaged} damaged records are left out` }));
+    this.box.setAttribute("aria-label", `Records of ${this.heading.textContent}: ${overlay.traces.length} curves; ${overlay.marks.map((mark) => `${mark.name} ${fixed(mark.time_s * 1e6, 1)} µs, ${fixed(mark.height_v, 3)} V`).join("; ")}`);
+    if (!this.box.clientWidth || !this.box.clientHeight) return;
+    const host = {
+      span: () => {
+        const { from_us, to_us } = this.host.view();
+        return from_us === null || to_us === null ? null : /** @type {[number, number]} */ ([from_us, to_us]);
+      },
+      show: (/** @type {[number, number] | null} */ span) => this.host.go({ from_us: span?.[0] ?? null, to_us: span?.[1] ?? null }, { gesture: true }),
+    };
+    this.plotted = plotRecords(this.box, overlay, host, (index) => setText(this.readout, index < 0 ? "" : `${overlay.micros[index].toFixed(2)} µs · ${overlay.traces[overlay.traces.length - 1].volts[index].toFixed(4)} V`));
+  }
+
+  /** @param {import("./plot.js").Overlay} overlay */
+  fillTable({ micros, traces }) {
+    const step = Math.max(1, Math.ceil(micros.length / TABLE_ROWS));
+    const body = el("tbody");
+    for (let k = 0; k < micros.length; k += step) body.append(el("tr", {}, el("td", { text: micros[k].toFixed(2) }), ...traces.map((trace) => el("td", { text: trace.volts[k].toFixed(4) }))));
+    const head = el("tr", {}, el("th", { scope: "col", text: "Time from the trigger (µs)" }), ...traces.map((trace) => el("th", { scope: "col", text: `${trace.label} (V)` })));
+    this.tableBox.replaceChildren(el("table", {}, el("caption", { text: `Every ${step}th of ${micros.length} samples; all of them are in the API` }), el("thead", {}, head), body));
+  }
+
+  /** What is drawn, for tests and for the curious; copies. */
+  snapshot() {
+    const overlay = this.overlay();
+    return overlay && { labels: overlay.traces.map((trace) => trace.label), volts: overlay.traces.map((trace) => [...trace.volts]), marks: overlay.marks, windows_s: overlay.windows_s, drawn: Boolean(this.plotted), span: this.plotted ? this.plotted.zoomable.span() : null };
+  }
+}

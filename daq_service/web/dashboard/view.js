@@ -1,0 +1,113 @@
+// What the page shows, as its address: it survives a reload, can be sent, and the browser's own
+// "back" and "forward" go through it.
+
+/**
+ * @typedef {object} View
+ * @property {string} position chosen tile; empty: the first
+ * @property {string} charts position of the solitary-wave charts, where the chosen one has none; empty: the chosen one
+ * @property {string[]} compare positions drawn over it
+ * @property {boolean} relative to each position's own baseline
+ * @property {number | null} from_h null with `to_h`: the whole test
+ * @property {number | null} to_h
+ * @property {"hours" | "utc" | "local"} axis
+ * @property {string} feature of the chart whose feature can be chosen
+ * @property {number | null} set opened set of `position`
+ * @property {number | null} shot emphasised record of it
+ * @property {number | null} from_us null with `to_us`: the whole record
+ * @property {number | null} to_us
+ * @property {string[]} tables charts shown as tables, by id
+ * @property {"" | "auto" | "light" | "dark"} theme empty: as this browser remembers
+ */
+
+/** @type {Readonly<View>} */
+export const PLAIN = Object.freeze({
+  position: "",
+  charts: "",
+  compare: [],
+  relative: false,
+  from_h: null,
+  to_h: null,
+  axis: "hours",
+  feature: "tof_ac_s",
+  set: null,
+  shot: null,
+  from_us: null,
+  to_us: null,
+  tables: [],
+  theme: "",
+});
+const CHOICES = /** @type {Record<string, string[]>} */ ({ axis: ["hours", "utc", "local"], theme: ["auto", "light", "dark"] });
+const WHOLE_NUMBERS = new Set(["set", "shot"]);
+const GESTURE_MS = 1000;
+
+/** @param {string} key @param {string} text of the address @returns {unknown} undefined: it says nothing */
+function read(key, text) {
+  const plain = /** @type {any} */ (PLAIN)[key];
+  if (Array.isArray(plain)) return [...new Set(text.split(",").filter(Boolean))];
+  if (typeof plain === "boolean") return text === "1";
+  if (plain === null) {
+    const value = text.trim() === "" ? NaN : Number(text);
+    return Number.isFinite(value) && (!WHOLE_NUMBERS.has(key) || (Number.isSafeInteger(value) && value >= 0)) ? value : undefined;
+  }
+  return CHOICES[key] && !CHOICES[key].includes(text) ? undefined : text;
+}
+
+/** @param {string} search the query of an address @returns {View} */
+export function parse(search) {
+  /** @type {any} */
+  const view = { ...PLAIN };
+  for (const [key, text] of new URLSearchParams(search)) {
+    const value = Object.hasOwn(PLAIN, key) ? read(key, text) : undefined;
+    if (value !== undefined) view[key] = value;
+  }
+  for (const [low, high] of [["from_h", "to_h"], ["from_us", "to_us"]]) {
+    if (view[low] === null || view[high] === null || view[low] >= view[high]) view[low] = view[high] = null;
+  }
+  return view;
+}
+
+/** @param {View} view @returns {string} the query, without what is plain */
+export function format(view) {
+  const parts = [];
+  for (const [key, value] of Object.entries(view)) {
+    const plain = /** @type {any} */ (PLAIN)[key];
+    if (String(value) === String(plain)) continue;
+    // Written by hand: commas and colons stay readable in what is sent.
+    parts.push(`${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",")}`);
+  }
+  return parts.length ? `?${parts.join("&")}` : "";
+}
+
+export class Address {
+  /** @param {(view: View, before: View) => void} onChange after every change, by this page or by the browser */
+  constructor(onChange) {
+    this.onChange = onChange;
+    this.view = parse(location.search);
+    this.gestureEnds = 0;
+    addEventListener("popstate", () => this.become(parse(location.search)));
+  }
+
+  /**
+   * Go to another view.
+   *
+   * @param {Partial<View>} part what changes
+   * @param {{step?: boolean, gesture?: boolean}} [how] step: "back" skips where we are now; gesture: the many
+   *   changes of one turn of a wheel are one step back
+   */
+  go(part, { step = false, gesture = false } = {}) {
+    const view = { ...this.view, ...part };
+    const query = format(view);
+    if (query === format(this.view)) return;
+    const goesOn = gesture && performance.now() < this.gestureEnds;
+    this.gestureEnds = gesture ? performance.now() + GESTURE_MS : 0;
+    history[step || goesOn ? "replaceState" : "pushState"](null, "", `${location.pathname}${query}${location.hash}`);
+    this.become(view);
+  }
+
+  /** @param {View} view */
+  become(view) {
+    const before = this.view;
+    this.view = view;
+    this.onChange(view, before);
+  }
+}

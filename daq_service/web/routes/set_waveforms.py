@@ -1,0 +1,125 @@
+"""`/api/v1/sets/{position}/{set_index}/waveforms`: records of a set, and where marks were sought."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Request
+from starlette.responses import Response
+
+from analysis.ultrasound.thickness import THICKEST_FRACTION, THINNEST_FRACTION
+from analysis.waves.pulses import search_windows_s
+from analysis.waves.quality_gate import ACCEPTED
+from analysis.waves.record_reduction import ExtractionSettings
+from daq_service.archive import SetNotFoundError, SetReference
+from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
+from daq_service.judgement.methods import METHODS
+from daq_service.web.answers.models import problems
+from daq_service.web.answers.problem import not_found
+from daq_service.web.answers.unchanged import unchanged
+from daq_service.web.context import Context, ContextOf
+from daq_service.web.routes.listing import LARGEST_INDEX
+from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
+from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.methods import SOLITARY_WAVE
+
+router = APIRouter(tags=["waveforms"])
+
+
+@router.get(
+    "/sets/{position}/{set_index}/waveforms",
+    operation_id="get_set_waveforms",
+    response_class=Response,
+    responses={
+        200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
+        304: UNCHANGED,
+        **problems(404, 422, 503),
+    },
+)
+def get_set_waveforms(
+    request: Request,
+    context: ContextOf,
+    position: str,
+    set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
+) -> Response:
+    """Read the accepted records of a set: u32 header length, JSON header, samples one after another.
+
+    The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
+    volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes were looked for.
+    """
+    catalogue = context.catalogue()
+    its_set = next(iter(catalogue.rows(SetRow, position=context.known(position), set_index=set_index)), None)
+    accepted = {
+        row.sequence
+        for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
+        if row.outcome == ACCEPTED
+    }
+    if its_set is None or its_set.file is None or not accepted:
+        raise not_found(
+            f"No record of position {position}, set {set_index} is stored.",
+            "/api/v1/sets lists the sets, and why one is missed.",
+        )
+    headers: dict[str, str] = {}
+    if its_set.file_sha256 is not None:
+        headers, known = unchanged(request, f'"{its_set.file_sha256[:20]}-{position}"')
+        if known is not None:
+            return known
+    try:
+        # A damaged record of another position must not hide these; one of these is absent.
+        stored = context.archive.read_set(SetReference(its_set.file), skip_damaged=True)
+    except SetNotFoundError as error:
+        raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
+    taken: list[Shot | PulseEchoRecord] = [*stored.shots, *stored.echoes]
+    records = [record for record in taken if record.sequence in accepted]
+    header = {
+        "position": position,
+        "set_index": set_index,
+        "method": its_set.method,
+        "n_damaged": len(accepted) - len(records),
+        "windows_s": _windows_s(context, its_set),
+        "records": [
+            {
+                "shot_index": record.key.shot_index,
+                "sequence": record.sequence,
+                "dtype": record.waveform.counts.dtype.name,
+                "n_samples": int(record.waveform.counts.size),
+                "sample_rate_hz": record.waveform.sample_rate_hz,
+                "pretrigger_samples": record.waveform.pretrigger_samples,
+                "coefficients_v": record.waveform.calibration.coefficients_v.tolist(),
+            }
+            for record in records
+        ],
+    }
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    samples = [
+        record.waveform.counts.astype(record.waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
+        for record in records
+    ]
+    content = b"".join([struct.pack("<I", len(text)), text, *samples])
+    return Response(content, media_type=OCTET_STREAM, headers=headers)
+
+
+def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, float]]:
+    """Windows of the set, from the trigger; none where the set gave nothing to count them from."""
+    catalogue, method = context.catalogue(), METHODS[its_set.method]
+    place: dict[str, Any] = {"position": its_set.position, "set_index": its_set.set_index}
+    found = next(iter(catalogue.rows(method.row, **place, **method.of_sets)), None)
+    if its_set.method == SOLITARY_WAVE:
+        if not isinstance(found, FeatureRow) or found.isw_time_s is None:
+            return {}
+        return search_windows_s(found.isw_time_s, found.psw_time_s, ExtractionSettings())
+    # The reference echo of the test, as the assessor takes it.
+    first = catalogue.first_reading(its_set.position)
+    if first is None or first.travel_time_s is None:
+        return {}
+    delay_s = context.settings.ultrasound.delay_s
+    span_s = first.travel_time_s - delay_s
+    windows = {"first echo": (delay_s + THINNEST_FRACTION * span_s, delay_s + THICKEST_FRACTION * span_s)}
+    if isinstance(found, ThicknessRow) and found.travel_time_s is not None:
+        # The second echo has gone through the wall twice; it is not measured, only where it belongs.
+        second_s = delay_s + 2.0 * (found.travel_time_s - delay_s)
+        windows["second echo"] = (second_s, second_s)
+    return windows

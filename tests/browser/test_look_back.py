@@ -1,0 +1,256 @@
+"""Looking back: sets in depth, a zoom that stays, views as addresses, one stream for all tabs."""
+
+import re
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from support.browser_pages import DESK, PHONE, expect
+from support.filled_folder import FilledFolder
+from support.served_web import served
+from support.waiting import until
+
+from daq_service.settings.tree import Settings
+
+pytestmark = pytest.mark.browser
+
+N_SETS, SHOTS = 52, 3
+STORED = {0, N_SETS - 2, N_SETS - 1}
+SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
+LAST = N_SETS - 1
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    """One test that goes on from test to test: each adds sets, and counts from what is there."""
+    folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
+    for index in range(N_SETS):
+        # The ghost is some set of the baseline: all of these have their records.
+        folder.add_set(index, stored=index < 48 or index in STORED)
+    folder.add_alarm("C", LAST - 1)
+    folder.add_environment(LAST)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+def dashboard(page, what):
+    return page.evaluate(f"window.solimonDashboard.{what}")
+
+
+def wait_for(page, points=1):
+    until(lambda: dashboard(page, "charts").get("tof", {"x": []})["x"][points - 1 :], "the trend is drawn")
+
+
+def query(page):
+    return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
+
+
+def at_hour(page, chart, hour, part=0.5):
+    """Page coordinates of an hour on a chart."""
+    box = page.locator(f"#{chart} .u-over").bounding_box()
+    low, high = dashboard(page, f"charts.{chart}.span")
+    return box["x"] + box["width"] * (hour - low) / (high - low), box["y"] + part * box["height"]
+
+
+def test_one_click_on_a_point_opens_its_set_with_everything_about_it(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for(page)
+    hour = filled.due[LAST].due_h
+    page.locator("#tof .plot").scroll_into_view_if_needed()
+    page.mouse.click(*at_hour(page, "tof", hour))
+    panel = page.locator("#set")
+    expect(panel).to_have_attribute("data-set", f"B {LAST}")
+    expect(panel).to_have_attribute("data-records", str(SHOTS))
+    until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
+    shown = dashboard(page, "set")
+    waves = [record.waveform.volts() for record in filled.records(LAST) if record.key.position == "B"]
+    by_label = dict(zip(shown["labels"], shown["volts"], strict=True))
+    for shot, volts in enumerate(waves):
+        # The same linear polynomial, evaluated twice: rounding only.
+        np.testing.assert_allclose(by_label[f"shot {shot + 1}"], volts, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(
+        by_label["mean of the valid shots"], np.mean(waves, axis=0), rtol=0, atol=1e-12
+    )
+    with service.client() as api:
+        (feature,) = api.get(f"/api/v1/features?position=B&set_index={LAST}").json()["items"]
+        (verdict,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
+    assert [mark["name"] for mark in shown["marks"]] == ["ISW", "PSW"]
+    assert shown["marks"][1]["time_s"] == feature["psw_time_s"]
+    assert set(shown["windows_s"]) == {"ISW", "PSW", "SSW"}
+    low, high = shown["windows_s"]["PSW"]
+    assert low < feature["psw_time_s"] < high
+    for text in (
+        f"{1e6 * feature['tof_pp_s']:.3f} µs",
+        f"{verdict['distance_squared']:.3g}",
+        "predictive F",
+        "21.5 °C",
+        f"set_{LAST:06d}",
+        "physics twin",
+        "old on the experiment's clock",
+        "Quality good",
+    ):
+        expect(panel).to_contain_text(text)
+
+
+def test_alarms_and_rows_open_sets_too_and_keys_go_on_and_back(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for(page)
+    page.get_by_role("link", name=f"Open set {LAST - 1} of position C").click()
+    panel = page.locator("#set")
+    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+    expect(page.locator("#tof")).to_contain_text("Position C")
+    page.keyboard.press("ArrowRight")
+    expect(panel).to_have_attribute("data-set", f"C {LAST}")
+    page.keyboard.press("ArrowLeft")
+    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+    page.keyboard.press("Escape")
+    expect(panel).to_be_hidden()
+    page.go_back()
+    expect(panel).to_have_attribute("data-set", f"C {LAST - 1}")
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Table of: Wall thickness").click()
+    page.locator("#thickness tbody .link").first.click()
+    expect(panel).to_have_attribute("data-set", f"A {LAST}")
+    expect(panel).to_have_attribute("data-records", "1")
+    assert set(dashboard(page, "set.windows_s")) == {"first echo", "second echo"}
+
+
+def test_by_keyboard_alone_from_a_chart_into_a_set_and_back(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for(page)
+    page.locator("#distance .plot").focus()
+    page.keyboard.press("End")
+    page.keyboard.press("+")
+    page.keyboard.press("+")
+    low, high = dashboard(page, "charts.tof.span")
+    assert high - low < 20, "zoomed by two steps, every chart"
+    assert dashboard(page, "charts.distance.span") == [low, high]
+    assert dashboard(page, "charts.thickness.cursor") == dashboard(page, "charts.distance.cursor")
+    page.keyboard.press("Shift+ArrowLeft")
+    assert dashboard(page, "charts.tof.span")[0] < low
+    page.keyboard.press("0")
+    assert "from_h" not in query(page)
+    page.keyboard.press("End")
+    page.keyboard.press("Enter")
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {LAST}")
+    expect(page.locator("#set-title")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(page.locator("#distance .plot")).to_be_focused()
+
+
+def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for(page)
+    page.get_by_role("button", name="with C").click()
+    page.get_by_role("button", name="Relative to baseline").click()
+    page.get_by_label("Time axis").select_option("utc")
+    page.get_by_label("Feature of this chart").select_option("isw_fwhm_s")
+    page.locator("#tof .plot").scroll_into_view_if_needed()
+    page.mouse.move(*at_hour(page, "tof", 18.0))
+    page.mouse.wheel(0, -300)
+    until(lambda: "from_h" in query(page), "the wheel has zoomed")
+    page.locator("#theme").click()
+    wanted = {"compare": "C", "relative": "1", "axis": "utc", "feature": "isw_fwhm_s", "theme": "light"}
+    assert wanted.items() <= query(page).items()
+    until(lambda: "isw_fwhm_s C" in dashboard(page, "charts.feature.y"), "the feature is drawn")
+    before, sent = dashboard(page, "charts"), page.url
+    # Around zero, as parts in a hundred of the baseline's mean.
+    assert abs(np.mean(before["tof"]["y"]["tof_pp_us"][:48])) < 1e-9
+    page.reload()
+    other = open_page(sent)
+    for again in (page, other):
+        until(
+            lambda page=again: dashboard(page, "charts.feature.y") == before["feature"]["y"],
+            "it is there again",
+        )
+        after = dashboard(again, "charts")
+        assert after["tof"]["y"] == before["tof"]["y"]
+        assert after["tof"]["span"] == before["tof"]["span"]
+        expect(again.locator("#theme")).to_have_text("Theme: light")
+        expect(again.locator("#tof")).to_contain_text("relative to each position's own baseline")
+    page.get_by_role("button", name="Whole test").click()
+    assert "from_h" not in query(page)
+    page.go_back()
+    assert query(page)["from_h"] == parse_qs(urlsplit(sent).query)["from_h"][0]
+
+
+def test_a_zoom_outlives_twenty_new_sets(filled, service, open_page):
+    page = open_page(f"{service.url}?from_h=4&to_h=12")
+    wait_for(page)
+    count = len(dashboard(page, "charts.tof.x"))
+    for index in range(count, count + 20):
+        filled.add_set(index, stored=False)
+    until(lambda: len(dashboard(page, "charts.tof.x")) == count + 20, "all new sets are drawn")
+    for name in ("distance", "tof", "amplitudeRatio", "thickness", "feature"):
+        assert dashboard(page, f"charts.{name}.span") == [4, 12]
+
+
+def test_ten_tabs_share_one_stream_and_none_freezes(filled, service, browser):
+    context = browser.new_context(viewport=DESK)
+    pages = [context.new_page() for _ in range(10)]
+    for page in pages:
+        page.goto(service.url)
+    for page in pages:
+        expect(page.locator("#connection")).to_have_text("Live")
+        wait_for(page)
+    with service.client() as api:
+        assert api.get("/api/v1/health").json()["stream_clients"] == 1
+    count = len(dashboard(pages[0], "charts.tof.x"))
+    filled.add_set(count, stored=False)
+    for page in pages:
+        until(
+            lambda page=page: len(dashboard(page, "charts.tof.x")) == count + 1, "every tab has the new set"
+        )
+    context.close()
+
+
+def test_without_a_shared_worker_each_tab_has_its_own(filled, service, browser):
+    context = browser.new_context(viewport=DESK)
+    context.add_init_script("delete window.SharedWorker")
+    page = context.new_page()
+    page.goto(service.url)
+    expect(page.locator("#connection")).to_have_text("Live")
+    wait_for(page)
+    count = len(dashboard(page, "charts.tof.x"))
+    filled.add_set(count, stored=False)
+    until(lambda: len(dashboard(page, "charts.tof.x")) == count + 1, "the new set is drawn")
+    context.close()
+
+
+def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled, service, open_page):
+    page = open_page(service.url, forgiven="ERR_")
+    wait_for(page)
+    page.clock.install()
+    page.route(re.compile("/trends/"), lambda route: None)
+    filled.add_set(len(dashboard(page, "charts.tof.x")), stored=False)
+    failing = page.locator("#failing")
+    with page.expect_request(re.compile("/trends/")):
+        page.clock.run_for(1000)
+    until(lambda: page.clock.run_for(1000) or failing.is_visible(), "the deadline has passed")
+    expect(failing).to_contain_text("no answer within 15 s")
+    expect(failing).to_contain_text(re.compile(r"was read \d+ (s|min) ago"))
+
+
+@pytest.mark.parametrize("width", [PHONE["width"], 1920])
+def test_an_open_set_fits_every_width(filled, service, open_page, width):
+    page = open_page(f"{service.url}?position=B&set={LAST}", viewport={"width": width, "height": 900})
+    expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_retirements_and_holds_are_marks(filled, service, open_page):
+    page = open_page(service.url)
+    wait_for(page)
+    index = len(dashboard(page, "charts.tof.x"))
+    filled.retire("D", index)
+    page.locator('.tile[data-position="D"]').click()
+    hour = filled.due[index].due_h
+    mark = {"from_h": hour, "to_h": hour, "word": "retired", "tone": "alarm"}
+    until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
+    filled.reinstate("D")
