@@ -67,6 +67,11 @@ export async function post(path, body) {
   return ask(`/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, answer);
 }
 
+/** @param {string} path @returns {Promise<any>} */
+export async function remove(path) {
+  return ask(`/api/v1${path}`, { method: "DELETE" }, answer);
+}
+
 /** All pages of a listing. @param {string} path @returns {Promise<any[]>} */
 export async function all(path) {
   const items = [];

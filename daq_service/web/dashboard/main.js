@@ -12,6 +12,7 @@ import { Failing } from "./failing.js";
 import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
+import { admitted } from "./login.js";
 import { order } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
@@ -325,4 +326,5 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
+await admitted();
 reading.begin((after) => events.open(after));
