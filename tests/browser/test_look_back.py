@@ -1,29 +1,44 @@
 """Looking back: sets in depth, a zoom that stays, views as addresses, one stream for all tabs."""
 
 import re
+from dataclasses import replace
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
 
+from daq_service.catalogue.rows import SetRow
+from daq_service.corrosion_drive.charge import DriveState
+from daq_service.corrosion_drive.kept import kept_now, write_kept
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
 
 N_SETS, SHOTS = 52, 3
 STORED = {0, N_SETS - 2, N_SETS - 1}
-SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
+SETTINGS = Settings(clock={"pace_h_per_s": 5.0}, ultrasound={"delay_s": 1e-6})
 LAST = N_SETS - 1
+OUTLIER = 49
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     """One test that goes on from test to test: each adds sets, and counts from what is there."""
     folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
+    judged = folder.verdict
+
+    def with_an_outlier(position, index, hour):
+        row = judged(position, index, hour)
+        if (position, index) != ("B", OUTLIER):
+            return row
+        return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
+
+    folder.verdict = with_an_outlier
     for index in range(N_SETS):
         # The ghost is some set of the baseline: all of these have their records.
         folder.add_set(index, stored=index < 48 or index in STORED)
@@ -152,9 +167,16 @@ def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
     page.get_by_label("Time axis").select_option("utc")
     page.get_by_label("Feature of this chart").select_option("isw_fwhm_s")
     page.locator("#tof .plot").scroll_into_view_if_needed()
-    page.mouse.move(*at_hour(page, "tof", 18.0))
-    page.mouse.wheel(0, -300)
-    until(lambda: "from_h" in query(page), "the wheel has zoomed")
+
+    def zoomed():
+        # A page that still scrolls goes on scrolling: the pointer has to move after it.
+        x, y = at_hour(page, "tof", 18.0)
+        page.mouse.move(x - 3, y)
+        page.mouse.move(x, y)
+        page.mouse.wheel(0, -300)
+        return "from_h" in query(page)
+
+    until(zoomed, "the wheel has zoomed")
     page.locator("#theme").click()
     wanted = {"compare": "C", "relative": "1", "axis": "utc", "feature": "isw_fwhm_s", "theme": "light"}
     assert wanted.items() <= query(page).items()
@@ -242,6 +264,53 @@ def test_an_open_set_fits_every_width(filled, service, open_page, width):
     page = open_page(f"{service.url}?position=B&set={LAST}", viewport={"width": width, "height": 900})
     expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
+    context = browser.new_context(viewport=DESK)
+    # As a test of many sets, without recording them.
+    context.route(
+        re.compile("/trends/"),
+        lambda route: route.continue_(url=route.request.url.replace("points=1000", "points=20")),
+    )
+    page = context.new_page()
+    page.goto(service.url)
+    until(lambda: 0 < len(dashboard(page, "charts.distance.x")) <= 20, "the test is drawn in bins")
+    expect(page.locator("#tof")).to_contain_text("least and greatest of 4 sets each")
+    assert OUTLIER in dashboard(page, "charts.distance.opens")
+    page.goto(f"{service.url}?from_h=23&to_h=27")
+    until(
+        lambda: 49 in dashboard(page, "charts.tof.opens") and 50 in dashboard(page, "charts.tof.opens"),
+        "sets",
+    )
+    context.close()
+
+
+def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_page):
+    """Retired, held, stale and lost: what is old or gone must be as readable as what is new."""
+    index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
+    filled.retire("C", index)
+    filled.add_environment(index)
+    filled.say("hold", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
+    off = DriveState(tripped="nobody watched", unwatched=True)
+    write_kept(filled.folder, kept_now(off, output="off", age_s=2.0))
+    # The experiment has gone on for hours without a set.
+    filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")
+    page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")
+    expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
+    expect(page.locator("#held")).to_be_visible()
+    expect(page.locator("#retired")).to_be_visible()
+    expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
+    expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
+    expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
+    expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "retired")
+    axe = Axe()
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        found = axe.run(page)
+        assert found.violations_count == 0, found.generate_report()
+    filled.say("release", filled.due[index].due_utc_ns, held="")
+    filled.reinstate("C")
 
 
 def test_retirements_and_holds_are_marks(filled, service, open_page):

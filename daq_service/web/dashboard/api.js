@@ -1,6 +1,8 @@
 // The REST side: JSON in, problem details as errors, and a deadline for every answer.
 
 const DEADLINE_MS = 15_000;
+/** Entries of a trend at most: beyond, an entry is a bin of sets. A chart is hardly wider. */
+const POINTS = 1000;
 
 export class ProblemError extends Error {
   /** @param {number} status @param {{type?: string, detail?: string, hint?: string}} problem */
@@ -46,13 +48,13 @@ export async function octets(path) {
 }
 
 /**
- * Columns of a position over the test.
+ * Columns of a position over the test; of many sets by bins (`bin_sets` above 1).
  *
  * @param {string} position @param {string[] | undefined} fields undefined: all @param {{from_h?: number, to_h?: number}} [range]
  */
 export async function trend(position, fields, range = {}) {
   const query = new URLSearchParams();
-  for (const [name, value] of Object.entries({ fields, ...range })) if (value !== undefined) query.set(name, String(value));
+  for (const [name, value] of Object.entries({ fields, points: POINTS, ...range })) if (value !== undefined) query.set(name, String(value));
   return get(`/trends/${position}?${query}`);
 }
 

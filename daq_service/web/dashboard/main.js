@@ -124,6 +124,7 @@ function become(view, before) {
     waves.open(view.position);
   }
   reading.choose(view.feature);
+  reading.look(view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h]);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
   toolbar.update(view, charted(), reading.info, timeline());

@@ -7,6 +7,8 @@ const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
 const RETRY_MS = 1000;
 const WAITING_MS = 300;
+/** Sets that are gone on with one by one; then the whole is read again, in bins. */
+const LONGEST = 2000;
 
 /** Columns that the charts always need, by method. @type {Record<string, string[]>} */
 const FIELDS = {
@@ -41,6 +43,10 @@ export class Reading {
     /** @type {any[]} */
     this.alarms = [];
     this.feature = "";
+    /** Hours that are looked at; null: the whole test. @type {[number, number] | null} */
+    this.span = null;
+    /** @type {Map<string, any>} columns of these hours, of positions whose whole test comes in bins */
+    this.details = new Map();
     this.refreshes = 0;
     /** When everything that is shown was last read, by `performance.now()`. */
     this.readAt = 0;
@@ -98,6 +104,20 @@ export class Reading {
     if (this.info) this.schedule();
   }
 
+  /** Other hours are looked at: where the whole test comes in bins, theirs are finer. @param {[number, number] | null} span */
+  look(span) {
+    if (String(span) === String(this.span)) return;
+    this.span = span;
+    if (span === null) this.details.clear();
+    for (const [position, { bin_sets }] of this.trends) if (bin_sets > 1 && span) this.dirty.positions.add(position);
+    if (this.dirty.positions.size) this.schedule();
+  }
+
+  /** What is drawn of a position: the finest there is of the hours that are looked at. @param {string} position */
+  trend(position) {
+    return this.details.get(position) ?? this.trends.get(position);
+  }
+
   /** @param {string} topic @param {any} event */
   hear(topic, event) {
     if (!this.info) return;
@@ -131,7 +151,7 @@ export class Reading {
         setTimeout(() => this.everything(), 2 * RETRY_MS);
       }
       this.refreshing = false;
-      if (this.refreshAgain) this.schedule();
+      if (this.refreshAgain || this.dirty.positions.size) this.schedule();
     }, REFRESH_MS);
   }
 
@@ -166,15 +186,23 @@ export class Reading {
   async readTrend(position, whole) {
     const place = this.place(position);
     if (!place) return;
-    const before = whole ? undefined : this.trends.get(position);
+    const known = whole ? undefined : this.trends.get(position);
+    // Bins are not gone on with: another set may change the last one, and in time their width.
+    const before = known && known.bin_sets === 1 && known.columns.due_h.length < LONGEST ? known : undefined;
     const from_h = before?.columns.due_h.at(-1);
     const fields = [...FIELDS[place.method]];
     const inBaseline = { to_h: this.info.schedule.baseline_h + 1e-6 };
     if (whole || (from_h ?? 0) <= inBaseline.to_h) this.baselines.set(position, await trend(position, undefined, inBaseline));
     if (this.feature in this.baselines.get(position).columns && !fields.includes(this.feature)) fields.push(this.feature);
-    const answer = await trend(position, fields, { from_h });
-    if (!before) {
-      this.trends.set(position, answer);
+    const { span } = this;
+    const coarse = (known?.bin_sets ?? 1) > 1;
+    const wide = span && { from_h: span[0] - (span[1] - span[0]) / 2, to_h: span[1] + (span[1] - span[0]) / 2 };
+    const [answer, detail] = await Promise.all([trend(position, fields, { from_h }), coarse && wide ? trend(position, fields, wide) : null]);
+    if (detail && String(span) === String(this.span)) this.details.set(position, detail);
+    // The first answer in bins: its hours that are looked at are asked for next.
+    if (answer.bin_sets > 1 && !coarse && span) this.dirty.positions.add(position);
+    if (!before || answer.bin_sets > 1) {
+      this.trends.set(position, answer.bin_sets > 1 && before ? await trend(position, fields) : answer);
       return;
     }
     // Another reading may have come first: keep each set once.

@@ -24,7 +24,7 @@ export class SolimonWaveform extends HTMLElement {
     this.toggle = el("button", { class: "button ghost small", type: "button", "aria-pressed": "false", text: "Table" });
     this.toggle.setAttribute("aria-label", "Table of: Live waveform");
     this.readouts = el("dl", { class: "readouts" });
-    this.box = el("div", { class: "plot", role: "img", tabindex: "0" });
+    this.box = el("div", { class: "plot", role: "img", tabindex: "0", "aria-label": "Waiting for the first record" });
     this.emptyText = el("p", { class: "empty", text: "Waiting for the first record" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);

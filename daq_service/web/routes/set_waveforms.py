@@ -113,9 +113,9 @@ def _windows_s(context: Context, its_set: SetRow) -> dict[str, tuple[float, floa
         return search_windows_s(found.isw_time_s, found.psw_time_s, ExtractionSettings())
     # The reference echo of the test, as the assessor takes it.
     first = catalogue.first_reading(its_set.position)
-    if first is None or first.travel_time_s is None:
-        return {}
     delay_s = context.settings.ultrasound.delay_s
+    if first is None or first.travel_time_s is None or first.travel_time_s <= delay_s:
+        return {}
     span_s = first.travel_time_s - delay_s
     windows = {"first echo": (delay_s + THINNEST_FRACTION * span_s, delay_s + THICKEST_FRACTION * span_s)}
     if isinstance(found, ThicknessRow) and found.travel_time_s is not None:

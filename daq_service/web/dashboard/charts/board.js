@@ -71,7 +71,7 @@ export class Board {
     if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe], "thickness_m", "thickness_mm", "thickness");
     const ofProbe = probe && view.feature in (this.reading.baselines.get(probe)?.units ?? {});
     const shown = ofProbe ? [probe] : waves;
-    if (this.reading.trends.get(shown[0])?.columns[view.feature]) {
+    if (this.reading.trend(shown[0])?.columns[view.feature]) {
       this.charts.feature.entitle(wordOf(view.feature));
       this.draw(this.charts.feature, view, shown, view.feature, view.feature, wordOf(view.feature));
     }
@@ -100,9 +100,10 @@ export class Board {
    * @param {string} field @param {string} key @param {string} short
    */
   lines(view, positions, field, key, short) {
-    const shown = positions.filter((position) => this.reading.trends.get(position)?.columns[field]);
-    const columns = shown.map((position) => this.reading.trends.get(position).columns);
-    const { factor, unit, digits } = shownUnit(this.reading.trends.get(positions[0]).units[field]);
+    const shown = positions.filter((position) => this.reading.trend(position)?.columns[field]);
+    const trends = shown.map((position) => this.reading.trend(position));
+    const columns = trends.map((one) => one.columns);
+    const { factor, unit, digits } = shownUnit(this.reading.trend(positions[0]).units[field]);
     const { x, rows } = joined(columns.map((one) => one.due_h));
     const relative = view.relative && field !== "distance_squared";
     /** @type {Map<string, import("./series.js").Scale>} */
@@ -111,6 +112,8 @@ export class Board {
       const reference = relative ? baselineMean(this.reading.baselines.get(position), field) : null;
       const scale = reference ? relativeTo(reference) : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
+      // Without a baseline nothing is relative to it.
+      const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(relative && !reference ? values.map(() => null) : scaled(values, scale), rows[k]);
       const of = positions.length > 1 ? ` ${position}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
@@ -119,10 +122,13 @@ export class Board {
         color: colorOf(k),
         shape: k,
         points: true,
-        // Without a baseline nothing is relative to it.
-        y: onAxis(relative && !reference ? columns[k][field].map(() => null) : scaled(columns[k][field], scale), rows[k]),
+        y: inUnit(columns[k][field]),
         position,
-        sets: onAxis(columns[k].set_index, rows[k]),
+        // A bin leads to its outlier, if it has one.
+        sets: onAxis(trends[k].bins ? columns[k].set_index.map((/** @type {number} */ set, /** @type {number} */ row) => trends[k].bins.first_outlier_set_index[row] ?? set) : columns[k].set_index, rows[k]),
+        firsts: onAxis(columns[k].set_index, rows[k]),
+        step: trends[k].bin_sets,
+        ...(trends[k].bins?.minimum[field] ? { low: inUnit(trends[k].bins.minimum[field]), high: inUnit(trends[k].bins.maximum[field]) } : {}),
         quality: onAxis(columns[k].quality, rows[k]),
       });
     });
@@ -141,7 +147,7 @@ export class Board {
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
   hourOf(position, index) {
-    const columns = this.reading.trends.get(position)?.columns;
+    const columns = this.reading.trend(position)?.columns;
     const row = columns?.set_index.indexOf(index) ?? -1;
     return row >= 0 ? columns.due_h[row] : (this.reading.gaps.get(position)?.find((gap) => gap.set_index === index)?.due_h ?? null);
   }
@@ -154,16 +160,18 @@ export class Board {
     if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
     const word = chart.options.title;
     const name = relative ? `${word}, change (%)` : unit ? `${word} (${unit})` : word;
+    const [{ step }] = lines;
+    const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
     const says = relative ? "relative to each position's own baseline" : fit ? equation(fit, factor, unit) : "";
-    chart.update({ x, lines, name, unit, digits, subtitle: [at, says].filter(Boolean).join(" · "), ...about });
+    chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, says].filter(Boolean).join(" · "), ...about });
   }
 
   /** @param {View} view @param {string[]} positions */
   distance(view, positions) {
     const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
-    lines.forEach((line) => (line.outlier = onAxis(this.reading.trends.get(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
+    lines.forEach((line) => (line.outlier = onAxis(this.reading.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
     const { at, ...about } = this.about(view, positions);
-    const { columns } = this.reading.trends.get(positions[0]);
+    const { columns } = this.reading.trend(positions[0]);
     const { limits } = this.reading.info;
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
     lines.push(

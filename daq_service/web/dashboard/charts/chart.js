@@ -252,6 +252,7 @@ export class SolimonChart extends HTMLElement {
       x: [...this.series.x],
       y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),
       span: this.plot ? [this.plot.scales.x.min, this.plot.scales.x.max] : null,
+      opens: [...(this.series.lines[0]?.sets ?? [])],
       ranges: this.series.ranges.map((range) => ({ ...range })),
       cursor: this.cursor,
       drawn: Boolean(this.plot),

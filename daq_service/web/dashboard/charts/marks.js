@@ -54,7 +54,7 @@ export function drawPoints(u, x, line) {
   const [from, to] = u.series[0].idxs ?? [0, x.length - 1];
   const r = (to - from > 250 ? 1.9 : 2.5) * devicePixelRatio;
   const shape = SHAPES[(line.shape ?? 0) % SHAPES.length];
-  const paths = { good: new Path2D(), suspect: new Path2D(), bad: new Path2D(), outlier: new Path2D() };
+  const paths = { good: new Path2D(), suspect: new Path2D(), bad: new Path2D(), outlier: new Path2D(), spread: new Path2D() };
   for (let k = from; k <= to; k++) {
     const value = line.y[k];
     const quality = line.quality?.[k];
@@ -65,13 +65,22 @@ export function drawPoints(u, x, line) {
       continue;
     }
     const py = u.valToPos(value, "y", true);
-    if (line.outlier?.[k]) diamond(paths.outlier, px, py, 1.25 * r);
+    const [low, high] = [line.low?.[k] ?? value, line.high?.[k] ?? value];
+    if (high > low) {
+      paths.spread.moveTo(px, u.valToPos(low, "y", true));
+      paths.spread.lineTo(px, u.valToPos(high, "y", true));
+    }
+    // The outlier of a bin is its greatest value, not its mean.
+    if (line.outlier?.[k]) diamond(paths.outlier, px, u.valToPos(high, "y", true), 1.25 * r);
     else if (quality === "bad") cross(paths.bad, px, py, 1.4 * r);
     else shape(quality === "suspect" ? paths.suspect : paths.good, px, py, r);
   }
   clipped(u, (ctx) => {
     ctx.lineWidth = 1.4 * devicePixelRatio;
     ctx.fillStyle = ctx.strokeStyle = color(line.color);
+    ctx.globalAlpha = 0.4;
+    ctx.stroke(paths.spread);
+    ctx.globalAlpha = 1;
     ctx.fill(paths.good);
     ctx.stroke(paths.suspect);
     ctx.fillStyle = ctx.strokeStyle = color("--alarm");

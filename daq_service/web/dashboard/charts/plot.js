@@ -32,6 +32,19 @@ function yRange(log, min, max) {
   return [min - pad, max + pad];
 }
 
+/** With the extremes of bins, which no line reaches. @param {any} u @param {import("./series.js").Line[]} lines @param {number | null} min @param {number | null} max @returns {[number | null, number | null]} */
+function extremes(u, lines, min, max) {
+  const [from, to] = u.series[0].idxs ?? [0, -1];
+  for (const { low, high } of lines) {
+    for (let k = from; low && high && k <= to; k++) {
+      const [least, most] = [low[k], high[k]];
+      if (least !== null && least !== undefined) min = Math.min(min ?? least, least);
+      if (most !== null && most !== undefined) max = Math.max(max ?? most, most);
+    }
+  }
+  return [min, max];
+}
+
 /** How axes look, in the colours of now. */
 export function axisLook() {
   const grid = { stroke: color("--grid"), width: 1 };
@@ -43,10 +56,10 @@ function lineOptions(line, series) {
   const stroke = color(line.color);
   const gaps = (/** @type {any} */ u, /** @type {number} */ index, /** @type {number} */ from, /** @type {number} */ to, /** @type {[number, number][]} */ found) => {
     const { x, lines } = series();
-    const { sets } = lines[index - 1];
-    if (!sets) return found;
+    const its = lines[index - 1];
+    if (!its.firsts) return found;
     const all = [...found];
-    for (let k = from + 1; k <= to; k++) if (missing(sets, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
+    for (let k = from + 1; k <= to; k++) if (missing(its, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
     return all.sort((a, b) => a[0] - b[0]);
   };
   // Points speak, and are drawn by their quality (marks.js); the line only leads from one to the next.
@@ -83,7 +96,7 @@ export function makePlot(box, options, host, series, handlers) {
       },
       scales: {
         x: { time: false, range: span },
-        y: { distr: log ? 3 : 1, range: (/** @type {any} */ _u, /** @type {number | null} */ min, /** @type {number | null} */ max) => yRange(log, min, max) },
+        y: { distr: log ? 3 : 1, range: (/** @type {any} */ u, /** @type {number | null} */ min, /** @type {number | null} */ max) => yRange(log, ...extremes(u, series().lines, min, max)) },
       },
       axes: [
         {

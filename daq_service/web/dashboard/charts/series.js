@@ -12,7 +12,11 @@
  * @property {number[]} [dash]
  * @property {boolean} [tabled] false: not a column of the table
  * @property {string} [position] whose sets these are
- * @property {(number | null)[]} [sets] index of each; null: it has none there
+ * @property {(number | null)[]} [sets] set that each leads to; null: it has none there
+ * @property {(number | null)[]} [firsts] first set of each
+ * @property {number} [step] sets of each: above 1 they are bins
+ * @property {(number | null)[]} [low] least value of each bin
+ * @property {(number | null)[]} [high] greatest
  * @property {(string | null)[]} [quality]
  * @property {(boolean | null)[]} [outlier]
  *
@@ -80,10 +84,10 @@ export function onAxis(column, rows) {
   return rows === null ? column : rows.map((row) => (row < 0 ? null : column[row]));
 }
 
-/** Whether a set is missing between two points of a line. @param {(number | null)[] | undefined} sets @param {number} a @param {number} b rows */
-export function missing(sets, a, b) {
-  const [before, after] = [sets?.[a], sets?.[b]];
-  return before !== null && before !== undefined && after !== null && after !== undefined && after > before + 1;
+/** Whether a set is missing between two points of a line. @param {Line} line @param {number} a @param {number} b rows */
+export function missing({ firsts, step }, a, b) {
+  const [before, after] = [firsts?.[a], firsts?.[b]];
+  return before !== null && before !== undefined && after !== null && after !== undefined && after > before + (step ?? 1);
 }
 
 /** @param {any} fit of /fits @param {number[]} x @param {Scale} scale */

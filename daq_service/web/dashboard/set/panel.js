@@ -61,7 +61,7 @@ export class SolimonSet extends HTMLElement {
     this.toggle = button("Table", () => this.host.go({ tables: this.tabled() ? this.host.view().tables.filter((id) => id !== "set") : [...this.host.view().tables, "set"] }));
     this.toggle.setAttribute("aria-label", "Table of: records of the set");
     this.close = button("Close", () => this.leave());
-    this.box = el("div", { class: "plot tall", role: "img", tabindex: "0" });
+    this.box = el("div", { class: "plot tall", role: "img", tabindex: "0", "aria-label": "Records of the set" });
     this.emptyText = el("p", { class: "empty" });
     this.readout = el("p", { class: "plot-readout" });
     this.box.append(this.emptyText, this.readout);

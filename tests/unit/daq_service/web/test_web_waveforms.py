@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from daq_service.catalogue.rows import SetRow
+from daq_service.judgement.transaction import shot_row
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin
@@ -51,6 +53,73 @@ def live_record(content):
     header = json.loads(content[4 : 4 + length])
     assert (4 + length) % 8 == 0
     return header, np.frombuffer(content[4 + length :], dtype=np.dtype(header["dtype"]).newbyteorder("<"))
+
+
+def records_of_a_set(content):
+    (length,) = struct.unpack_from("<I", content)
+    header, at = json.loads(content[4 : 4 + length]), 4 + length
+    for record in header["records"]:
+        counts = np.frombuffer(
+            content, dtype=np.dtype(record["dtype"]).newbyteorder("<"), count=record["n_samples"], offset=at
+        )
+        at += counts.nbytes
+        yield record, counts
+    assert at == len(content)
+
+
+@pytest.mark.parametrize(("position", "shots"), [("B", 2), ("A", 1)])
+def test_all_records_of_a_set_come_in_one_answer(api, filled, position, shots):
+    answer = api.get(f"/api/v1/sets/{position}/0/waveforms")
+    found = list(records_of_a_set(answer.content))
+    assert [record["shot_index"] for record, _ in found] == list(range(shots))
+    for record, counts in found:
+        waveform = stored(filled, position, record["shot_index"])
+        np.testing.assert_array_equal(counts, waveform.counts)
+        assert record["sample_rate_hz"] == waveform.sample_rate_hz
+        assert record["pretrigger_samples"] == waveform.pretrigger_samples
+
+
+def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
+    settings = Settings(ultrasound={"delay_s": 1e-6})
+    folder = FilledFolder(tmp_path, settings)
+    folder.add_set(0)
+    with served(settings, tmp_path) as service, service.client() as api:
+
+        def windows_s(position):
+            content = api.get(f"/api/v1/sets/{position}/0/waveforms").content
+            (length,) = struct.unpack_from("<I", content)
+            return json.loads(content[4 : 4 + length])["windows_s"]
+
+        (feature,) = api.get("/api/v1/features?position=B&set_index=0&scope=set").json()["items"]
+        (wall,) = api.get("/api/v1/thickness?position=A&set_index=0").json()["items"]
+        isw_s, psw_s, echo_s = feature["isw_time_s"], feature["psw_time_s"], wall["travel_time_s"]
+        # Defaults of `ExtractionSettings`: the window of the PSW counts from the ISW, that of the SSW from the PSW.
+        assert windows_s("B") == {
+            "ISW": pytest.approx([isw_s - 90e-6, isw_s + 90e-6]),
+            "PSW": pytest.approx([isw_s + 200e-6, isw_s + 900e-6]),
+            "SSW": pytest.approx([psw_s + 90e-6, psw_s + 350e-6]),
+        }
+        # The only record of the probe is its reference; the second echo has gone through the wall twice.
+        assert windows_s("A") == {
+            "first echo": pytest.approx([1e-6 + 0.1 * (echo_s - 1e-6), 1e-6 + 1.15 * (echo_s - 1e-6)]),
+            "second echo": pytest.approx([2 * echo_s - 1e-6] * 2),
+        }
+    folder.close()
+
+
+def test_a_repeated_record_is_not_among_those_of_its_set(tmp_path, monkeypatch):
+    def repeated(record, **told):
+        row = shot_row(record, **told)
+        return replace(row, outcome="superseded") if row.shot_index == 1 else row
+
+    monkeypatch.setattr("support.filled_folder.shot_row", repeated)
+    folder = FilledFolder(tmp_path, Settings(), shots_per_set=2)
+    folder.add_set(0)
+    with served(folder.settings, tmp_path) as service, service.client() as api:
+        found = list(records_of_a_set(api.get("/api/v1/sets/B/0/waveforms").content))
+        assert [record["shot_index"] for record, _ in found] == [0]
+        assert api.get("/api/v1/sets/B/1/waveforms").status_code == 404
+    folder.close()
 
 
 @pytest.mark.parametrize(("position", "shot_index"), [("B", 0), ("D", 1), ("A", 0)])
