@@ -263,6 +263,10 @@ def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled
 def test_an_open_set_fits_every_width(filled, service, open_page, width):
     page = open_page(f"{service.url}?position=B&set={LAST}", viewport={"width": width, "height": 900})
     expect(page.locator("#set")).to_have_attribute("data-records", str(SHOTS))
+    # The set of an address is read first: units, neighbours and baseline come after it.
+    expect(page.locator("#set")).to_contain_text("Time of flight, peak to peak")
+    until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
+    expect(page.get_by_role("button", name="Next set")).to_be_enabled()
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 

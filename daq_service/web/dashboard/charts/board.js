@@ -158,7 +158,8 @@ export class Board {
     const { at, ...about } = this.about(view, positions);
     const fit = this.reading.fits.get(`${positions[0]} ${field}`);
     if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
-    const word = chart.options.title;
+    // Beside the axis there is no room for more.
+    const [word] = chart.options.title.split(",");
     const name = relative ? `${word}, change (%)` : unit ? `${word} (${unit})` : word;
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";

@@ -107,13 +107,14 @@ export class SolimonChart extends HTMLElement {
     this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set. ${last >= 0 ? this.describe(last) : this.options.empty}`);
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
     const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
-    if (!series.x.length) this.destroy();
-    else if (this.plot && made === this.made) this.plot.setData(dataOf(series));
-    else this.draw();
     if (made !== this.made) {
       const outlier = series.lines.some((line) => line.outlier) ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")] : [];
       this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
     }
+    // Last, when all around it has its size.
+    if (!series.x.length) this.destroy();
+    else if (this.plot && made === this.made) this.plot.setData(dataOf(series));
+    else this.draw();
     this.made = made;
     if (!this.tableBox.hidden) this.fillTable();
   }

@@ -109,11 +109,16 @@ export class SolimonSet extends HTMLElement {
     }
     this.whole.disabled = this.host.view().from_us === null;
     const { from_us, to_us, ...rest } = this.host.view();
-    const shown = JSON.stringify([rest.shot, rest.tables, rest.theme]);
+    // Units and the baseline's set may be read after the set that an address opens.
+    const shown = JSON.stringify([rest.shot, rest.tables, rest.theme, Object.keys(this.host.units(position)), this.host.ghost(position)]);
+    this.neighbours();
     if (this.asked === `${position} ${set}` && this.evidence && shown === this.shown) return this.plotted?.plot.setScale("x", this.plotted.plot.scales.x);
     this.shown = shown;
     if (this.asked !== `${position} ${set}`) void this.read();
-    else if (this.evidence) this.render();
+    else if (this.evidence) {
+      this.render();
+      void this.readGhost(position).then(() => this.draw());
+    }
   }
 
   /** Read the set anew, e.g. because it was judged meanwhile. */

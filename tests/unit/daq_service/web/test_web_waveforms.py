@@ -93,7 +93,7 @@ def test_marks_lie_in_the_windows_in_which_they_were_looked_for(tmp_path):
         (feature,) = api.get("/api/v1/features?position=B&set_index=0&scope=set").json()["items"]
         (wall,) = api.get("/api/v1/thickness?position=A&set_index=0").json()["items"]
         isw_s, psw_s, echo_s = feature["isw_time_s"], feature["psw_time_s"], wall["travel_time_s"]
-        # Defaults of `ExtractionSettings`: the PSW's window counts from the ISW, the SSW's from the PSW.
+        # Defaults of `ExtractionSettings`, counted from the ISW, and for the SSW from the PSW.
         assert windows_s("B") == {
             "ISW": pytest.approx([isw_s - 90e-6, isw_s + 90e-6]),
             "PSW": pytest.approx([isw_s + 200e-6, isw_s + 900e-6]),
