@@ -107,6 +107,8 @@ def test_every_command_and_option_exists(page: Path) -> None:
     for line in lines:
         name, *words = line.split()
         command = cli.get_command(click.Context(cli), name)
+        if isinstance(command, click.Group) and words:
+            command = command.get_command(click.Context(command), words[0])
         assert command is not None, line
         known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
         options = {word.partition("=")[0] for word in words if word.startswith("--")}
