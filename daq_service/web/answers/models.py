@@ -479,7 +479,7 @@ class Session(Answer):
     may: list[str] = Field(description="Operations and kinds of orders that this person may ask for")
 
 
-class TokenRow(Answer):
+class TokenEntry(Answer):
     """What is kept of an access token."""
 
     name: str
@@ -490,7 +490,7 @@ class TokenRow(Answer):
     revoked_utc: str | None
 
 
-class NewToken(TokenRow):
+class NewToken(TokenEntry):
     """A token that was just made."""
 
     token: str = Field(description="What opens; told once")
@@ -499,10 +499,10 @@ class NewToken(TokenRow):
 class TokenList(Answer):
     """All tokens."""
 
-    items: list[TokenRow]
+    items: list[TokenEntry]
 
 
-class AuditRow(Answer):
+class AuditEntry(Answer):
     """What somebody asked for."""
 
     id: int = Field(description="Running number; one that is missing was damaged or taken away")
@@ -523,4 +523,4 @@ class AuditPage(Answer):
     """The newest first."""
 
     next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
-    items: list[AuditRow]
+    items: list[AuditEntry]

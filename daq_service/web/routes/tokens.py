@@ -11,7 +11,7 @@ from starlette.responses import Response
 from daq_service.errors import UsageError
 from daq_service.orders.kinds import Strict
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import NewToken, TokenList, TokenRow, problems
+from daq_service.web.answers.models import NewToken, TokenEntry, TokenList, problems
 from daq_service.web.answers.problem import conflict
 from daq_service.web.context import ContextOf
 from daq_service.web.doors.roles import CLAIMED, Role
@@ -61,7 +61,7 @@ def make_token(wanted: TokenWanted, request: Request, person: PersonOf, context:
 @router.delete(
     "/tokens/{name}",
     operation_id="revoke_token",
-    response_model=TokenRow,
+    response_model=TokenEntry,
     responses=problems(403, 409, 422, 503),
 )
 def take_token(
