@@ -317,6 +317,18 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     filled.reinstate("C")
 
 
+def test_nobody_is_shut_out_while_the_first_answer_is_awaited(filled, service, browser):
+    context = browser.new_context(viewport=DESK)
+    context.route(re.compile("/trends/"), lambda route: None)
+    page = context.new_page()
+    page.goto(service.url)
+    expect(page.locator("#connection")).to_have_text("Live")
+    expect(page.locator("#tof .plot")).to_have_attribute("aria-label", "Time of flight. Reading")
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    context.close()
+
+
 def test_retirements_and_holds_are_marks(filled, service, open_page):
     page = open_page(service.url)
     wait_for(page)

@@ -75,6 +75,7 @@ export class SolimonChart extends HTMLElement {
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
+    this.canvasBox.setAttribute("aria-label", `${options.title}. ${this.emptyText.textContent}`);
     this.setAttribute("role", "group");
     this.setAttribute("aria-labelledby", this.heading.id);
     this.append(el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle), this.actions), this.readout, this.canvasBox, this.tableBox, this.legend);
