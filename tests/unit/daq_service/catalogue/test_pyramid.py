@@ -168,6 +168,14 @@ def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
             assert list(trend_differences(connection)) == []
 
 
+def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_path):
+    with begun_catalogue(tmp_path) as catalogue:
+        for index in (*range(70), 300):
+            catalogue.commit_set(SetCommit(sets=[planned(index)]))
+        with catalogue.reading() as connection:
+            assert list(trend_differences(connection)) == []
+
+
 def test_a_damaged_row_keeps_no_set_from_being_stored(tmp_path, caplog):
     with begun_catalogue(tmp_path) as catalogue:
         for index in range(3):
