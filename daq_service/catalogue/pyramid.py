@@ -377,13 +377,21 @@ def _asked(connection: Connection, position: str, hours: tuple[float | None, flo
 
 
 def trend_bins(
-    catalogue: Catalogue, position: str, *, first_h: float | None, last_h: float | None, points: int
+    catalogue: Catalogue,
+    position: str,
+    *,
+    first_h: float | None,
+    last_h: float | None,
+    points: int,
+    most_bins: int,
 ) -> tuple[int, NDArray[np.void]] | None:
     """Bins over the sets of a position that are due between two hours, both included (None: any).
 
     Parameters
     ----------
     points
+        How many sets make bins unnecessary.
+    most_bins
         How many bins at most.
 
     Returns
@@ -397,7 +405,7 @@ def trend_bins(
             return None
         place, first, end = asked
         width = _CHARTS.finest
-        while (end - 1) // width - first // width >= points:
+        while (end - 1) // width - first // width >= most_bins:
             width *= 2
         pieces = _covering(connection, _CHARTS, place, first, end, max(_CHARTS.widths(width)))
     _, bins = _joined(_CHARTS, _concatenated(pieces), width)
