@@ -67,7 +67,7 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
     [
         "status",
         "serve",
-        "hold",
+        "hold --reason why",
         "release",
         "trust-clock",
         "retire --position B",
@@ -84,7 +84,7 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
 
 
 def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:
-    done = solimon_here("hold", "--data-dir", str(tmp_path), env={})
+    done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 

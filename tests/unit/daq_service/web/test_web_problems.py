@@ -297,7 +297,10 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ({"kind": "stop", "arguments": {"now": True}}, "/stop/arguments/now"),
         ({"kind": "stop", "author": ""}, "/stop/author"),
         ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
-        ({"kind": "hold", "arguments": {"position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "hold", "arguments": {"note": "why", "position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "hold"}, "/hold/arguments"),
+        ({"kind": "hold", "arguments": {}}, "/hold/arguments/note"),
+        ({"kind": "hold", "arguments": {"note": "  "}}, "/hold/arguments/note"),
         ({"kind": "release", "arguments": {"note": "x" * 2001}}, "/release/arguments/note"),
         ({"kind": "retire"}, "/retire/arguments"),
         ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
@@ -343,7 +346,7 @@ def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
     (row,) = filled.catalogue.open_commands()
     assert (row.kind, row.author, row.arguments) == ("hold", "Ada", {"note": "door open"})
     filled.say("hold", held="held by Ada: door open", author="Ada")
-    refusal = problem(ordered(api, "hold"), 409, "conflict")
+    refusal = problem(ordered(api, "hold", note="again"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
     assert ordered(api, "release").status_code == 202
     kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
@@ -391,7 +394,12 @@ def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, la
 
 @pytest.mark.parametrize(
     ("kind", "arguments"),
-    [("hold", {}), ("release", {}), ("retire", {"position": "B"}), ("reinstate", {"position": "B"})],
+    [
+        ("hold", {"note": "why"}),
+        ("release", {}),
+        ("retire", {"position": "B"}),
+        ("reinstate", {"position": "B"}),
+    ],
 )
 def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
     filled, api = lab
