@@ -1,10 +1,14 @@
 """What changes a test, given on the page: each order names its consequence, and is never a single click."""
 
+from datetime import datetime, timedelta
+
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import expect
 from support.filled_folder import FilledFolder
 from support.served_web import served
 
+from daq_service.orders.audit import Audit
 from daq_service.settings.tree import Settings
 from daq_service.web.doors.tokens import create_token
 
@@ -94,6 +98,10 @@ def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(
     dialog.get_by_role("button", name="Switch on: 12 V, at most 1 A").click()
     expect(dialog).to_be_visible()
     assert filled.catalogue.open_commands() == []
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
     dialog.get_by_label("Voltage in V").fill("5.5")
     dialog.get_by_label("Current limit in A").fill("0.25")
     dialog.get_by_role("button", name="Switch on: 5.5 V, at most 0.25 A").click()
@@ -131,6 +139,47 @@ def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
     expect(page.get_by_role("button", name="Cleo (claimed)")).to_be_visible()
 
 
+def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page, tmp_path):
+    audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
+    yesterday = now.replace(hour=12) - timedelta(days=1)
+    deeds = [
+        ("old", "hold", yesterday - timedelta(days=1)),
+        ("cleo", "hold", yesterday),
+        ("ben", "log_in", yesterday),
+    ]
+    for who, what, moment in deeds:
+        told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+        audit.tell(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+    for _ in range(60):
+        audit.tell(
+            who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
+        )
+    page = open_page(service.url)
+    rows = page.locator("#audit tbody tr")
+    clicks = [
+        page.get_by_text("Audit", exact=True),
+        page.get_by_role("button", name="Holds"),
+        page.get_by_role("button", name="Yesterday"),
+    ]
+    for one in clicks:
+        one.click()
+    expect(rows).to_have_count(1)
+    expect(rows).to_contain_text("cleo")
+    expect(rows).to_contain_text("note: changing a sensor")
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    page.get_by_role("button", name="Any time").click()
+    expect(rows).to_have_count(50)
+    page.get_by_role("button", name="Older").click()
+    expect(rows.nth(50)).to_be_visible()
+    page.get_by_label("Who").fill("old")
+    page.keyboard.press("Enter")
+    expect(rows).to_have_count(1)
+    page.get_by_label("Result").select_option("refused")
+    expect(rows).to_have_count(0)
+    expect(page.locator("#audit [role=status]")).to_contain_text("Nothing found")
+
+
 @pytest.mark.parametrize(
     ("role", "held", "control"),
     [("viewer", False, False), ("operator", True, False), ("engineer", True, True)],
@@ -155,4 +204,5 @@ def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
         why = "" if control else f"ann is {role}: this role does not allow it."
         expect(page.locator("#control-why")).to_have_text(why)
         expect(page.locator("#name")).to_be_hidden()
+        expect(page.locator("#audit")).to_be_hidden()
         page.close()

@@ -5,6 +5,7 @@ import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
 import { Toolbar } from "./charts/toolbar.js";
+import { Audit } from "./control/audit.js";
 import { confirmed } from "./control/confirm.js";
 import { Control } from "./control/panel.js";
 import { may } from "./control/who.js";
@@ -330,4 +331,5 @@ Object.defineProperty(window, "solimonDashboard", {
 });
 
 await admitted();
+new Audit();
 reading.begin((after) => events.open(after));

@@ -318,6 +318,20 @@ def test_plain_http_at_the_tls_port_gets_nothing_and_hurts_nobody(far, caplog):
     assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
+def test_a_handshake_that_never_ends_is_ended(filled, tokens, monkeypatch):
+    create_token(tokens, "ann", "viewer")
+    monkeypatch.setattr("daq_service.web.server.HANDSHAKE_WITHIN_S", 0.2)
+    web = {"host_names": ["lab.example.org"], **ENCRYPTED}
+    with served(Settings(web=web), filled.folder) as service:
+        port = int(service.netloc.rpartition(":")[2])
+        # Less than the minute that asyncio would wait by itself.
+        with socket.create_connection(("127.0.0.1", port), timeout=DEADLINE_S / 2) as silent:
+            try:
+                assert silent.recv(1) == b""
+            except ConnectionResetError:
+                pass  # ended, too
+
+
 def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     web = {"host_names": ["lab.example.org"], "proxy": "127.0.0.1"}
