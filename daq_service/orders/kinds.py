@@ -7,6 +7,7 @@ in `AnyOrder`.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
@@ -111,8 +112,12 @@ class NoteArguments(Strict):
     note: str = Field(default="", max_length=2000)
 
 
+WRITTEN = re.compile(r"[^\s\x00-\x1f\x85]")
+"""Neither space nor control character, for Python and for JSON Schema alike."""
+
+
 def _says_why(note: str) -> str:
-    if not note.strip():
+    if not WRITTEN.search(note):
         raise ValueError("say why, for whoever finds the test on hold, such as 'hands in the rig'")
     return note
 
@@ -122,7 +127,7 @@ class ReasonArguments(Strict):
 
     note: Annotated[
         str,
-        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": r"\S"}),
+        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": WRITTEN.pattern}),
         AfterValidator(_says_why),
     ]
 

@@ -23,6 +23,8 @@ BODY_WITHIN_S = 10.0
 FOREIGN = frozenset({"foreign-host", "foreign-origin"})
 """Refusals that are audited: somebody else's page has tried."""
 Tell = Callable[[Scope, str], Awaitable[None]]
+EVENTS = "/api/v1/stream"
+"""No browser shows a foreign page what it reads there, but it would take one of the streams."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -153,14 +155,14 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only.",
             "Open the address that the service printed, or name this one in web.host_names.",
         )
-    writes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
-    if writes and not same_origin(headers):
+    streams = scope["type"] == "websocket" or scope["path"] == EVENTS
+    if (streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers):
         return Problem(
             403,
             "foreign-origin",
             "Request from another origin",
             f"Origin is {headers.get('origin')!r}, but the request went to {host!r}.",
-            "Only the service's own dashboard and programs without a browser may write or follow waveforms.",
+            "Only the service's own dashboard and programs without a browser may write or follow a stream.",
         )
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdigit() or int(size) > LARGEST_BODY_BYTES):

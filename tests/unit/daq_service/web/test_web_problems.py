@@ -201,7 +201,8 @@ def test_fault_of_the_service_hides_its_inside(tmp_path, caplog):
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "evil.example:80", "[::2]", ""])
 def test_foreign_host_is_refused(api, host):
-    problem(api.get("/api/v1/info", headers={"Host": host}), 400, "foreign-host")
+    for path in ("info", "stream"):
+        problem(api.get(f"/api/v1/{path}", headers={"Host": host}), 400, "foreign-host")
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "localhost:8750"])
@@ -219,10 +220,11 @@ def test_own_names_are_served(api, host):
         {"Sec-Fetch-Site": "same-site"},
     ],
 )
-def test_orders_of_other_origins_are_refused_and_not_written(api, filled, headers):
+def test_orders_and_streams_of_other_origins_are_refused_and_nothing_is_written(api, filled, headers):
     before = n_commands(filled)
     for path, body in (("commands", {"kind": "stop"}), ("alarms/1/acknowledge", {})):
         problem(api.post(f"/api/v1/{path}", json=body, headers=headers), 403, "foreign-origin")
+    problem(api.get("/api/v1/stream", headers=headers), 403, "foreign-origin")
     assert n_commands(filled) == before
 
 
