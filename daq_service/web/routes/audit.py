@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query
-from pydantic import AwareDatetime
+from pydantic import AwareDatetime, BeforeValidator
 
 from daq_service.errors import SolimonError, StorageUnavailableError
 from daq_service.orders.audit import AUDIT_FILE, Deed, Result, read_audit
@@ -26,8 +27,19 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
 What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: hold,release")]
 WithResult = Annotated[Result | None, Query(description="Only with this result")]
-FromUtc = Annotated[AwareDatetime | None, Query(description="First moment, included")]
-ToUtc = Annotated[AwareDatetime | None, Query(description="Last moment, excluded")]
+RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
+
+
+def _written_out(text: str) -> str:
+    """Pydantic by itself takes a number for seconds since 1970, too."""
+    if not RFC_3339.fullmatch(text):
+        raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
+    return text
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(_written_out)]
+FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
+ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
 
 @router.get("/audit", operation_id="list_audit", response_model=AuditPage, responses=problems(422, 503))

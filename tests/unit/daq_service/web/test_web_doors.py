@@ -469,6 +469,7 @@ def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkey
         ({"what": "hold,explode"}, "what names 'explode'"),
         ({"result": "maybe"}, "query /result"),
         ({"from_utc": "2024-01-01T00:00:00"}, "query /from_utc"),
+        ({"to_utc": "1704067200"}, "give a time with its offset, such as 2024-01-01T00:00:00Z"),
         ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
     ],
 )
