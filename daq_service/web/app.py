@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asyncio import to_thread
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -78,12 +79,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context = context_of(app)
     await context.hub.start()
     await context.live.start()
+    context.notifications.start()
     try:
         yield
     finally:
         context.close_streams()
         await context.hub.join()
         await context.live.join()
+        await to_thread(context.notifications.join)
         context.catalogue_access.close()
 
 

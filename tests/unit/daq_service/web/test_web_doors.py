@@ -398,7 +398,7 @@ def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch,
     def refuse(*_):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("daq_service.orders.audit.append_durably", refuse)
+    monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.post("/api/v1/commands", json=HOLD).status_code == 202
     assert "not in audit.jsonl: hold accepted mallory" in caplog.text
