@@ -31,6 +31,7 @@ from daq_service.web.routes import (
     health,
     info,
     metrics,
+    notifications,
     orders,
     session,
     set_waveforms,
@@ -69,6 +70,7 @@ RESOURCES = (
     audit,
     tables,
     files,
+    notifications,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""

@@ -17,7 +17,8 @@ def notify(address: Address, message: Message) -> Outcome:
     import apprise
 
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)
-    door = apprise.Apprise()
+    # In this thread, which is the receiver's own.
+    door = apprise.Apprise(asset=apprise.AppriseAsset(async_mode=False))
     if not door.add(address.url):
         return Outcome(ok=False, told="apprise does not know this kind of address; see its list of services")
     kind = apprise.NotifyType.INFO if message.kind == "test" else apprise.NotifyType.WARNING
