@@ -13,6 +13,7 @@ import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
 import { admitted } from "./login.js";
+import { Notifications } from "./notifications.js";
 import { order } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
@@ -329,3 +330,5 @@ Object.defineProperty(window, "solimonDashboard", {
 
 await admitted();
 reading.begin((after) => events.open(after));
+const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));
+notifications.begin().catch((error) => failing.fail(error, reading.readAt));

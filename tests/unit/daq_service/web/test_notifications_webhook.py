@@ -6,6 +6,7 @@ import json
 import logging
 import socket
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from email.utils import formatdate
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from support.waiting import happened
 from daq_service.errors import UsageError
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.web.notifications.addresses import Address, address_of, refuse_unusable, shown_address
+from daq_service.web.notifications.by_apprise import notify
 from daq_service.web.notifications.messages import Message
 from daq_service.web.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
 
@@ -218,9 +220,9 @@ def test_a_start_refuses_what_could_not_be_told(monkeypatch):
 
 @pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
 def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkeypatch, caplog):
-    pytest.importorskip("apprise")
-    from daq_service.web.notifications.by_apprise import notify
-
+    pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
+    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{own}", pool)
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
@@ -229,5 +231,6 @@ def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkey
         receiver.answers.put((500, {}))
         assert not notify(address, MESSAGE).ok
         assert "does not know this kind" in notify(Address("nonsense://x", b""), MESSAGE).told
+    pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
