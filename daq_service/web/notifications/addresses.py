@@ -37,6 +37,8 @@ def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, 
     """
     url = receiver.url or _held(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
+        if find_spec("apprise") is None:
+            raise UsageError(_of(name, 'e-mail and chat need the extra: pip install "solimon[notify]"'))
         if not _SCHEME.match(url.lower()):
             raise UsageError(_of(name, "the address is none of apprise; give one like mailtos://..."))
         return Address(url, b"")
@@ -72,8 +74,6 @@ def refuse_unusable(settings: NotificationSettings) -> None:
     """
     for name, receiver in settings.receivers.items():
         address_of(name, receiver)
-        if receiver.kind == "apprise" and find_spec("apprise") is None:
-            raise UsageError(_of(name, 'e-mail and chat need the extra: pip install "solimon[notify]"'))
     for number, rule in enumerate(settings.rules, start=1):
         if unknown := sorted(set(rule.kinds) - GUIDANCE.keys()):
             raise UsageError(
