@@ -31,7 +31,7 @@ function heartbeat(beat) {
 /** @param {any} receiver */
 function trouble(receiver) {
   if (receiver.failing_since_utc === null) return "";
-  return `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried again until it is too old. Look after ${receiver.address}.`;
+  return `Since ${utc(receiver.failing_since_utc)}: ${receiver.last_failure}. Nothing is lost: it is tried again until it is too old.`;
 }
 
 class Receiver {
@@ -45,7 +45,7 @@ class Receiver {
     this.button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", text: `Send a trial to ${this.name}` }));
     this.button.addEventListener("click", () => this.#test(changed));
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
-    this.element = el("div", { class: "environment-group" }, this.state, el("dl", { class: "readouts" }, ...readouts), this.trouble, this.button, this.result);
+    this.element = el("div", { class: "environment-group" }, this.state, el("dl", { class: "readouts" }, ...readouts), this.button, this.trouble, this.result);
     this.word = "";
   }
 
