@@ -278,7 +278,8 @@ def serve_alone(
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:
         refuse_other_folders(folder)
-        refuse_unusable(settings.notifications)  # later a trouble with a receiver is told, and ends nothing
+        if config is not None:  # who opens a folder only to look needs no secrets
+            refuse_unusable(settings.notifications)
     refuse_open_doors(settings.web, folder)
     prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")

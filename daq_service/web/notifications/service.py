@@ -11,7 +11,7 @@ from pathlib import Path
 
 from daq_service.catalogue.reader import Catalogue
 from daq_service.errors import BusyError, SolimonError
-from daq_service.processes.data_folder import hold_lock
+from daq_service.processes.data_folder import BACKUP_FILE, hold_lock
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.settings.tree import Settings
 from daq_service.web.notifications.addresses import address_of
@@ -61,7 +61,9 @@ class Notifications:
 
     def start(self) -> None:
         """Send from now on, as soon as no other web service of this test does."""
-        if self.lines:
+        if self.lines and (self._folder / BACKUP_FILE).exists():
+            self.why_silent = "this is a backup; the test's own folder tells"
+        elif self.lines:
             self._run(self._own, "notifications")
 
     def close(self) -> None:

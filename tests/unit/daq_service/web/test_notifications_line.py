@@ -161,6 +161,67 @@ def test_a_restart_neither_loses_nor_repeats(made):
     assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
+def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(made):
+    bench = made(delay_s=60.0)
+    bench.alarms.change()
+    bench.run(10.0)
+    bench.mono_s += 40.0
+    bench.alarms.change(present=False)
+    bench.mono_s += 600.0
+    bench.restarted()
+    assert bench.run(100.0) == []
+
+
+class Crash(BaseException):
+    """Not an error that anything handles: the process is gone."""
+
+
+def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_path):
+    """Before and after each line of the log and each message, one point after the other."""
+    at, is_over = 0, False
+    while not is_over:
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        bench = Bench(folder, notifying(rules=[{"kinds": ["hole"], "delay_s": 5.0, "group_s": 3.0}, AT_ONCE]))
+        bench.run()
+        left = [at]
+
+        def crashing(act, left=left):
+            def acted(one):
+                for do in (None, act):
+                    done = do(one) if do else None
+                    left[0] -= 1
+                    if left[0] == -1:
+                        raise Crash
+                return done
+
+            return acted
+
+        bench.log.tell = crashing(bench.log.tell)
+        bench._send = crashing(bench._send)
+        bench.restarted()
+        wanted = [bench.alarms.change(kind) for kind in ("hole", "no_data", "thickness")]
+        try:
+            bench.run(4.0, at_least_s=2.0)
+            wanted.append(bench.alarms.change("hole", position="C"))
+            bench.run(20.0, at_least_s=3.0)
+            is_over = True
+        except Crash:
+            bench.restarted()
+            bench.run(4.0, at_least_s=2.0)
+            if len(wanted) == 3:
+                wanted.append(bench.alarms.change("hole", position="C"))
+            bench.run(20.0, at_least_s=3.0)
+        by_key = {
+            message.key: [item["event_id"] for item in message.facts["alarms"]] for message in bench.sent
+        }
+        assert sorted(event_id for told in by_key.values() for event_id in told) == wanted
+        assert len(bench.sent) - len(by_key) <= 1
+        bench.alarms.catalogue.close()
+        at += 1
+    assert at > 12
+
+
 def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the_same_key(made, monkeypatch):
     bench = made(group_s=10.0)
     bench.alarms.change("hole")

@@ -15,6 +15,7 @@ from daq_service.alarms.states import Change, Condition, Moment, update
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
 from daq_service.judgement.transaction import payload_of
+from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.settings.file import load_settings
 from daq_service.web.notifications.delivery_log import LOG_FILE, DeliveryLog
 from daq_service.web.notifications.webhook import Bounds
@@ -123,6 +124,16 @@ def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver)
         with line._trying:
             refused = client.post(f"{STATE}/duty/test", json={})
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
+
+
+def test_a_backup_tells_nobody(filled, receiver):
+    """Its signs of life would hide that the test's own service is gone."""
+    (filled.folder / BACKUP_FILE).write_bytes(b"{}")
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        told = client.get(STATE).json()
+        assert (told["sending"], told["receivers"][0]["began"]) == (False, "")
+        assert told["why_silent"] == "this is a backup; the test's own folder tells"
+    assert not (filled.folder / LOG_FILE).exists()
 
 
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
