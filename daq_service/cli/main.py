@@ -291,6 +291,22 @@ def token_revoke(**options: Any) -> None:
     run_revoke(**options)
 
 
+@cli.group()
+def notify() -> None:
+    """Who is told of alarms elsewhere ([notifications] of the configuration)."""
+
+
+@notify.command("test")
+@CONFIG
+@click.option("--receiver", metavar="NAME", help="This one only; default: all.")
+@JSON
+def notify_test(**options: Any) -> None:
+    """Send each receiver one message that is marked as a trial, and say what became of it."""
+    from daq_service.cli.set_up.notify import run_test
+
+    run_test(**options)
+
+
 @cli.command()
 @CONFIG
 @DATA_DIR

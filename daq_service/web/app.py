@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asyncio import to_thread
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -30,6 +31,7 @@ from daq_service.web.routes import (
     health,
     info,
     metrics,
+    notifications,
     orders,
     session,
     set_waveforms,
@@ -68,6 +70,7 @@ RESOURCES = (
     audit,
     tables,
     files,
+    notifications,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -78,12 +81,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context = context_of(app)
     await context.hub.start()
     await context.live.start()
+    context.notifications.start()
     try:
         yield
     finally:
         context.close_streams()
         await context.hub.join()
         await context.live.join()
+        await to_thread(context.notifications.join)
         context.catalogue_access.close()
 
 

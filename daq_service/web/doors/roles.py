@@ -50,9 +50,12 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_table": "viewer",
     "get_file": "viewer",
     "get_metrics": "viewer",
+    "get_notifications": "viewer",
+    "list_deliveries": "viewer",
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
+    "test_receiver": "engineer",
     # Who may do all this, and who did.
     "list_tokens": "admin",
     "create_token": "admin",
