@@ -533,6 +533,20 @@ def certify(**options: Any) -> None:
     sys.exit(run_certify(**options))
 
 
+@cli.command()
+@click.argument("where", metavar="CONFIG_OR_DATA", type=click.Path(exists=True, path_type=Path))
+@click.option("--from-h", type=float, help="From this hour on.")
+@click.option("--to-h", type=float, help="Before this hour.")
+@click.option("--out", type=FILE, help="Its file; default: report_FOLDER.html here.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@JSON
+def report(**options: Any) -> None:
+    """Write a test, also one that runs, or some hours of it as one HTML page that prints on paper."""
+    from daq_service.cli.keeping.report import write_report
+
+    write_report(**options)
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:

@@ -32,6 +32,7 @@ from daq_service.web.routes import (
     metrics,
     orders,
     record_files,
+    report,
     session,
     set_waveforms,
     sets,
@@ -70,6 +71,7 @@ RESOURCES = (
     tables,
     record_files,
     files,
+    report,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""

@@ -50,6 +50,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "list_tables": "viewer",
     "get_table": "viewer",
     "get_file": "viewer",
+    "get_report": "viewer",
     "get_metrics": "viewer",
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
