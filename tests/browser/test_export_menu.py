@@ -108,6 +108,13 @@ def test_the_copied_python_has_the_figures_of_the_chart(page, chart, of, field, 
         assert set(table["quality"]) == {"good"}
 
 
+def test_the_copied_python_of_the_test_has_every_position(page):
+    data = run_copied(page, "the test")
+    assert set(data["verdicts"]["position"]) == {"B", "C", "D"}
+    assert data["features"]["due_h"].between(4, 12, inclusive="left").all()
+    assert len(data["features"]) == 3 * 16
+
+
 def test_the_copied_python_has_the_records_of_the_opened_set(page):
     waves = run_copied(page, "records of the set")["waves"]
     drawn = page.evaluate("window.solimonDashboard.set")
@@ -136,6 +143,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
             ("Time of flight", 2 * len(formats)),
             ("Mahalanobis squared distance", 2 * len(formats)),
             ("records of the set", len(formats) + 1),
+            ("the test", 5 * len(formats) + 1),
         ):
             links = opened(page, of).get_by_role("link")
             addresses = [links.nth(k).get_attribute("href") for k in range(links.count())]
@@ -146,6 +154,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
                 assert "attachment" in answer.headers["content-disposition"]
                 assert len(answer.content) > 100
             page.keyboard.press("Escape")
+        assert "Position B" in api.get("/api/v1/report?from_h=4&to_h=12").text
         npz = api.get(f"/api/v1/waveforms/B?first_set={LAST}&last_set={LAST}&format=npz")
     with np.load(io.BytesIO(npz.content)) as arrays:
         assert arrays["voltage_v"].shape[0] == SHOTS

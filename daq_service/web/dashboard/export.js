@@ -6,7 +6,7 @@ import { el, setText } from "./dom.js";
 /**
  * @typedef {object} Offer
  * @property {string} says what the files hold, where that differs from the screen
- * @property {{title: string, path: string, formats: boolean}[]} files below /api/v1; formats: in each of the API's
+ * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: what one is, else each of the API's formats
  * @property {string[]} python lines in which `test` is the opened test
  */
 
@@ -20,6 +20,15 @@ const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : fiel
 /** A text or number as Python writes it. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);
 
+/** @param {[number, number] | null} span @returns {Record<string, number>} */
+const hoursOf = (span) => (span ? { from_h: span[0], to_h: span[1] } : {});
+
+/** @param {Record<string, number>} range as arguments of the client */
+const keywords = (range) => Object.entries(range).map(([name, value]) => `${name}=${literal(value)}`);
+
+/** @param {Record<string, string | number>} asked */
+const query = (asked) => new URLSearchParams(Object.entries(asked).map(([name, value]) => [name, String(value)])).toString();
+
 /**
  * What a chart shows: each set of these hours, also where the chart shows bins.
  *
@@ -29,18 +38,36 @@ const literal = (value) => JSON.stringify(value);
  */
 export function chartOffer({ fields, method, positions }, span) {
   const table = tableOf(fields[0], method);
-  const range = span ? { from_h: span[0], to_h: span[1] } : {};
+  const range = hoursOf(span);
   const files = positions.map((position) => ({
     title: `Position ${position}`,
-    path: `/tables/${table}?${new URLSearchParams({ position, ...Object.fromEntries(Object.entries(range).map(([name, value]) => [name, String(value)])), fields: fields.join(",") })}`,
-    formats: true,
+    path: `/tables/${table}?${query({ position, ...range, fields: fields.join(",") })}`,
   }));
-  const asked = ["position", ...Object.entries(range).map(([name, value]) => `${name}=${literal(value)}`)].join(", ");
+  const asked = ["position", ...keywords(range)].join(", ");
   const columns = ["due_h", ...fields, "quality"].map(literal).join(", ");
   return {
     says: "Every set of these hours, in SI units.",
     files,
     python: ["data = {", `    position: test.${table}(${asked})[[${columns}]]`, `    for position in [${positions.map(literal).join(", ")}]`, "}"],
+  };
+}
+
+/**
+ * A page that prints, and whole tables.
+ *
+ * @param {[number, number] | null} span null: the whole test
+ * @returns {Offer}
+ */
+export function testOffer(span) {
+  const range = hoursOf(span);
+  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", alarms: "Alarms" };
+  return {
+    says: span ? "These hours, every position." : "The whole test, every position.",
+    files: [
+      { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
+      ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
+    ],
+    python: [`verdicts = test.verdicts(${keywords(range).join(", ")})`, `features = test.features(${keywords(range).join(", ")})`],
   };
 }
 
@@ -54,8 +81,8 @@ export function setOffer(position, set, file) {
   return {
     says: "The accepted records in volts; the set's own file has counts and calibration of every position.",
     files: [
-      { title: "Records", path: `/waveforms/${encodeURIComponent(position)}?first_set=${set}&last_set=${set}`, formats: true },
-      { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, formats: false },
+      { title: "Records", path: `/waveforms/${encodeURIComponent(position)}?first_set=${set}&last_set=${set}` },
+      { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, as: "HDF5" },
     ],
     python: [`waves = test.waveforms(${literal(position)}, ${set})`],
   };
@@ -111,8 +138,8 @@ async function fill(box, offer) {
     return box.replaceChildren(el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }));
   }
   const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
-  const files = offer.files.map(({ title, path, formats: any }) => {
-    const links = any ? formats.map((form) => link(`${path}${path.includes("?") ? "&" : "?"}format=${form}`, WORDS[form] ?? form, title)) : [link(path, "HDF5", title)];
+  const files = offer.files.map(({ title, path, as }) => {
+    const links = as ? [link(path, as, title)] : formats.map((form) => link(`${path}${path.includes("?") ? "&" : "?"}format=${form}`, WORDS[form] ?? form, title));
     return el("div", {}, el("p", { text: title }), el("p", { class: "export-files" }, ...links));
   });
   const text = program(offer.python);
