@@ -160,6 +160,19 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
         assert arrays["voltage_v"].shape[0] == SHOTS
 
 
+def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
+    target = tmp_path / "report.html"
+    with service.client() as api:
+        target.write_bytes(api.get("/api/v1/report").content)
+    page = open_page(target.as_uri())
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    for width in (PHONE["width"], DESK["width"]):
+        page.set_viewport_size({"width": width, "height": 900})
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.pdf(prefer_css_page_size=True).startswith(b"%PDF")
+
+
 def test_the_menu_is_a_keyboard_s_too_and_shuts_nobody_out(page):
     summary = page.locator('summary[aria-label="Export: Amplitude ratio"]')
     summary.focus()

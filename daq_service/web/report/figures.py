@@ -13,6 +13,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 from daq_service.web.report.contents import Columns, Contents, Place
 from hardware_drivers.methods import PULSE_ECHO
@@ -20,6 +21,10 @@ from hardware_drivers.methods import PULSE_ECHO
 # Okabe and Ito (2008), Color Universal Design.
 BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
 WIDTH_IN, PANEL_IN = 7.2, 1.75
+MARGIN = 0.01
+"""Of the hours, at both ends: the first and the last point are seen as a whole."""
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
+"""Where a legend hides nothing."""
 RULES: Any = {
     "font.family": "sans-serif",
     "font.size": 8.5,
@@ -53,7 +58,9 @@ def figure_of(contents: Contents, place: Place) -> str:
         panels(contents, place, axes)
         for axis in axes:
             _mark(contents, place, axis)
-        axes[0].set_xlim(contents.from_h, contents.to_h)
+        to_h = min(contents.to_h, contents.now_h)
+        margin_h = MARGIN * (to_h - contents.from_h)
+        axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
         content = io.StringIO()
         figure.savefig(content, format="svg", metadata=_NO_METADATA)
@@ -90,8 +97,10 @@ def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None
     _line(distance, verdicts, "limit_paper", color=PURPLE, linestyle="--", label="paper's limit")
     if any(value is not None and value > 0.0 for value in verdicts["distance_squared"]):
         distance.set_yscale("log")
+        distance.yaxis.set_major_formatter(LogFormatter())
+        distance.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
     distance.set_ylabel("squared distance")
-    distance.legend(loc="upper left", ncols=4)
+    distance.legend(**ABOVE)
 
 
 def _echo_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
@@ -102,7 +111,7 @@ def _echo_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None
         low, high = (1e3 * end for end in place.thickness_interval_m)
         hour = place.last.last_thickness.due_h
         axes[0].plot([hour, hour], [low, high], color=GREY, marker="_", label="95 % interval of the newest")
-    axes[0].legend(loc="lower left", ncols=3)
+    axes[0].legend(**ABOVE)
 
 
 def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
@@ -121,7 +130,7 @@ def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) 
             _line(axis, part, name, gid=gid, linestyle="none", **style)
     axis.set_ylabel(label)
     if axis.get_legend_handles_labels()[1]:
-        axis.legend(loc="upper left")
+        axis.legend(**ABOVE)
 
 
 def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:

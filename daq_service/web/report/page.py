@@ -84,7 +84,7 @@ def significant(value: float | None) -> str:
 
 def _made(contents: Contents) -> str:
     return (
-        f"Hours {contents.from_h:g} to {min(contents.to_h, contents.now_h):g} of the test; made "
+        f"Hours {contents.from_h:.2f} to {min(contents.to_h, contents.now_h):.2f} of the test; made "
         f"{format_utc(contents.wall_utc_ns, 0)} at hour {contents.now_h:.2f} "
         f"({format_utc(contents.now_utc_ns, 0)} on the {contents.experiment.clock} clock). "
         f"{contents.recorder}."
@@ -95,7 +95,7 @@ def _what(contents: Contents) -> list[str]:
     experiment, settings = contents.experiment, contents.settings
     rows = [
         ("Test", experiment.name),
-        ("Hour 0", f"{format_utc(experiment.epoch_utc_ns)} ({experiment.clock} clock)"),
+        ("Hour 0", f"{format_utc(experiment.epoch_utc_ns, 0)} ({experiment.clock} clock)"),
         ("Rig", settings.rig.kind),
         *((f"Rig, {name}", str(value)) for name, value in contents.rig_identity.items()),
         ("Configuration", f"SHA-256 {experiment.configuration_hash}"),

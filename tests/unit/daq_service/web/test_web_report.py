@@ -13,7 +13,7 @@ from support.served_web import served
 
 from daq_service import client
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import SetRow
+from daq_service.catalogue.rows import SetRow, ThicknessRow
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
@@ -21,6 +21,7 @@ from daq_service.web.doors.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
 from daq_service.web.report.figures import figure_of
+from daq_service.web.report.make import report_page
 from daq_service.web.report.page import quantity, significant
 from daq_service.web.routes import report as route
 
@@ -197,6 +198,20 @@ def test_it_tells_gaps_alarms_proof_history_and_orders(page):
 def test_it_reads_alone_and_every_name_is_there_once(page):
     assert page.loaded == []
     assert len(set(page.ids)) == len(page.ids)
+
+
+def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypatch):
+    assert "95 % interval of the newest reading: not known." in page.words, "the invented echoes have none"
+    newest = filled.catalogue.rows(ThicknessRow, position="A")[-1]
+
+    def interval_m(reading, *_):
+        assert reading == newest
+        return reading.thickness_m - 1e-5, reading.thickness_m + 2e-5
+
+    monkeypatch.setattr(contents, "thickness_interval_m", interval_m)
+    told = Page(report_page(filled.folder, from_h=27.0))
+    low, high = interval_m(newest)
+    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in told.words
 
 
 def test_some_hours_are_chosen(filled, tmp_path):
