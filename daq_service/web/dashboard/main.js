@@ -1,6 +1,7 @@
 // Wires the page: what is shown stands in its address, what is drawn comes from the API.
 
 import { SolimonAlarms } from "./alarms.js";
+import { BASE } from "./api.js";
 import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
@@ -11,13 +12,14 @@ import { showEnvironment } from "./environment.js";
 import { Failing } from "./failing.js";
 import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
-import { chip } from "./icons.js";
+import { RECORDER, chip } from "./icons.js";
 import { admitted } from "./login.js";
 import { order } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
+import { THEMES, remember, remembered, showTheme as applyTheme } from "./theme.js";
 import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
@@ -30,7 +32,6 @@ customElements.define("solimon-set", SolimonSet);
 
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
-const THEME_KEY = "solimon-theme";
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
 
@@ -221,13 +222,7 @@ function showConnection() {
   const pill = byId("connection");
   const look = !state.connected
     ? { word: "Connection lost, retrying", icon: "link", tone: "alarm" }
-    : {
-        running: { word: "Live", icon: "check", tone: "good" },
-        finished: { word: "Test finished", icon: "flag", tone: "info" },
-        stopped: { word: "Recorder stopped", icon: "stop", tone: "warn" },
-        silent: { word: "Recorder silent", icon: "triangle", tone: "alarm" },
-        absent: { word: "Recorder absent", icon: "triangle", tone: "warn" },
-      }[state.recorder] ?? { word: state.recorder, icon: "dash", tone: "" };
+    : (RECORDER[state.recorder] ?? { word: state.recorder, icon: "dash", tone: "" });
   if (pill.textContent === look.word) return;
   const fresh = chip(look, "pill");
   pill.dataset.tone = look.tone;
@@ -246,17 +241,14 @@ function notice(text, tone = "") {
 
 // ---- controls ---------------------------------------------------------------------------------
 
-const THEMES = ["auto", "light", "dark"];
-
 /** The theme of the address, else what this browser remembers. */
 function theme() {
-  const remembered = address.view.theme || localStorage.getItem(THEME_KEY) || "";
-  return THEMES.includes(remembered) ? remembered : "auto";
+  const chosen = address.view.theme || remembered();
+  return THEMES.includes(chosen) ? chosen : "auto";
 }
 
 function showTheme() {
-  if (theme() === "auto") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = theme();
+  applyTheme(theme());
   setText(byId("theme"), `Theme: ${theme()}`);
   redraw();
 }
@@ -269,7 +261,7 @@ function redraw() {
 
 byId("theme").addEventListener("click", () => {
   const next = THEMES[(THEMES.indexOf(theme()) + 1) % THEMES.length];
-  localStorage.setItem(THEME_KEY, next);
+  remember(next);
   address.go({ theme: /** @type {any} */ (next) }, { step: true });
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
@@ -291,6 +283,7 @@ setInterval(() => tiles.tick(), 1000);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
 showTheme();
+byId("all-tests").hidden = BASE === "";
 
 /** Read-only view of what is shown, for tests and for the curious. */
 Object.defineProperty(window, "solimonDashboard", {

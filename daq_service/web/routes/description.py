@@ -34,4 +34,6 @@ def describe_roles(document: dict[str, Any]) -> None:
                 operation["security"] = [{"token": [role]}, {"cookie": [role]}, {}]
                 refusals = [401, 403, 429]
             operation["responses"] |= {str(status): PROBLEMS[status] for status in refusals}
-    document["paths"]["/api/v1/commands"]["post"]["x-role-by-kind"] = dict(ORDERS)
+    orders = document["paths"].get("/api/v1/commands")
+    if orders is not None:
+        orders["post"]["x-role-by-kind"] = dict(ORDERS)

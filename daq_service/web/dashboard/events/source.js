@@ -12,8 +12,9 @@ const RETRY_MS = 1000;
  */
 
 export class Source {
-  /** @param {number} after id of the last event that is known already @param {Listener} listener */
-  constructor(after, listener) {
+  /** @param {number} after id of the last event that is known already @param {Listener} listener @param {string} base where the test is */
+  constructor(after, listener, base) {
+    this.base = base;
     this.lastId = after;
     this.listener = listener;
     this.isOpen = false;
@@ -21,7 +22,7 @@ export class Source {
   }
 
   connect() {
-    const source = new EventSource(`/api/v1/stream?after=${this.lastId}`);
+    const source = new EventSource(`${this.base}/api/v1/stream?after=${this.lastId}`);
     source.onopen = () => this.say(true);
     source.onerror = () => {
       this.say(false);

@@ -1,4 +1,4 @@
-// Shared by all tabs of a browser: one connection for them together, since a browser opens no more than
+// Shared by all tabs of a browser that show the same test: one connection for them together, since a browser opens no more than
 // six to a service and the tabs beyond would wait for ever.
 
 import { Source } from "./source.js";
@@ -18,8 +18,8 @@ function tell(message) {
   for (const port of ports) port.postMessage(message);
 }
 
-/** @param {MessagePort} port @param {number} after */
-function join(port, after) {
+/** @param {MessagePort} port @param {number} after @param {string} base where the test is */
+function join(port, after, base) {
   ports.add(port);
   if (source === null) {
     since = after;
@@ -35,7 +35,7 @@ function join(port, after) {
         tell({ gap: id });
       },
       onState: (open) => tell({ open }),
-    });
+    }, base);
     return;
   }
   if (after < since) port.postMessage({ gap: source.lastId });
@@ -45,5 +45,5 @@ function join(port, after) {
 
 globalThis.addEventListener("connect", (event) => {
   const [port] = /** @type {MessageEvent} */ (event).ports;
-  port.onmessage = (message) => (message.data.leave ? ports.delete(port) : join(port, message.data.after));
+  port.onmessage = (message) => (message.data.leave ? ports.delete(port) : join(port, message.data.after, message.data.base));
 });
