@@ -5,6 +5,8 @@ import { BASE } from "./api.js";
 import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
+import { Compared } from "./charts/compared.js";
+import { Others, isOther, whereOf } from "./charts/others.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
@@ -43,8 +45,10 @@ const state = { connected: false, hasSupply: false, recorder: "absent", shown: "
 const address = new Address(become);
 const reading = new Reading({ onBegin, onRead, onColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
 const failing = new Failing(byId("failing"));
+const others = new Others(onOthers);
 const board = new Board(
   reading,
+  others,
   {
     span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
@@ -54,6 +58,7 @@ const board = new Board(
   },
   (feature) => address.go({ feature }),
 );
+const compared = new Compared(others, (part) => address.go(part));
 const toolbar = new Toolbar((part) => address.go(part));
 const tiles = new Tiles(byId("tiles"), select);
 const asked = new Asked();
@@ -94,6 +99,11 @@ function select(position) {
 
 /** @param {string} position @param {number} set */
 function openSet(position, set) {
+  if (isOther(position)) {
+    const where = whereOf(position);
+    location.assign(`/tests/${where.test}/?position=${where.position}&set=${set}`);
+    return;
+  }
   const { view } = address;
   const other = position !== view.position;
   const waves_ = reading.place(position)?.method === "solitary_wave";
@@ -125,10 +135,12 @@ function become(view, before) {
     waves.open(view.position);
   }
   reading.choose(view.feature);
+  others.choose(view);
   reading.look(view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h]);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
   toolbar.update(view, charted(), reading.info, timeline());
+  compared.update(view);
   if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, charted());
   for (const chart of board.all) chart.respan();
   panel.update();
@@ -151,7 +163,13 @@ function onColumns() {
   failing.end();
   board.update(address.view, charted());
   toolbar.update(address.view, charted(), reading.info, timeline());
+  compared.update(address.view);
   panel.update();
+}
+
+function onOthers() {
+  board.update(address.view, charted());
+  compared.update(address.view);
 }
 
 /** @param {{alarms?: any[], transducers?: any, environment?: any, info?: boolean}} news */

@@ -3,7 +3,7 @@
 import { get } from "./api.js";
 import { byId, el, setText } from "./dom.js";
 import { Failing } from "./failing.js";
-import { NONE, duration, fixed, hour } from "./format.js";
+import { ageText, hour } from "./format.js";
 import { RECORDER, SEVERITIES, STATES, chip } from "./icons.js";
 import { admitted } from "./login.js";
 import { remembered, showTheme } from "./theme.js";
@@ -31,15 +31,6 @@ let readAt = 0;
 
 /** Seconds that what is shown has aged since the service looked. @param {any} item */
 const agedS = (item) => item.looked_age_s + (performance.now() - readAt) / 1000;
-
-/** @param {any} item of /tests */
-function ages(item) {
-  const { standing } = item;
-  const wall = standing.wall_age_s === null ? NONE : `${duration(standing.wall_age_s + agedS(item))} ago`;
-  const aged = standing.clock === "wall" ? agedS(item) / 3600 : 0;
-  const last = standing.last_set_h === null ? "nothing measured yet" : `set ${standing.last_set_index} of hour ${hour(standing.last_set_h)}, ${fixed(standing.age_h + aged, 1)} h old`;
-  return `${standing.stale ? "Stale: " : ""}${last} · written ${wall}`;
-}
 
 /** @param {any} item @returns {HTMLElement} */
 function card(item) {
@@ -80,7 +71,7 @@ function show() {
 function tick() {
   for (const item of items) {
     const age = root.querySelector(`[data-test="${item.test}"] .tile-age`);
-    if (age) setText(age, ages(item));
+    if (age) setText(age, `${item.standing.last_set_index === null ? "" : `Set ${item.standing.last_set_index} · `}${ageText(item.standing, { ...item.standing, data_h: item.standing.last_set_h }, agedS(item))}`);
   }
 }
 
