@@ -45,7 +45,7 @@ from daq_service.web.routes import (
     waveforms,
 )
 from daq_service.web.routes.admission import admit
-from daq_service.web.routes.description import describe_roles
+from daq_service.web.routes.description import describe_roles, describe_words
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
@@ -100,6 +100,7 @@ class Service(FastAPI):
             document = super().openapi()
             document["components"]["schemas"].update(problem_schemas())
             describe_roles(document)
+            describe_words(document)
         assert self.openapi_schema is not None
         return self.openapi_schema
 
