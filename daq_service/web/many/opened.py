@@ -140,5 +140,10 @@ class ServedTests:
 
 def unavailable(error: AbsentError) -> Problem:
     """Say that a test cannot be shown, and what helps."""
-    name = "no-data-yet" if error.state == "no_data" else "test-unavailable"
-    return Problem(503, name, "The test cannot be shown now", f"{error}", error.remedy)
+    return Problem(
+        503,
+        "no-data-yet" if error.state == "no_data" else "test-unavailable",
+        "The test cannot be shown now",
+        f"{error}",
+        error.remedy,
+    )
