@@ -3,11 +3,14 @@
 Renew the snapshots and the examples after a wanted change::
 
     PYTHONPATH=tests python tests/contract/test_openapi.py
+
+Examples that are there stay as they are, but with ``--anew``.
 """
 
 import ast
 import json
 import re
+import sys
 import tempfile
 from pathlib import Path
 
@@ -224,7 +227,7 @@ if __name__ == "__main__":
     from support.api_examples import write_examples
 
     with tempfile.TemporaryDirectory() as folder:
-        write_examples(Path(folder))
+        write_examples(Path(folder), anew="--anew" in sys.argv)
     examples.cache_clear()
     for which, snapshot in SNAPSHOTS.items():
         snapshot.write_text(as_text(DESCRIPTIONS[which](Path())), encoding="utf-8")

@@ -64,8 +64,15 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
     return told | ({} if body is None else {"body": shortened(body)})
 
 
-def write_examples(folder: Path) -> None:
-    """Serve an invented test, ask everything once, and write what came."""
+def write_examples(folder: Path, *, anew: bool) -> None:
+    """Serve an invented test, ask everything once, and write what came.
+
+    Parameters
+    ----------
+    anew
+        False: only of operations that have none yet.
+    """
+    kept: dict[str, Any] = {} if anew else json.loads(FILE.read_text(encoding="utf-8"))
 
     def turn(call: tuple[str, str, dict[str, Any]]) -> int:
         name = call[2]["operationId"]
@@ -86,9 +93,9 @@ def write_examples(folder: Path) -> None:
             calls.sort(key=turn)
             for path, method, operation in calls:
                 told = asked(client, path, method, operation)
-                if told is not None and operation["operationId"] not in answers:
-                    answers[operation["operationId"]] = told
+                if told is not None:
+                    answers.setdefault(operation["operationId"], told)
     filled.close()
-    FILE.write_text(
-        json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True) + "\n", encoding="utf-8"
-    )
+    answers |= {name: kept[name] for name in answers.keys() & kept.keys()}
+    content = json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True)
+    FILE.write_text(f"{content}\n", encoding="utf-8")

@@ -21,7 +21,7 @@ import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
-import { THEMES, remember, remembered, showTheme as applyTheme } from "./theme.js";
+import { Theme } from "./theme.js";
 import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
@@ -124,7 +124,7 @@ function ghostOf(position) {
 
 /** @param {import("./view.js").View} view @param {import("./view.js").View} before */
 function become(view, before) {
-  if (view.theme !== before.theme) showTheme();
+  if (view.theme !== before.theme) theme.show();
   if (!reading.info) return;
   // A position that this experiment does not have, e.g. of an address from elsewhere.
   if (!reading.place(view.position)) view.position = charted() || reading.info.positions[0].position;
@@ -259,30 +259,13 @@ function notice(text, tone = "") {
 
 // ---- controls ---------------------------------------------------------------------------------
 
-/** The theme of the address, else what this browser remembers. */
-function theme() {
-  const chosen = address.view.theme || remembered();
-  return THEMES.includes(chosen) ? chosen : "auto";
-}
-
-function showTheme() {
-  applyTheme(theme());
-  setText(byId("theme"), `Theme: ${theme()}`);
-  redraw();
-}
-
 function redraw() {
   board.redraw();
   waveform.draw();
   panel.draw();
 }
 
-byId("theme").addEventListener("click", () => {
-  const next = THEMES[(THEMES.indexOf(theme()) + 1) % THEMES.length];
-  remember(next);
-  address.go({ theme: /** @type {any} */ (next) }, { step: true });
-});
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
   button.disabled = true;
@@ -300,7 +283,7 @@ alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent
 setInterval(() => tiles.tick(), 1000);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
-showTheme();
+theme.show();
 byId("all-tests").hidden = BASE === "";
 
 /** Read-only view of what is shown, for tests and for the curious. */

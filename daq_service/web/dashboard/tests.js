@@ -6,7 +6,7 @@ import { Failing } from "./failing.js";
 import { ageText, hour } from "./format.js";
 import { RECORDER, SEVERITIES, STATES, chip } from "./icons.js";
 import { admitted } from "./login.js";
-import { remembered, showTheme } from "./theme.js";
+import { Theme } from "./theme.js";
 
 const REFRESH_MS = 5000;
 const TICK_MS = 1000;
@@ -93,7 +93,9 @@ async function readOn() {
   setTimeout(readOn, REFRESH_MS);
 }
 
-showTheme(remembered());
+/** @type {Theme} */
+const theme = new Theme(() => "", () => theme.show(), () => {});
+theme.show();
 setInterval(tick, TICK_MS);
 document.addEventListener("visibilitychange", read);
 await admitted();
