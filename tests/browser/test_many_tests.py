@@ -147,3 +147,25 @@ def test_another_test_that_cannot_be_shown_says_so_where_it_was_chosen(service, 
     expect(rows.nth(0)).to_contain_text("not read: There is no data folder")
     expect(rows.nth(1)).to_contain_text("not read: this service has no nobody B")
     assert list(dashboard(page, "charts")["tof"]["y"])[:2] == ["tof_pp_us", "tof_pp_us C"]
+
+
+def test_a_hidden_page_leaves_its_connection_to_others_and_misses_nothing(tests, service, open_page):
+    filled, streams = tests["Plate 7"], service.app.state.tests.streams
+    page = open_page(f"{service.url}tests/plate-7/?position=B")
+    drawn(page)
+
+    def hide(hidden):
+        page.evaluate(
+            "hidden => { Object.defineProperty(document, 'hidden', { value: hidden, configurable: true });"
+            " document.dispatchEvent(new Event('visibilitychange')); }",
+            hidden,
+        )
+
+    until(lambda: streams() == 1, "the page follows the test")
+    hide(True)
+    # The service sees that somebody has left when it sends again.
+    until(lambda: (filled.say("nothing"), streams())[1] == 0, "the connection is free")
+    newest = filled.say("nothing")
+    hide(False)
+    until(lambda: dashboard(page, "lastEventId") == newest, "what came meanwhile is told")
+    assert dashboard(page, "connected")

@@ -37,13 +37,16 @@ MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE
 @dataclass(frozen=True, slots=True)
 class _Seen:
     entry: dict[str, Any]
+    folder: Path
     mark: tuple[int, ...]
     read_s: float
 
-    def is_good(self, mark: tuple[int, ...], now_s: float) -> bool:
+    def is_good(self, now_s: float) -> bool:
+        if now_s - self.read_s < CHANGING_S:
+            return True
         standing = self.entry["standing"]
-        ended = standing is not None and standing["recorder"] != "running" and mark == self.mark
-        return now_s - self.read_s < (ENDED_S if ended else CHANGING_S)
+        ended = standing is not None and standing["recorder"] != "running"
+        return ended and now_s - self.read_s < ENDED_S and _mark_of(self.folder) == self.mark
 
 
 class Listing:
@@ -58,10 +61,12 @@ class Listing:
         """Read those that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
-                now_s, mark = time.monotonic(), _mark_of(folder_of(test.path))
-                seen = self._seen.get(test.name)
-                if seen is None or not seen.is_good(mark, now_s):
-                    self._seen[test.name] = _Seen(self._entry(test), mark, now_s)
+                seen, now_s = self._seen.get(test.name), time.monotonic()
+                if seen is None or not seen.is_good(now_s):
+                    folder = folder_of(test.path)
+                    # Before it is read: what changes meanwhile is seen the next time.
+                    mark = _mark_of(folder)
+                    self._seen[test.name] = _Seen(self._entry(test), folder, mark, now_s)
             now_s = time.monotonic()
             return [seen.entry | {"looked_age_s": now_s - seen.read_s} for seen in self._seen.values()]
 

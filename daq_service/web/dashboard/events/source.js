@@ -18,16 +18,26 @@ export class Source {
     this.lastId = after;
     this.listener = listener;
     this.isOpen = false;
-    this.connect();
+    /** @type {EventSource | null} */
+    this.source = null;
+    this.wake(true);
+  }
+
+  /** Connect from where we are; or let go of the connection for a while. @param {boolean} awake */
+  wake(awake) {
+    if (awake === (this.source !== null)) return;
+    if (awake) return this.connect();
+    this.source?.close();
+    this.source = null;
   }
 
   connect() {
-    const source = new EventSource(`${this.base}/api/v1/stream?after=${this.lastId}`);
+    const source = (this.source = new EventSource(`${this.base}/api/v1/stream?after=${this.lastId}`));
     source.onopen = () => this.say(true);
     source.onerror = () => {
       this.say(false);
       // A refused connection is final to EventSource: try again from where we are.
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.connect(), RETRY_MS);
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.source === source && this.connect(), RETRY_MS);
     };
     for (const topic of TOPICS) {
       source.addEventListener(topic, (message) => {

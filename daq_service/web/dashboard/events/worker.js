@@ -5,8 +5,8 @@ import { Source } from "./source.js";
 
 const KEPT = 2000;
 
-/** @type {Set<MessagePort>} */
-const ports = new Set();
+/** Who listens, and whether somebody looks at it. @type {Map<MessagePort, boolean>} */
+const ports = new Map();
 /** News for a tab that comes later: all ids above `since`. @type {import("./source.js").News[]} */
 let kept = [];
 let since = 0;
@@ -15,12 +15,11 @@ let source = null;
 
 /** @param {object} message */
 function tell(message) {
-  for (const port of ports) port.postMessage(message);
+  for (const port of ports.keys()) port.postMessage(message);
 }
 
 /** @param {MessagePort} port @param {number} after @param {string} base where the test is */
 function join(port, after, base) {
-  ports.add(port);
   if (source === null) {
     since = after;
     source = new Source(after, {
@@ -45,5 +44,10 @@ function join(port, after, base) {
 
 globalThis.addEventListener("connect", (event) => {
   const [port] = /** @type {MessageEvent} */ (event).ports;
-  port.onmessage = (message) => (message.data.leave ? ports.delete(port) : join(port, message.data.after, message.data.base));
+  port.onmessage = ({ data: { leave, awake, after, base } }) => {
+    if (leave) ports.delete(port);
+    else ports.set(port, awake);
+    if (after !== undefined) join(port, after, base);
+    if (ports.size) source?.wake([...ports.values()].some(Boolean));
+  };
 });

@@ -15,9 +15,13 @@ from daq_service import client as solimon_client
 from daq_service.errors import UsageError
 from daq_service.orders.audit import read_audit
 from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
+from daq_service.web.doors.entry import Doors
 from daq_service.web.doors.tokens import create_token
 from daq_service.web.many.app import create_app_of_many
+from daq_service.web.many.listing import Listing
 from daq_service.web.many.names import url_name, url_names
+from daq_service.web.many.opened import ServedTests
 from daq_service.web.many.place import REMEDIES
 
 HOLE, TWIN = Settings(name="Hole Nr. 2"), Settings(name="Hole: its twin", clock={"pace_h_per_s": 5.0})
@@ -255,6 +259,26 @@ def test_a_test_that_begins_later_appears_under_the_name_it_was_told_with(tmp_pa
         assert client.get("/tests/plate-7/api/v1/info").json()["name"] == HOLE.name
         assert client.get("/readyz").status_code == 200
         filled.close()
+
+
+def test_an_ended_test_is_read_again_only_when_its_files_change(tmp_path, several, monkeypatch):
+    monkeypatch.setattr("daq_service.web.many.listing.CHANGING_S", 0.0)
+    filled = FilledFolder(tmp_path, HOLE)
+    filled.add_set(0, stored=False)
+    filled.say("schedule_done")
+    filled.recorder_ends()
+    listing = Listing(ServedTests([tmp_path, several.hole.folder], Doors(WebSettings(), tmp_path)))
+    read = []
+    look_at = Listing._entry
+    monkeypatch.setattr(Listing, "_entry", lambda self, test: read.append(test.title) or look_at(self, test))
+    first = listing.entries()
+    assert [row["standing"]["recorder"] for row in first] == ["finished", "running"]
+    listing.entries()
+    assert len(read) == 3, "the running one again, the ended one not"
+    filled.add_set(1, stored=False)
+    (row, _) = listing.entries()
+    assert row["standing"]["last_set_index"] == 1
+    filled.close()
 
 
 def test_the_same_folder_twice_is_refused_with_both_paths(tmp_path):
