@@ -119,17 +119,27 @@ def record(**options: Any) -> None:
 
 
 @cli.command()
-@CONFIG
+@click.argument("paths", metavar="[PATH]...", nargs=-1, type=click.Path(path_type=Path))
 @DATA_DIR
 @click.option("--port", type=PORT_NUMBER, help="Port; 0 takes a free one.")
+@click.option(
+    "--web",
+    type=FILE,
+    help="Of several tests: a configuration; its [web] table and data folder are the service's own.",
+)
 @RESTARTED
 @SUPERVISED
 def serve(**options: Any) -> None:
-    """Serve a data folder only: REST, stream and dashboard."""
-    from daq_service.cli.run import serve_alone, tried_again
+    """Serve only: REST, stream and dashboard of a test, or of several.
+
+    PATH is a configuration or a data folder. Several tests are listed at /, each answers below /tests/NAME/;
+    --data-dir is then the service's own folder: tokens, audit of logins, log.
+    """
+    from daq_service.cli.run import tried_again
+    from daq_service.cli.serve import serve_tests
 
     with tried_again(options["restarted_because"]):
-        sys.exit(serve_alone(**options))
+        sys.exit(serve_tests(**options))
 
 
 @cli.command()

@@ -46,8 +46,11 @@ from daq_service.processes.disk_policy import disk_space, refusal
 from daq_service.processes.service_manager import notify, telling_service_manager
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
 from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
 
 if TYPE_CHECKING:
+    from fastapi import FastAPI
+
     from hardware_drivers.drive_parameters import DriveParameters
     from hardware_drivers.instruments import Clock, PowerSupply, Rig
 
@@ -273,7 +276,6 @@ def serve_alone(
     from daq_service.web.app import create_app
     from daq_service.web.doors.entry import refuse_open_doors
     from daq_service.web.notifications.addresses import refuse_unusable
-    from daq_service.web.server import serve
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:
@@ -286,6 +288,13 @@ def serve_alone(
     if restarted_because:
         log.warning("started again: the web service %s", restarted_because)
 
+    return serve_app(create_app(settings, folder), settings.web, port, supervised=supervised)
+
+
+def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
+    """Serve an application where its settings say, until somebody says stop."""
+    from daq_service.web.server import serve
+
     def on_bound(url: str) -> None:
         if supervised:
             tell_supervisor("listening", url=url, port=int(url.rstrip("/").rpartition(":")[2]))
@@ -295,12 +304,5 @@ def serve_alone(
     with stop_on_signals() as stop:
         if supervised:
             leave_when_pipe_closes(stop)
-        serve(
-            create_app(settings, folder),
-            settings.web.host,
-            settings.web.port if port is None else port,
-            on_bound=on_bound,
-            stop=stop,
-            locks=settings.web,
-        )
+        serve(app, web.host, web.port if port is None else port, on_bound=on_bound, stop=stop, locks=web)
         return EXIT_OK if supervised else EXIT_INTERRUPTED

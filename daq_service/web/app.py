@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from asyncio import to_thread
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
@@ -48,7 +48,7 @@ from daq_service.web.routes import (
     waveforms,
 )
 from daq_service.web.routes.admission import admit
-from daq_service.web.routes.description import describe_roles
+from daq_service.web.routes.description import describe_roles, describe_words
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
@@ -82,22 +82,23 @@ SMALL_BYTES = 2048
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
-    context = context_of(app)
-    await context.hub.start()
-    await context.live.start()
-    context.notifications.start()
-    try:
+    async with context_of(app).followed():
         yield
-    finally:
-        context.close_streams()
-        await context.hub.join()
-        await context.live.join()
-        await to_thread(context.notifications.join)
-        context.catalogue_access.close()
 
 
 class Service(FastAPI):
-    """FastAPI whose description knows our error answers."""
+    """FastAPI whose errors are problem details, and whose description knows them."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(
+            openapi_url="/api/v1/openapi.json",
+            # Their pages load scripts from elsewhere; this service works offline.
+            docs_url=None,
+            redoc_url=None,
+            default_response_class=JsonAnswer,
+            **options,
+        )
+        problem.install(self)
 
     def openapi(self) -> dict[str, Any]:
         """Describe the interface (OpenAPI 3.1)."""
@@ -105,6 +106,7 @@ class Service(FastAPI):
             document = super().openapi()
             document["components"]["schemas"].update(problem_schemas())
             describe_roles(document)
+            describe_words(document)
         assert self.openapi_schema is not None
         return self.openapi_schema
 
@@ -119,6 +121,13 @@ def create_app(settings: Settings, data_folder: Path, *, asks_nobody: bool = Fal
     asks_nobody
         No token is asked for: never of an application that listens on a port.
     """
+    app = application_of_test(lifespan=_lifespan)
+    guard(app, Context(settings, data_folder, asks_nobody=asks_nobody))
+    return app
+
+
+def application_of_test(**options: Any) -> Service:
+    """Build the routes of a test; which test a request is about, `context.context_at` says."""
     app = Service(
         title="solimon",
         version=API_VERSION,
@@ -127,32 +136,41 @@ def create_app(settings: Settings, data_folder: Path, *, asks_nobody: bool = Fal
             "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
             "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
         ),
-        openapi_url="/api/v1/openapi.json",
-        # Their pages load scripts from elsewhere; this service works offline.
-        docs_url=None,
-        redoc_url=None,
-        default_response_class=JsonAnswer,
-        lifespan=_lifespan,
+        **options,
     )
-    app.state.context = Context(settings, data_folder, asks_nobody=asks_nobody)
-    app.state.answer_times = AnswerTimes()
-    app.add_middleware(RequestTimes, times=app.state.answer_times)
-    app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    doors = app.state.context.doors
-    app.add_middleware(Doorkeeper, doors=doors)
-    app.add_middleware(
-        RequestGuard, tell_refused=doors.tell_refused, names_elsewhere=settings.web.names_elsewhere
-    )
-    problem.install(app)
     app.include_router(health.probes)
     app.include_router(metrics.probes)
+    app.include_router(versioned(RESOURCES))
+    app.include_router(assets.router)
+    return app
+
+
+def versioned(resources: Iterable[ModuleType]) -> APIRouter:
+    """Put resources below `/api/v1`: who asks is admitted, and no parameter is passed over."""
     api = APIRouter(
         prefix="/api/v1",
         dependencies=[Depends(admit), Depends(refuse_unknown_parameters)],
         responses=problems(422),
     )
-    for resource in RESOURCES:
+    for resource in resources:
         api.include_router(resource.router)
-    app.include_router(api)
-    app.include_router(assets.router)
-    return app
+    return api
+
+
+def guard(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
+    """Put before an application what is refused and looked at before any route.
+
+    Parameters
+    ----------
+    context
+        Of the service: its doors, and the names that it answers to.
+    has_tests
+        Paths may begin with a test's.
+    """
+    app.state.context = context
+    app.state.answer_times = AnswerTimes()
+    app.add_middleware(RequestTimes, times=app.state.answer_times)
+    app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
+    app.add_middleware(Doorkeeper, doors=context.doors, has_tests=has_tests)
+    names = context.settings.web.names_elsewhere
+    app.add_middleware(RequestGuard, tell_refused=context.doors.tell_refused, names_elsewhere=names)

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping, Sequence
+from asyncio import to_thread
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import Depends, FastAPI, Request, WebSocket
+from fastapi import Depends, FastAPI
+from starlette.requests import HTTPConnection
 
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
+from daq_service.orders.audit import Audit
 from daq_service.processes import freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
@@ -83,9 +87,27 @@ class CatalogueEvents:
 
 
 class Context:
-    """One application's shared parts; built by `app.create_app`, reached by `ContextOf`."""
+    """One test's shared parts, reached by `ContextOf`.
 
-    def __init__(self, settings: Settings, data_folder: Path, *, asks_nobody: bool = False) -> None:
+    Parameters
+    ----------
+    doors
+        Of a service that has several tests; None: the test's own.
+    asks_nobody
+        No token is asked for.
+    open_streams
+        How many streams of events that service has open; None: it has those of this test alone.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        data_folder: Path,
+        *,
+        doors: Doors | None = None,
+        asks_nobody: bool = False,
+        open_streams: Callable[[], int] | None = None,
+    ) -> None:
         self.settings = settings
         self.data_folder = data_folder
         self.archive = FolderSetReader(data_folder)
@@ -93,9 +115,26 @@ class Context:
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)
         self.live = LivePictures(data_folder / "live", settings.positions)
-        self.doors = Doors(settings.web, data_folder, asks_nobody=asks_nobody)
+        self.doors = doors or Doors(settings.web, data_folder, asks_nobody=asks_nobody)
+        self.audit = self.doors.audit if doors is None else Audit(data_folder)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
+        self.open_streams = open_streams or (lambda: self.hub.clients)
         self._has_data = False
+
+    @asynccontextmanager
+    async def followed(self) -> AsyncIterator[None]:
+        """Follow events and pictures, and notify, as long as this lasts; then close the catalogue."""
+        await self.hub.start()
+        await self.live.start()
+        self.notifications.start()
+        try:
+            yield
+        finally:
+            self.close_streams()
+            await self.hub.join()
+            await self.live.join()
+            await to_thread(self.notifications.join)
+            self.catalogue_access.close()
 
     def catalogue(self) -> Catalogue:
         """Open catalogue, or the problem "no data yet" before the first set."""
@@ -178,13 +217,10 @@ def context_of(app: FastAPI) -> Context:
     return context
 
 
-def _context(request: Request) -> Context:
-    return context_of(request.app)
+def context_at(connection: HTTPConnection) -> Context:
+    """Shared parts that a request is about: of the test it was handed to, else of its application."""
+    context = getattr(connection.state, "test", None)
+    return context if isinstance(context, Context) else context_of(connection.app)
 
 
-def _socket_context(websocket: WebSocket) -> Context:
-    return context_of(websocket.app)
-
-
-ContextOf = Annotated[Context, Depends(_context)]
-SocketContextOf = Annotated[Context, Depends(_socket_context)]
+ContextOf = Annotated[Context, Depends(context_at)]

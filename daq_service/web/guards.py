@@ -24,7 +24,7 @@ FOREIGN = frozenset({"foreign-host", "foreign-origin"})
 """Refusals that are audited: somebody else's page has tried."""
 Tell = Callable[[Scope, str], Awaitable[None]]
 EVENTS = "/api/v1/stream"
-"""No browser shows a foreign page what it reads there, but it would take one of the streams."""
+"""Of each test. No browser shows a foreign page what it reads there, but it would take one of the streams."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -155,7 +155,7 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only.",
             "Open the address that the service printed, or name this one in web.host_names.",
         )
-    streams = scope["type"] == "websocket" or scope["path"] == EVENTS
+    streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
     if (streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers):
         return Problem(
             403,

@@ -1,24 +1,46 @@
 """The interface is a promise: a change of it shows as a change of `openapi.json`.
 
-Renew the snapshot after a wanted change::
+Renew the snapshots and the examples after a wanted change::
 
-    python tests/contract/test_openapi.py
+    PYTHONPATH=tests python tests/contract/test_openapi.py
+
+Examples that are there stay as they are, but with ``--anew``.
 """
 
+import ast
 import json
+import re
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
+from fastapi.routing import APIRoute
 
+from daq_service.judgement.methods import METHODS
 from daq_service.settings.tree import Settings
-from daq_service.web.app import create_app
+from daq_service.web.answers.models import AlarmProof
+from daq_service.web.app import RESOURCES, create_app
+from daq_service.web.many.app import RESOURCES as OF_SEVERAL
+from daq_service.web.many.app import create_app_of_many
+from daq_service.web.routes import health, metrics
+from daq_service.web.routes.description import examples, holds_numbers
 
 SNAPSHOT = Path(__file__).with_name("openapi.json")
-METHODS = ("get", "post", "put", "patch", "delete")
+VERBS = ("get", "post", "put", "patch", "delete")
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def description(folder: Path) -> dict:
     return create_app(Settings(), folder).openapi()
+
+
+def description_of_several(folder: Path) -> dict:
+    return create_app_of_many([], Settings(), folder).openapi()
+
+
+DESCRIPTIONS = {"a test": description, "several tests": description_of_several}
+SNAPSHOTS = {"a test": SNAPSHOT, "several tests": SNAPSHOT.with_name("openapi_of_several.json")}
 
 
 def as_text(document: dict) -> str:
@@ -26,8 +48,13 @@ def as_text(document: dict) -> str:
 
 
 @pytest.fixture(scope="module")
-def document(tmp_path_factory):
-    return description(tmp_path_factory.mktemp("empty"))
+def documents(tmp_path_factory):
+    return {which: made(tmp_path_factory.mktemp("empty")) for which, made in DESCRIPTIONS.items()}
+
+
+@pytest.fixture(scope="module")
+def document(documents):
+    return documents["a test"]
 
 
 @pytest.fixture(scope="module")
@@ -35,14 +62,15 @@ def operations(document):
     return [
         (path, method, item[method])
         for path, item in document["paths"].items()
-        for method in METHODS
+        for method in VERBS
         if method in item
     ]
 
 
-def test_description_is_the_snapshot(document):
-    assert as_text(document) == SNAPSHOT.read_text(encoding="utf-8"), (
-        "the interface changed; if that is wanted: python tests/contract/test_openapi.py"
+@pytest.mark.parametrize("which", DESCRIPTIONS)
+def test_description_is_the_snapshot(documents, which):
+    assert as_text(documents[which]) == SNAPSHOTS[which].read_text(encoding="utf-8"), (
+        "the interface changed; if that is wanted: PYTHONPATH=tests python tests/contract/test_openapi.py"
     )
 
 
@@ -102,5 +130,104 @@ def test_operations_with_parameters_document_their_422(operations):
             assert "422" in operation["responses"], path
 
 
+def described(document):
+    """Everything that a reader looks up, with the place to describe it at."""
+    schemas = document["components"]["schemas"]
+    for schema, its in schemas.items():
+        for name, said in its.get("properties", {}).items():
+            yield f"schema {schema}, property {name}", said, said
+    for path, item in document["paths"].items():
+        for method, operation in item.items():
+            for said in operation.get("parameters", ()):
+                yield f"{method} {path}, parameter {said['name']}", said, said["schema"]
+
+
+@pytest.mark.parametrize("which", DESCRIPTIONS)
+def test_every_name_is_described_and_every_number_has_its_unit(documents, which):
+    """A newcomer says it in `Field(description=...)`, or once for all in `web/answers/words.py`."""
+    lacking = []
+    for place, said, schema in described(documents[which]):
+        if not said.get("description"):
+            lacking.append(f"{place}: what is it? describe it")
+        if holds_numbers(schema) and "x-unit" not in said:
+            lacking.append(f"{place}: unit? end the name in it, or put the name into PURE of words.py")
+        if holds_numbers(schema) and said.get("x-unit") == "own" and "unit" not in said["description"]:
+            lacking.append(f"{place}: say where its unit stands")
+    assert not lacking, "\n".join(lacking)
+
+
+@pytest.mark.parametrize("which", DESCRIPTIONS)
+def test_every_operation_has_a_description_a_tag_its_problems_and_an_example(documents, which):
+    document = documents[which]
+    tags = {tag["name"]: tag["description"] for tag in document["tags"]}
+    lacking = []
+    for path, item in document["paths"].items():
+        for method, operation in item.items():
+            place = f"{method} {path}"
+            if not operation.get("description"):
+                lacking.append(f"{place}: what does it do? write a docstring")
+            if not operation.get("tags") or not set(operation["tags"]) <= tags.keys():
+                lacking.append(f"{place}: TAGS of words.py describes its tag")
+            if operation["security"] != [{}] and not {"401", "403", "429"} <= operation["responses"].keys():
+                lacking.append(f"{place}: its refusals are missing")
+            needs = [p for p in operation.get("parameters", ()) if p["required"]]
+            if any("example" not in p for p in needs):
+                lacking.append(f"{place}: an example of a parameter is missing (EXAMPLES of words.py)")
+            answers = (its for status, its in operation["responses"].items() if status < "300")
+            content = next(answers).get("content", {})
+            readable = [kind for kind in content if re.search("json|event-stream|openmetrics", kind)]
+            if any("example" not in content[kind] for kind in readable) or not content:
+                lacking.append(f"{place}: an example of its answer is missing; run this file")
+            body = operation.get("requestBody")
+            if body is not None and "example" not in body["content"]["application/json"]:
+                lacking.append(f"{place}: a body is missing (BODIES of support/api_examples.py)")
+    assert not lacking, "\n".join(lacking)
+
+
+def test_every_example_is_an_answer_of_its_operation():
+    routers = [resource.router for resource in (*RESOURCES, *OF_SEVERAL)]
+    routers += [module.probes for module in (health, metrics)]
+    models = {
+        route.operation_id: route.response_model
+        for router in routers
+        for route in router.routes
+        if isinstance(route, APIRoute)
+    }
+    held = [name for name, model in models.items() if model is not None and name in examples()]
+    for name in held:
+        models[name].model_validate(examples()[name]["answer"])
+    assert len(held) > 25
+
+
+def test_every_part_of_a_proof_is_described():
+    """Where a condition is built with a table of its own; `AlarmProof` has a field for each of its keys."""
+    keys = set()
+    for path in (ROOT / "daq_service").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            named = isinstance(node, ast.keyword) and node.arg == "proof"
+            kept = isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "proof"
+            if (named or kept) and isinstance(node.value, ast.Dict):
+                keys |= {key.value for key in node.value.keys}
+    assert {"rule", "poor_sets_running"} <= keys
+    assert keys - AlarmProof.model_fields.keys() == set()
+
+
+def test_fields_of_a_trend_are_an_array_of_known_names_and_its_columns_have_types(document):
+    parameters = document["paths"]["/api/v1/trends/{position}"]["get"]["parameters"]
+    (fields,) = (part for part in parameters if part["name"] == "fields")
+    array = next(part for part in fields["schema"]["anyOf"] if part.get("type") == "array")
+    columns = document["components"]["schemas"]["TrendColumns"]["properties"]
+    assert set(array["items"]["enum"]) < columns.keys()
+    assert {*METHODS["solitary_wave"].values, *METHODS["pulse_echo"].values} < set(array["items"]["enum"])
+    assert columns["tof_pp_s"]["items"]["anyOf"][0] == {"type": "number"}
+    assert columns["outlier"]["items"]["anyOf"][0] == {"type": "boolean"}
+
+
 if __name__ == "__main__":
-    SNAPSHOT.write_text(as_text(description(Path())), encoding="utf-8")
+    from support.api_examples import write_examples
+
+    with tempfile.TemporaryDirectory() as folder:
+        write_examples(Path(folder), anew="--anew" in sys.argv)
+    examples.cache_clear()
+    for which, snapshot in SNAPSHOTS.items():
+        snapshot.write_text(as_text(DESCRIPTIONS[which](Path())), encoding="utf-8")

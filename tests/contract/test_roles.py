@@ -13,6 +13,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.app import RESOURCES
 from daq_service.web.doors.roles import OPERATIONS, ORDERS, ROLES
 from daq_service.web.doors.tokens import create_token, revoke_token
+from daq_service.web.many.app import RESOURCES as OF_SEVERAL
 from daq_service.web.routes.admission import operation_of
 
 DOCUMENT = json.loads(Path(__file__).with_name("openapi.json").read_text(encoding="utf-8"))
@@ -63,7 +64,8 @@ def filled_in(path):
 
 def test_every_operation_and_every_kind_of_order_has_a_role():
     """A new one is one line of `daq_service/web/doors/roles.py`."""
-    routes = {operation_of(route) for resource in RESOURCES for route in resource.router.routes}
+    resources = (*RESOURCES, *OF_SEVERAL)
+    routes = {operation_of(route) for resource in resources for route in resource.router.routes}
     assert (CALLS.keys() | routes) - OPERATIONS.keys() == set()
     assert OPERATIONS.keys() - (CALLS.keys() | routes) == set()
     assert KINDS.keys() == ORDERS.keys()

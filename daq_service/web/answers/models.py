@@ -126,9 +126,52 @@ class BaselineRow(Answer):
     """A frozen baseline."""
 
 
+class AlarmRule(Answer):
+    """How much it takes; of a wall that changes or thins `k` of `n`, of a hole shots of sets."""
+
+    k: int | None = Field(default=None, description="So many of the last `n` judged sets")
+    n: int | None = Field(default=None, description="Judged sets that are looked at")
+    shots: int | None = Field(default=None, description="Shots of a set without a reflected wave")
+    consecutive_sets: int | None = Field(default=None, description="Such sets running")
+
+
+class AlarmProof(BaseModel):
+    """What an alarm rests on: some of these by kind, of the supply the columns of environment."""
+
+    model_config = ConfigDict(extra="allow")
+
+    formula: str | None = Field(default=None, description="Formula of the value that decides")
+    rule: AlarmRule | None = Field(default=None, description="How much it takes")
+    set_index: int | None = Field(default=None, description="Set that decided")
+    distance_squared: float | None = Field(default=None, description="Squared distance of that set")
+    limit_name: LimitName | None = Field(default=None, description="The limit that decides")
+    limit: float | None = Field(default=None, description="That limit of the squared distance")
+    baseline_id: int | None = Field(default=None, description="Baseline that it was judged against")
+    contributions: dict[str, float | None] | None = Field(
+        default=None, description="Part of the squared distance by feature"
+    )
+    thickness_m: float | None = Field(default=None, description="Thickness that was read")
+    interval_m: list[float] | None = Field(default=None, description="Its 95 % interval: low, high")
+    roughness_rms_m: float | None = Field(default=None, description="Roughness of the far wall, RMS")
+    limit_m: float | None = Field(default=None, description="Thickness below which the probe alarms")
+    travel_time_s: float | None = Field(default=None, description="Time of the echo")
+    reference_travel_time_s: float | None = Field(default=None, description="The same when the test began")
+    delay_s: float | None = Field(default=None, description="Delay of the probe that was taken off")
+    poor_sets_running: int | None = Field(default=None, description="Sets running with too few valid shots")
+    minimum_valid_shots: int | None = Field(default=None, description="So many valid shots a set needs")
+    shots_without_psw: int | None = Field(default=None, description="Shots without a reflected wave")
+    error: str | None = Field(default=None, description="What the instrument's driver raised")
+    command_id: int | None = Field(default=None, description="The order that raised it")
+    set_aside: list[str] | None = Field(default=None, description="Damaged files without rows")
+    damaged: dict[str, str] | None = Field(default=None, description="Damaged files, and what ails each")
+    extractor_version: str | None = Field(default=None, description="Version of the code that computed it")
+
+
 @_of_row(rows.AlarmRow)
 class AlarmRow(Answer):
     """One alarm with its proof."""
+
+    proof: AlarmProof = Field(description="What it rests on")
 
 
 @_of_row(rows.CommandRow)
@@ -429,6 +472,30 @@ class TrendBins(Answer):
     first_alarm_set_index: list[int | None]
 
 
+TREND_VERDICTS = (
+    *("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline"),
+    "reason",
+)
+"""Columns of a trend that come from the verdict beside the measured values."""
+MEASURED_FIELDS = tuple(
+    dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.measured(kind))
+)
+TREND_FIELDS = (*MEASURED_FIELDS, *TREND_VERDICTS)
+
+
+def _trend_columns() -> type[Answer]:
+    of_verdict = {column.name: column for column in rows.columns_of(rows.VerdictRow)}
+    kinds: dict[str, Any] = dict.fromkeys(TREND_FIELDS, float | None)
+    kinds |= {name: of_verdict[name].type for name in TREND_VERDICTS}
+    kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
+    fields: dict[str, Any] = {
+        name: (list[kind | None], Field(default_factory=list))  # type: ignore[valid-type] # a value here
+        for name, kind in kinds.items()
+    }
+    told = "The columns that were asked for, and hour, age and quality; one entry a set or bin."
+    return create_model("TrendColumns", __base__=Answer, __doc__=told, **fields)
+
+
 class Trend(Answer):
     """Columns of equal length, one entry a set, or a bin where there are more sets than points."""
 
@@ -437,7 +504,7 @@ class Trend(Answer):
     as_of: AsOf
     units: dict[str, str]
     bin_sets: int = Field(description="Planned sets that an entry stands for; 1: each set is an entry")
-    columns: dict[str, list[Any]]
+    columns: _trend_columns()  # type: ignore[valid-type] # made of the rows
     bins: TrendBins | None = Field(description="null where each set is an entry")
 
 

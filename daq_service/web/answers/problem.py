@@ -130,10 +130,11 @@ def json_pointer(parts: Sequence[str | int]) -> str:
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
-def _methods_at(app: FastAPI, path: str) -> list[str]:
+def _methods_at(app: FastAPI, of_request: Scope) -> list[str]:
     """Methods of all routes that share a path; Starlette names those of one of them."""
     scopes = [
-        {"type": "http", "path": path, "root_path": "", "method": method, "headers": []} for method in METHODS
+        {name: of_request[name] for name in ("type", "path", "root_path", "headers")} | {"method": method}
+        for method in METHODS
     ]
     return [
         str(scope["method"])
@@ -178,7 +179,7 @@ def install(app: FastAPI) -> None:
         response = problem_response(request.scope, problem)
         response.headers.update(error.headers or {})
         if error.status_code == 405:
-            response.headers["Allow"] = ", ".join(_methods_at(app, request.url.path))
+            response.headers["Allow"] = ", ".join(_methods_at(app, request.scope))
         return response
 
     async def on_storage(request: Request, error: Exception) -> Response:

@@ -4,6 +4,9 @@ const DEADLINE_MS = 15_000;
 /** Entries of a trend at most: beyond, an entry is a bin of sets. A chart is hardly wider. */
 const POINTS = 1000;
 
+/** Where the page's test is, of a service that has several; empty: the service has one test, or this is the list. */
+export const BASE = /^\/tests\/[^/]+(?=\/)/.exec(location.pathname)?.[0] ?? "";
+
 export class ProblemError extends Error {
   /** @param {number} status @param {{type?: string, detail?: string, hint?: string}} problem */
   constructor(status, problem) {
@@ -37,41 +40,42 @@ async function ask(address, request, read) {
   }
 }
 
-/** @param {string} path below /api/v1 @returns {Promise<any>} */
-export async function get(path) {
-  return ask(`/api/v1${path}`, { headers: { Accept: "application/json" } }, answer);
+/** @param {string} path below /api/v1 @param {string} [base] of another test; empty: the service @returns {Promise<any>} */
+export async function get(path, base = BASE) {
+  return ask(`${base}/api/v1${path}`, { headers: { Accept: "application/json" } }, answer);
 }
 
 /** @param {string} path below /api/v1, of binary content @returns {Promise<ArrayBuffer>} */
 export async function octets(path) {
-  return ask(`/api/v1${path}`, {}, async (response) => (response.ok ? response.arrayBuffer() : answer(response)));
+  return ask(`${BASE}/api/v1${path}`, {}, async (response) => (response.ok ? response.arrayBuffer() : answer(response)));
 }
 
 /**
  * Columns of a position over the test; of many sets by bins (`bin_sets` above 1).
  *
- * @param {string} position @param {string[] | undefined} fields undefined: all @param {{from_h?: number, to_h?: number}} [range]
+ * @param {string} position @param {string[] | undefined} fields undefined: all
+ * @param {{from_h?: number, to_h?: number}} [range] @param {string} [base] of another test
  */
-export async function trend(position, fields, range = {}) {
+export async function trend(position, fields, range = {}, base = BASE) {
   const query = new URLSearchParams();
   for (const [name, value] of Object.entries({ fields, points: POINTS, ...range })) if (value !== undefined) query.set(name, String(value));
-  return get(`/trends/${position}?${query}`);
+  return get(`/trends/${position}?${query}`, base);
 }
 
 /** Whether anything is stored yet; asked so because a browser reports every 503 as an error. */
 export async function hasData() {
-  return (await ask("/healthz", {}, answer)).data === true;
+  return (await ask(`${BASE}/healthz`, {}, answer)).data === true;
 }
 
 /** @param {string} path @param {object} body @returns {Promise<any>} */
 export async function post(path, body) {
   const headers = { "Content-Type": "application/json" };
-  return ask(`/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, answer);
+  return ask(`${BASE}/api/v1${path}`, { method: "POST", headers, body: JSON.stringify(body) }, answer);
 }
 
 /** @param {string} path @returns {Promise<any>} */
 export async function remove(path) {
-  return ask(`/api/v1${path}`, { method: "DELETE" }, answer);
+  return ask(`${BASE}/api/v1${path}`, { method: "DELETE" }, answer);
 }
 
 /** All pages of a listing. @param {string} path @returns {Promise<any[]>} */

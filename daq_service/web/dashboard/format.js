@@ -58,3 +58,17 @@ export function hour(hours) {
 export function utc(text) {
   return text ? `${text.slice(0, 10)} ${text.slice(11, 16)} UTC` : NONE;
 }
+
+/**
+ * How old the newest data of another test are: on its own clock, and since its recorder wrote.
+ *
+ * @param {any} standing of /tests
+ * @param {{data_h: Maybe, age_h: Maybe, stale: boolean}} data
+ * @param {number} sinceS since the service looked
+ */
+export function ageText(standing, data, sinceS) {
+  const wall = standing.wall_age_s === null ? NONE : `${duration(standing.wall_age_s + sinceS)} ago`;
+  const grown = standing.clock === "wall" ? sinceS / 3600 : 0;
+  const last = data.data_h === null ? "nothing measured yet" : `hour ${hour(data.data_h)} · ${fixed((data.age_h ?? 0) + grown, 1)} h old`;
+  return `${data.stale ? "Stale: " : ""}${last} · written ${wall}`;
+}

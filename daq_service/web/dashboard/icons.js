@@ -50,6 +50,15 @@ export const STATES = {
 };
 
 /** @type {Record<string, Look>} */
+export const RECORDER = {
+  running: { word: "Live", icon: "check", tone: "good" },
+  finished: { word: "Test finished", icon: "flag", tone: "info" },
+  stopped: { word: "Recorder stopped", icon: "stop", tone: "warn" },
+  silent: { word: "Recorder silent", icon: "triangle", tone: "alarm" },
+  absent: { word: "Recorder absent", icon: "triangle", tone: "warn" },
+};
+
+/** @type {Record<string, Look>} */
 export const SEVERITIES = {
   critical: { word: "Critical", icon: "bell", tone: "alarm" },
   high: { word: "High", icon: "bell", tone: "alarm" },

@@ -1,9 +1,12 @@
 // Wires the page: what is shown stands in its address, what is drawn comes from the API.
 
 import { SolimonAlarms } from "./alarms.js";
+import { BASE } from "./api.js";
 import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
+import { Compared } from "./charts/compared.js";
+import { Others, isOther, whereOf } from "./charts/others.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { Audit } from "./control/audit.js";
 import { confirmed } from "./control/confirm.js";
@@ -15,7 +18,7 @@ import { showEnvironment } from "./environment.js";
 import { Failing } from "./failing.js";
 import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
-import { chip } from "./icons.js";
+import { RECORDER, chip } from "./icons.js";
 import { admitted } from "./login.js";
 import { Notifications } from "./notifications.js";
 import { giveBy } from "./orders.js";
@@ -47,8 +50,10 @@ const state = { connected: false, hasSupply: false, recorder: "absent", shown: "
 const address = new Address(become);
 const reading = new Reading({ onBegin, onRead, onColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
 const failing = new Failing(byId("failing"));
+const others = new Others(onOthers);
 const board = new Board(
   reading,
+  others,
   {
     span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
@@ -58,6 +63,7 @@ const board = new Board(
   },
   (feature) => address.go({ feature }),
 );
+const compared = new Compared(others, (part) => address.go(part));
 const toolbar = new Toolbar((part) => address.go(part));
 const tiles = new Tiles(byId("tiles"), select);
 const asked = new Asked();
@@ -99,6 +105,11 @@ function select(position) {
 
 /** @param {string} position @param {number} set */
 function openSet(position, set) {
+  if (isOther(position)) {
+    const where = whereOf(position);
+    location.assign(`/tests/${where.test}/?position=${where.position}&set=${set}`);
+    return;
+  }
   const { view } = address;
   const other = position !== view.position;
   const waves_ = reading.place(position)?.method === "solitary_wave";
@@ -130,10 +141,12 @@ function become(view, before) {
     waves.open(view.position);
   }
   reading.choose(view.feature);
+  others.choose(view);
   reading.look(view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h]);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
   toolbar.update(view, charted(), reading.info, timeline());
+  compared.update(view);
   if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, charted());
   for (const chart of board.all) chart.respan();
   panel.update();
@@ -156,7 +169,13 @@ function onColumns() {
   failing.end();
   board.update(address.view, charted());
   toolbar.update(address.view, charted(), reading.info, timeline());
+  compared.update(address.view);
   panel.update();
+}
+
+function onOthers() {
+  board.update(address.view, charted());
+  compared.update(address.view);
 }
 
 /** @param {{alarms?: any[], transducers?: any, environment?: any, info?: boolean}} news */
@@ -228,13 +247,7 @@ function showConnection() {
   const pill = byId("connection");
   const look = !state.connected
     ? { word: "Connection lost, retrying", icon: "link", tone: "alarm" }
-    : {
-        running: { word: "Live", icon: "check", tone: "good" },
-        finished: { word: "Test finished", icon: "flag", tone: "info" },
-        stopped: { word: "Recorder stopped", icon: "stop", tone: "warn" },
-        silent: { word: "Recorder silent", icon: "triangle", tone: "alarm" },
-        absent: { word: "Recorder absent", icon: "triangle", tone: "warn" },
-      }[state.recorder] ?? { word: state.recorder, icon: "dash", tone: "" };
+    : (RECORDER[state.recorder] ?? { word: state.recorder, icon: "dash", tone: "" });
   if (pill.textContent === look.word) return;
   const fresh = chip(look, "pill");
   pill.dataset.tone = look.tone;
@@ -275,6 +288,7 @@ setInterval(() => tiles.tick(), 1000);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
 theme.show();
+byId("all-tests").hidden = BASE === "";
 
 /** Read-only view of what is shown, for tests and for the curious. */
 Object.defineProperty(window, "solimonDashboard", {

@@ -11,7 +11,7 @@ const WAITING_MS = 300;
 const LONGEST = 2000;
 
 /** Columns that the charts always need, by method. @type {Record<string, string[]>} */
-const FIELDS = {
+export const FIELDS = {
   solitary_wave: ["tof_pp_s", "amplitude_ratio", "distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper"],
   pulse_echo: ["thickness_m", "travel_time_s"],
 };

@@ -1,5 +1,7 @@
 // The live waveforms (WebSocket, latest only), and how records come as bytes.
 
+import { BASE } from "./api.js";
+
 /**
  * @typedef {object} Record_
  * @property {any} header
@@ -52,7 +54,7 @@ export class WaveformStream {
     this.position = position;
     if (!position || document.hidden) return;
     const scheme = location.protocol === "https:" ? "wss:" : "ws:";
-    const socket = new WebSocket(`${scheme}//${location.host}/api/v1/waveforms/live?positions=${position}`);
+    const socket = new WebSocket(`${scheme}//${location.host}${BASE}/api/v1/waveforms/live?positions=${position}`);
     socket.binaryType = "arraybuffer";
     this.socket = socket;
     socket.onopen = () => (this.delayMs = 500);

@@ -5,7 +5,7 @@
  * @typedef {object} View
  * @property {string} position chosen tile; empty: the first
  * @property {string} charts position of the solitary-wave charts, where the chosen one has none; empty: the chosen one
- * @property {string[]} compare positions drawn over it
+ * @property {string[]} compare positions drawn over it; `TEST:POSITION` of another test of this service
  * @property {boolean} relative to each position's own baseline
  * @property {number | null} from_h null with `to_h`: the whole test
  * @property {number | null} to_h
@@ -73,7 +73,7 @@ export function format(view) {
     const plain = /** @type {any} */ (PLAIN)[key];
     if (String(value) === String(plain)) continue;
     // Written by hand: commas and colons stay readable in what is sent.
-    parts.push(`${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",")}`);
+    parts.push(`${key}=${value === true ? "1" : encodeURIComponent(String(value)).replaceAll("%2C", ",").replaceAll("%3A", ":")}`);
   }
   return parts.length ? `?${parts.join("&")}` : "";
 }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import ipaddress
+import re
 import ssl
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
@@ -29,6 +30,8 @@ from daq_service.web.doors.tokens import KnownTokens, read_tokens, tokens_file
 
 ANYBODYS = frozenset({"/", "/healthz", "/readyz", "/api/v1/session"})
 PAGE_FILES = "/static/"
+OF_TEST = re.compile(r"/tests/[^/]+(?=/)")
+"""Where several tests are served, in front of each one's own paths."""
 MOST_WRONG, WRONG_EVERY_S = 10, 6.0
 """Wrong tokens of one address that are answered 401: so many at once, then one each six seconds."""
 MOST_ADDRESSES = 1000
@@ -162,8 +165,8 @@ class Doors:
 class Doorkeeper:
     """Lets nobody without a token past the page and its login, where tokens are asked for."""
 
-    def __init__(self, app: ASGIApp, doors: Doors) -> None:
-        self._app, self._doors = app, doors
+    def __init__(self, app: ASGIApp, doors: Doors, *, has_tests: bool = False) -> None:
+        self._app, self._doors, self._has_tests = app, doors, has_tests
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass on who may come in."""
@@ -175,7 +178,7 @@ class Doorkeeper:
             person = self._doors.person_of(scope)
         except Problem as refused:
             problem = refused
-        path = scope["path"]
+        path = OF_TEST.sub("", scope["path"], count=1) if self._has_tests else scope["path"]
         if path in ANYBODYS or path.startswith(PAGE_FILES):
             # The page, signs of life and the way in are anybody's; but not over an open line.
             problem = problem if problem is not None and problem.status == 403 else None

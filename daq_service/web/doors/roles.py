@@ -63,6 +63,8 @@ OPERATIONS: Mapping[str, Role | None] = {
     "create_token": "admin",
     "revoke_token": "admin",
     "list_audit": "admin",
+    # Of a service that has several tests.
+    "list_tests": "viewer",
 }
 ORDERS: Mapping[str, Role] = {
     "acknowledge_alarm": "operator",

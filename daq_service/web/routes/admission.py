@@ -12,10 +12,12 @@ from starlette.requests import HTTPConnection
 
 from daq_service.orders.audit import Result
 from daq_service.web.answers.problem import Problem
-from daq_service.web.context import context_of
+from daq_service.web.context import context_at
 from daq_service.web.doors.entry import address_of, person_at
 from daq_service.web.doors.roles import OPERATIONS, Person, Role
 
+OF_THE_DOORS = frozenset({"log_in", "log_out", "create_token", "revoke_token"})
+"""Audited beside the tokens; all else beside the test that it is about."""
 PersonOf = Annotated[Person, Depends(person_at)]
 
 
@@ -65,7 +67,9 @@ def told(
     command_id: int | None = None,
 ) -> None:
     """Write into the audit what a person asked for."""
-    context_of(connection.app).doors.audit.tell(
+    context = context_at(connection)
+    audit = context.doors.audit if what in OF_THE_DOORS else context.audit
+    audit.tell(
         who=person.name or claimed,
         role=person.role,
         source=address_of(connection.scope),

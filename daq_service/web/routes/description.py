@@ -1,11 +1,18 @@
-"""What OpenAPI says of tokens: how one is sent, and which role each operation needs."""
+"""What OpenAPI says beside the routes: tokens and roles, what names mean, units, examples."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
 from typing import Any
 
+from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
+from daq_service.web.answers.words import EXAMPLES, OTHER_UNITS, OWN_UNIT, PURE, TAGS, WORDS
 from daq_service.web.doors.roles import OPERATIONS, ORDERS
+from hardware_drivers.units import unit_of
 
 SCHEMES = {
     "token": {"type": "http", "scheme": "bearer", "description": "A token of `solimon token create`"},
@@ -34,4 +41,72 @@ def describe_roles(document: dict[str, Any]) -> None:
                 operation["security"] = [{"token": [role]}, {"cookie": [role]}, {}]
                 refusals = [401, 403, 429]
             operation["responses"] |= {str(status): PROBLEMS[status] for status in refusals}
-    document["paths"]["/api/v1/commands"]["post"]["x-role-by-kind"] = dict(ORDERS)
+    orders = document["paths"].get("/api/v1/commands")
+    if orders is not None:
+        orders["post"]["x-role-by-kind"] = dict(ORDERS)
+
+
+@cache
+def examples() -> dict[str, Any]:
+    """Answers of a real service by operation (`python tests/contract/test_openapi.py` asks for them)."""
+    found: dict[str, Any] = json.loads(read_shared(Path(__file__).parents[1] / "answers" / "examples.json"))
+    return found
+
+
+def describe_words(document: dict[str, Any]) -> None:
+    """Say what each name means that does not say so itself, each number's unit, and give examples."""
+    operations = [operation for item in document["paths"].values() for operation in item.values()]
+    used = {tag for operation in operations for tag in operation.get("tags", ())}
+    document["tags"] = [{"name": name, "description": told} for name, told in TAGS.items() if name in used]
+    for schema, described in document["components"]["schemas"].items():
+        for name, part in described.get("properties", {}).items():
+            _describe(part, found(WORDS, schema, name))
+            _mark_unit(part, name, part)
+    for operation in operations:
+        for parameter in operation.get("parameters", ()):
+            name = parameter["name"]
+            example = found(EXAMPLES, operation["operationId"], name)
+            _describe(parameter, found(WORDS, operation["operationId"], name))
+            _mark_unit(parameter, name, parameter["schema"])
+            if parameter["required"] and example is not None:
+                parameter["example"] = example
+        _give_example(operation)
+
+
+def found(words: Mapping[str, Any], place: str, name: str) -> Any:
+    """Look a name up: what it means at this place, else everywhere; None where nobody has said."""
+    return words.get(f"{place}.{name}", words.get(name))
+
+
+def _describe(described: dict[str, Any], told: str | None) -> None:
+    if told is not None:
+        described.setdefault("description", told)
+
+
+def _mark_unit(marked: dict[str, Any], name: str, schema: dict[str, Any]) -> None:
+    """Write a number's unit as UDUNITS has it; `1`: it has none, `own`: it stands beside the number."""
+    if not holds_numbers(schema):
+        return
+    unit = unit_of(name) or OTHER_UNITS.get(name, "1" if name in PURE else "own" if name in OWN_UNIT else "")
+    if unit:
+        marked["x-unit"] = unit
+
+
+def holds_numbers(schema: Any) -> bool:
+    """Tell that a value of this schema is a number, or has numbers in lists or by name."""
+    if not isinstance(schema, dict):
+        return False
+    parts = [*schema.get("anyOf", ()), schema.get("items"), schema.get("additionalProperties")]
+    return schema.get("type") in {"number", "integer"} or any(map(holds_numbers, parts))
+
+
+def _give_example(operation: dict[str, Any]) -> None:
+    example = examples().get(operation["operationId"])
+    if example is None:
+        return
+    status, media_type = example["status"], example["media_type"]
+    content = operation["responses"].get(status, {}).get("content", {})
+    if media_type in content:
+        content[media_type]["example"] = example["answer"]
+    if "body" in example and "requestBody" in operation:
+        operation["requestBody"]["content"]["application/json"]["example"] = example["body"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Any, get_args
 
 from fastapi import APIRouter, Request
@@ -28,21 +29,27 @@ WORDS = get_args(PositionState.model_fields["state"].annotation)
 
 Sample = tuple[tuple[str, ...], float | None]
 """Values of the labels, and the number; None is left out."""
+OPENMETRICS: dict[int | str, dict[str, Any]] = {
+    200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
+    **problems(503),
+}
 
 
 @probes.get(
     "/metrics",
     operation_id="get_metrics",
     response_class=Response,
-    responses={
-        200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
-        **problems(503),
-    },
+    responses=OPENMETRICS,
 )
 def get_metrics(request: Request, context: ContextOf) -> Response:
     """Tell state, age and last values of every position, alarms, recorder, disk and this service."""
+    return exposition(chain(of_service(), of_clients(context), of_test(context)), request)
+
+
+def exposition(metrics: Iterable[Metric], request: Request) -> Response:
+    """Write metrics as Prometheus wants them, and behind them how long this service's answers take."""
     registry = CollectorRegistry()
-    registry.register(_Present(context))
+    registry.register(_Present(metrics))
     present, times = (
         bytes(generate_latest(part))  # type: ignore[no-untyped-call] # the package does not annotate it
         for part in (registry, request.app.state.answer_times.registry)
@@ -51,23 +58,35 @@ def get_metrics(request: Request, context: ContextOf) -> Response:
 
 
 class _Present(Collector):
-    """The test at this moment, as Prometheus wants it."""
+    """What was read for one answer."""
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    def __init__(self, metrics: Iterable[Metric]) -> None:
+        self._metrics = list(metrics)
 
     def collect(self) -> Iterable[Metric]:
-        context = self._context
-        yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
-        yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
-        yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
-        yield from _of_notifications(context)
-        has_data = context.has_data()
-        yield _gauge("has_data", "1: something is stored", [((), has_data)])
-        if has_data:
-            yield from _of_test(context, context.freshness())
-        else:
-            yield _recorder(look_at_recorder(context.data_folder, []).word)
+        return self._metrics
+
+
+def of_service() -> Iterator[Metric]:
+    """Tell what serves."""
+    yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
+
+
+def of_clients(context: Context) -> Iterator[Metric]:
+    """Count who follows a test."""
+    yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
+    yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
+
+
+def of_test(context: Context) -> Iterator[Metric]:
+    """Tell a test at this moment; of one without data, whether somebody records."""
+    yield from _of_notifications(context)
+    has_data = context.has_data()
+    yield _gauge("has_data", "1: something is stored", [((), has_data)])
+    if has_data:
+        yield from _of_data(context, context.freshness())
+    else:
+        yield _recorder(look_at_recorder(context.data_folder, []).word)
 
 
 def _of_notifications(context: Context) -> Iterator[Metric]:
@@ -83,7 +102,7 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
     yield _gauge("notifications_waiting", "Changes of alarms not told yet", waiting, ("receiver",))
 
 
-def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:
+def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     catalogue = context.catalogue()
     beat_age_s = fresh.recorder.beat_age_s
     yield _recorder(fresh.recorder.word)

@@ -50,7 +50,7 @@ async def stream_events(
 ) -> StreamingResponse:
     """Resume behind `Last-Event-ID` (or `after`), or begin with the next event."""
     chosen = _topics(topics)
-    if context.hub.clients >= MOST_CLIENTS:
+    if context.open_streams() >= MOST_CLIENTS:
         raise Problem(
             503,
             "too-many-streams",

@@ -9,20 +9,21 @@ from typing import Annotated, Any
 import numpy as np
 from fastapi import APIRouter, Query
 from numpy.typing import NDArray
+from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.catalogue.pyramid import QUALITIES, Kind, trend_bins, values_of
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hour
-from daq_service.web.answers.models import Trend, problems
+from daq_service.web.answers.models import TREND_FIELDS, TREND_VERDICTS, Trend, problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 
 router = APIRouter(tags=["trends"])
 
-VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
+VERDICTS = TREND_VERDICTS
 POINTS, MOST_POINTS = 500, 1000
 """Entries of an answer that asks for no number, and the most that may be asked for."""
 MOST_BYTES = 195_000
@@ -32,6 +33,11 @@ _SET_BYTES, _BIN_BYTES = 120, 210
 _NUMBER_BYTES, _WORD_BYTES, _REASON_BYTES = 25, 6, 200
 """The longest number of 64 bits, true or false, a verdict's reason, each with its comma."""
 COMMON = ("set_index", "due_h", "quality")
+
+
+FieldName = Annotated[
+    str, StringConstraints(max_length=1000), WithJsonSchema({"type": "string", "enum": list(TREND_FIELDS)})
+]
 
 
 def unit_of(field: str) -> str:
@@ -75,7 +81,11 @@ def get_trend(
     context: ContextOf,
     position: str,
     fields: Annotated[
-        str | None, Query(max_length=1000, description="Comma-separated columns; absent: all of the method")
+        list[FieldName] | None,
+        Query(
+            max_length=50,
+            description="Columns, as `fields=a&fields=b` or with commas; absent: all of the method",
+        ),
     ] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
@@ -95,7 +105,8 @@ def get_trend(
     range has smaller bins, at last single sets.
     """
     method = context.settings.positions[context.known(position)].method
-    chosen = checked_fields(method, fields, known=(*METHODS[method].values, *VERDICTS))
+    asked = None if fields is None else ",".join(fields)
+    chosen = checked_fields(method, asked, known=(*METHODS[method].values, *VERDICTS))
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     kind = METHODS[method].row

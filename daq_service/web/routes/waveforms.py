@@ -21,7 +21,7 @@ from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
 from daq_service.web.answers.models import WaveformAnswer, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
-from daq_service.web.context import Context, ContextOf, SocketContextOf
+from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
 from daq_service.web.routes.listing import LARGEST_INDEX
 from daq_service.web.streams.live_pictures import Picture, decode_header, unreadable_picture
@@ -195,7 +195,7 @@ def _quality(context: Context, position: str, set_index: int, sequence: int) -> 
 @router.websocket("/waveforms/live")
 async def live_waveforms(
     websocket: WebSocket,
-    context: SocketContextOf,
+    context: ContextOf,
     person: PersonOf,
     positions: Annotated[str | None, Query(max_length=400)] = None,
 ) -> None:

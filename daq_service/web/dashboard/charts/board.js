@@ -3,6 +3,7 @@
 import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
 import { isFeature, wordOf } from "./features.js";
+import { isOther, nameOf } from "./others.js";
 import { baselineMean, colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
 
 /** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
@@ -29,9 +30,13 @@ export function rangesOf(gaps) {
 }
 
 export class Board {
-  /** @param {import("../reading.js").Reading} reading @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature */
-  constructor(reading, host, onFeature) {
+  /**
+   * @param {import("../reading.js").Reading} reading @param {import("./others.js").Others} others of other tests
+   * @param {import("./chart.js").Host} host @param {(feature: string) => void} onFeature
+   */
+  constructor(reading, others, host, onFeature) {
     this.reading = reading;
+    this.others = others;
     const chart = (/** @type {string} */ id) => /** @type {SolimonChart} */ (byId(id));
     this.charts = { distance: chart("distance"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
     this.charts.distance.configure({ title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" }, host);
@@ -49,6 +54,16 @@ export class Board {
     return Object.values(this.charts);
   }
 
+  /** @param {string} position of this test or, as an entry of `compare`, of another */
+  trend(position) {
+    return isOther(position) ? this.others.trends.get(position) : this.reading.trend(position);
+  }
+
+  /** @param {string} position as of `trend` */
+  baseline(position) {
+    return isOther(position) ? this.others.baselines.get(position) : this.reading.baselines.get(position);
+  }
+
   redraw() {
     for (const chart of this.all) chart.draw();
   }
@@ -61,17 +76,18 @@ export class Board {
     const probes = info.positions.filter((/** @type {any} */ place) => place.method === "pulse_echo").map((/** @type {any} */ place) => place.position);
     const probe = probes.includes(view.position) ? view.position : probes[0];
     const over = view.compare.filter((position) => position !== charted && this.reading.place(position)?.method === "solitary_wave");
-    const waves = [charted, ...over];
+    const others = (/** @type {string} */ method) => view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
+    const waves = [charted, ...over, ...others("solitary_wave")];
     this.charts.thickness.hidden = !probe;
     if (this.reading.trends.has(charted)) {
       this.distance(view, waves);
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
-    if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe], "thickness_m", "thickness_mm", "thickness");
+    if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe, ...others("pulse_echo")], "thickness_m", "thickness_mm", "thickness");
     const ofProbe = probe && view.feature in (this.reading.baselines.get(probe)?.units ?? {});
-    const shown = ofProbe ? [probe] : waves;
-    if (this.reading.trend(shown[0])?.columns[view.feature]) {
+    const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
+    if (this.trend(shown[0])?.columns[view.feature]) {
       this.charts.feature.entitle(wordOf(view.feature));
       this.draw(this.charts.feature, view, shown, view.feature, view.feature, wordOf(view.feature));
     }
@@ -100,27 +116,28 @@ export class Board {
    * @param {string} field @param {string} key @param {string} short
    */
   lines(view, positions, field, key, short) {
-    const shown = positions.filter((position) => this.reading.trend(position)?.columns[field]);
-    const trends = shown.map((position) => this.reading.trend(position));
+    const shown = positions.filter((position) => this.trend(position)?.columns[field]);
+    const trends = shown.map((position) => this.trend(position));
     const columns = trends.map((one) => one.columns);
-    const { factor, unit, digits } = shownUnit(this.reading.trend(positions[0]).units[field]);
+    const { factor, unit, digits } = shownUnit(this.trend(positions[0]).units[field]);
     const { x, rows } = joined(columns.map((one) => one.due_h));
     const relative = view.relative && field !== "distance_squared";
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
-      const reference = relative ? baselineMean(this.reading.baselines.get(position), field) : null;
+      const reference = relative ? baselineMean(this.baseline(position), field) : null;
       const scale = reference ? relativeTo(reference) : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
       // Without a baseline nothing is relative to it.
       const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(relative && !reference ? values.map(() => null) : scaled(values, scale), rows[k]);
-      const of = positions.length > 1 ? ` ${position}` : "";
+      const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
         label: `${short}${of}`,
         short: `${short}${of}`,
         color: colorOf(k),
         shape: k,
+        ...(isOther(position) ? { dash: [5, 4] } : {}),
         points: true,
         y: inUnit(columns[k][field]),
         position,
@@ -142,13 +159,13 @@ export class Board {
     const baseline = { from_h: 0, to_h: info.schedule.baseline_h, word: "baseline", tone: "good" };
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
-    const of = { method: this.reading.place(position).method, positions };
-    return { of, ranges: [baseline, ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
+    const of = { method: this.reading.place(position).method, positions: positions.filter((one) => !isOther(one)) };
+    return { of, ranges: [baseline, ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
   hourOf(position, index) {
-    const columns = this.reading.trend(position)?.columns;
+    const columns = this.trend(position)?.columns;
     const row = columns?.set_index.indexOf(index) ?? -1;
     return row >= 0 ? columns.due_h[row] : (this.reading.gaps.get(position)?.find((gap) => gap.set_index === index)?.due_h ?? null);
   }
@@ -171,9 +188,9 @@ export class Board {
   /** @param {View} view @param {string[]} positions */
   distance(view, positions) {
     const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
-    lines.forEach((line) => (line.outlier = onAxis(this.reading.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
+    lines.forEach((line) => (line.outlier = onAxis(this.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
     const { at, of: places, ...about } = this.about(view, positions);
-    const { columns } = this.reading.trend(positions[0]);
+    const { columns } = this.trend(positions[0]);
     const { limits } = this.reading.info;
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
     lines.push(

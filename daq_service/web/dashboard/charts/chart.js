@@ -113,7 +113,7 @@ export class SolimonChart extends HTMLElement {
     const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
     if (made !== this.made) {
       const outlier = series.lines.some((line) => line.outlier) ? [el("li", {}, swatch("--alarm", "diamond"), "outlier")] : [];
-      this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
+      this.legend.replaceChildren(...series.lines.map((line) => el("li", {}, swatch(line.color, line.points && !line.dash ? (line.shape ?? 0) : "line", line.dash), line.label)), ...outlier, el("li", {}, swatch("--alarm", "cross"), "bad"), el("li", {}, swatch("--data", "ring"), "suspect"));
     }
     // Last, when all around it has its size.
     if (!series.x.length) this.destroy();

@@ -63,8 +63,10 @@ function lineOptions(line, series) {
     for (let k = from + 1; k <= to; k++) if (missing(its, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
     return all.sort((a, b) => a[0] - b[0]);
   };
-  // Points speak, and are drawn by their quality (marks.js); the line only leads from one to the next.
-  return { label: line.label, stroke: line.points ? `${stroke}4d` : stroke, width: line.points ? 1 : 2, dash: line.dash, points: { show: false }, spanGaps: false, gaps };
+  // Points speak, and are drawn by their quality (marks.js); the line only leads from one to the next, but for
+  // another test's, which is dashed.
+  const leads = line.points && !line.dash;
+  return { label: line.label, stroke: leads ? `${stroke}4d` : stroke, width: leads ? 1 : 2, dash: line.dash, points: { show: false }, spanGaps: false, gaps };
 }
 
 /**

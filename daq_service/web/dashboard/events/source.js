@@ -12,21 +12,32 @@ const RETRY_MS = 1000;
  */
 
 export class Source {
-  /** @param {number} after id of the last event that is known already @param {Listener} listener */
-  constructor(after, listener) {
+  /** @param {number} after id of the last event that is known already @param {Listener} listener @param {string} base where the test is */
+  constructor(after, listener, base) {
+    this.base = base;
     this.lastId = after;
     this.listener = listener;
     this.isOpen = false;
-    this.connect();
+    /** @type {EventSource | null} */
+    this.source = null;
+    this.wake(true);
+  }
+
+  /** Connect from where we are; or let go of the connection for a while. @param {boolean} awake */
+  wake(awake) {
+    if (awake === (this.source !== null)) return;
+    if (awake) return this.connect();
+    this.source?.close();
+    this.source = null;
   }
 
   connect() {
-    const source = new EventSource(`/api/v1/stream?after=${this.lastId}`);
+    const source = (this.source = new EventSource(`${this.base}/api/v1/stream?after=${this.lastId}`));
     source.onopen = () => this.say(true);
     source.onerror = () => {
       this.say(false);
       // A refused connection is final to EventSource: try again from where we are.
-      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.connect(), RETRY_MS);
+      if (source.readyState === EventSource.CLOSED) setTimeout(() => this.source === source && this.connect(), RETRY_MS);
     };
     for (const topic of TOPICS) {
       source.addEventListener(topic, (message) => {

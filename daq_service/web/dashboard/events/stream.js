@@ -1,9 +1,10 @@
 // The events of the service, for this page: from the worker that all tabs share, else by its own connection.
 
+import { BASE } from "../api.js";
 import { Source } from "./source.js";
 
 /** Changes when what is said between page and worker does: a tab of an older version keeps its own. */
-const NAME = "solimon-events-1";
+const NAME = "solimon-events-2";
 
 export class EventStream {
   /** @param {{onEvent: (topic: string, event: any) => void, onGap: () => void, onState: (open: boolean) => void}} handlers */
@@ -13,9 +14,24 @@ export class EventStream {
     this.started = false;
     /** @type {MessagePort | null} */
     this.port = null;
+    /** @type {Source | null} */
+    this.own = null;
     addEventListener("pagehide", () => this.port?.postMessage({ leave: true }));
     // A page that the browser kept aside comes back: what happened meanwhile is asked for.
-    addEventListener("pageshow", (event) => event.persisted && this.port?.postMessage({ after: this.lastId }));
+    addEventListener("pageshow", (event) => event.persisted && this.join());
+    // Each of several tests has a connection of its own: hidden pages leave theirs to those that are looked at.
+    document.addEventListener("visibilitychange", () => {
+      this.port?.postMessage({ awake: this.awake });
+      this.own?.wake(this.awake);
+    });
+  }
+
+  get awake() {
+    return BASE === "" || !document.hidden;
+  }
+
+  join() {
+    this.port?.postMessage({ after: this.lastId, base: BASE, awake: this.awake });
   }
 
   /** @param {number} after id of the last event that the page already shows */
@@ -24,7 +40,7 @@ export class EventStream {
     if (this.started) return;
     this.started = true;
     if (typeof SharedWorker === "undefined") return this.openOwn();
-    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: NAME });
+    const worker = new SharedWorker(new URL("./worker.js", import.meta.url), { type: "module", name: `${NAME} ${BASE}` });
     // A browser that cannot run it says so here.
     worker.onerror = () => this.port !== null && ((this.port = null), this.openOwn());
     this.port = worker.port;
@@ -33,11 +49,11 @@ export class EventStream {
       else if (data.gap !== undefined) this.miss(data.gap);
       else this.handlers.onState(data.open);
     };
-    this.port.postMessage({ after });
+    this.join();
   }
 
   openOwn() {
-    new Source(this.lastId, { onNews: (news) => this.hear(news), onGap: (id) => this.miss(id), onState: this.handlers.onState });
+    this.own = new Source(this.lastId, { onNews: (news) => this.hear(news), onGap: (id) => this.miss(id), onState: this.handlers.onState }, BASE);
   }
 
   /** @param {import("./source.js").News} news */

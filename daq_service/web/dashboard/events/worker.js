@@ -1,12 +1,12 @@
-// Shared by all tabs of a browser: one connection for them together, since a browser opens no more than
+// Shared by all tabs of a browser that show the same test: one connection for them together, since a browser opens no more than
 // six to a service and the tabs beyond would wait for ever.
 
 import { Source } from "./source.js";
 
 const KEPT = 2000;
 
-/** @type {Set<MessagePort>} */
-const ports = new Set();
+/** Who listens, and whether somebody looks at it. @type {Map<MessagePort, boolean>} */
+const ports = new Map();
 /** News for a tab that comes later: all ids above `since`. @type {import("./source.js").News[]} */
 let kept = [];
 let since = 0;
@@ -15,12 +15,11 @@ let source = null;
 
 /** @param {object} message */
 function tell(message) {
-  for (const port of ports) port.postMessage(message);
+  for (const port of ports.keys()) port.postMessage(message);
 }
 
-/** @param {MessagePort} port @param {number} after */
-function join(port, after) {
-  ports.add(port);
+/** @param {MessagePort} port @param {number} after @param {string} base where the test is */
+function join(port, after, base) {
   if (source === null) {
     since = after;
     source = new Source(after, {
@@ -35,7 +34,7 @@ function join(port, after) {
         tell({ gap: id });
       },
       onState: (open) => tell({ open }),
-    });
+    }, base);
     return;
   }
   if (after < since) port.postMessage({ gap: source.lastId });
@@ -45,5 +44,10 @@ function join(port, after) {
 
 globalThis.addEventListener("connect", (event) => {
   const [port] = /** @type {MessageEvent} */ (event).ports;
-  port.onmessage = (message) => (message.data.leave ? ports.delete(port) : join(port, message.data.after));
+  port.onmessage = ({ data: { leave, awake, after, base } }) => {
+    if (leave) ports.delete(port);
+    else ports.set(port, awake);
+    if (after !== undefined) join(port, after, base);
+    if (ports.size) source?.wake([...ports.values()].some(Boolean));
+  };
 });

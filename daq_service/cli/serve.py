@@ -1,0 +1,62 @@
+"""``serve``: the web service of one test, or of several."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from daq_service.cli.run import serve_alone, serve_app
+from daq_service.errors import UsageError
+from daq_service.processes.child import log_to
+from daq_service.processes.data_folder import data_folder, prepare_data_folder
+from daq_service.settings.file import load_settings
+
+OWN_FOLDER = "solimon-service"
+"""Of a service of several tests, where nobody names another."""
+
+
+def serve_tests(
+    *,
+    paths: Sequence[Path],
+    data_dir: Path | None,
+    port: int | None,
+    web: Path | None,
+    restarted_because: str,
+    supervised: bool,
+) -> int:
+    """Serve until somebody says stop."""
+    if len(paths) > 1:
+        return _serve_many(paths, data_dir, port, web)
+    if web is not None:
+        raise UsageError(
+            "--web is for several tests; of a single one, its own configuration has the table [web]"
+        )
+    config = paths[0] if paths else None
+    if config is not None and config.is_dir():
+        if data_dir is not None:
+            raise UsageError(f"both {config} and --data-dir {data_dir} name a data folder; give one of them")
+        config, data_dir = None, config
+    return serve_alone(
+        config=config,
+        data_dir=data_dir,
+        port=port,
+        restarted_because=restarted_because,
+        supervised=supervised,
+    )
+
+
+def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
+    from daq_service.web.doors.entry import refuse_open_doors
+    from daq_service.web.many.app import create_app_of_many
+
+    settings = load_settings(web)
+    own = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
+    folder = own if data_dir is None else data_dir.absolute()
+    refuse_open_doors(settings.web, folder)
+    app = create_app_of_many(paths, settings, folder)
+    prepare_data_folder(folder)
+    log_to(folder / "logs" / "web.log")
+    click.echo(f"the service's own folder (tokens, logins, log): {folder}", err=True)
+    return serve_app(app, settings.web, port)

@@ -1,0 +1,80 @@
+// Which other tests are drawn over this one: each with its own state and age; one more to choose.
+
+import { byId, el, setText } from "../dom.js";
+import { ageText } from "../format.js";
+import { RECORDER, STATES, chip } from "../icons.js";
+import { isOther, nameOf } from "./others.js";
+import { swatch } from "./legend.js";
+
+const TICK_MS = 1000;
+
+export class Compared {
+  /** @param {import("./others.js").Others} others @param {(part: Partial<import("../view.js").View>) => void} go */
+  constructor(others, go) {
+    this.others = others;
+    this.go = go;
+    this.root = byId("others");
+    this.list = el("ul", { class: "compared" });
+    this.choice = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Draw a series of another test" }));
+    this.root.append(this.choice, this.list);
+    /** @type {string[]} */
+    this.compare = [];
+    this.made = "";
+    this.choice.addEventListener("change", () => this.choice.value && go({ compare: [...this.compare, this.choice.value] }));
+    setInterval(() => this.tick(), TICK_MS);
+  }
+
+  /** @param {import("../view.js").View} view */
+  update(view) {
+    this.compare = view.compare;
+    const chosen = view.compare.filter(isOther);
+    const { others } = this;
+    this.root.hidden = !others.items.length && !chosen.length;
+    const states = chosen.map((entry) => [entry, others.listed(entry)?.standing?.recorder, others.place(entry)?.state, others.troubles.get(entry)]);
+    const offered = others.items.filter((item) => item.standing).map((item) => [item.test, item.name, item.standing.positions.map((/** @type {any} */ place) => [place.position, place.label])]);
+    const made = JSON.stringify([states, offered]);
+    if (made !== this.made) {
+      this.made = made;
+      this.offer(offered, chosen);
+      this.list.replaceChildren(...chosen.map((entry) => this.row(entry)));
+    }
+    this.tick();
+  }
+
+  /** @param {any[]} offered @param {string[]} chosen */
+  offer(offered, chosen) {
+    const groups = offered.map(([test, name, places]) => {
+      const options = places.map(([position, label]) => [`${test}:${position}`, `${position} · ${label}`]).filter(([value]) => !chosen.includes(value));
+      return el("optgroup", { label: `${name} (${test})` }, ...options.map(([value, text]) => el("option", { value, text })));
+    });
+    this.choice.replaceChildren(el("option", { value: "", text: "With another test …" }), ...groups);
+    this.choice.value = "";
+  }
+
+  /** @param {string} entry */
+  row(entry) {
+    const { others } = this;
+    const place = others.place(entry);
+    const out = el("button", { class: "button ghost small", type: "button", text: "Take out", "aria-label": `Take out ${nameOf(entry)}` });
+    out.addEventListener("click", () => {
+      this.choice.focus();
+      this.go({ compare: this.compare.filter((one) => one !== entry) });
+    });
+    const row = el("li", {}, swatch("--ink", "line", [5, 4]), el("strong", { text: nameOf(entry) }));
+    row.dataset.entry = entry;
+    if (place) row.append(chip(STATES[place.state]), chip(RECORDER[others.listed(entry).standing.recorder]));
+    row.append(el("span", { class: "quiet small compared-age" }), out);
+    return row;
+  }
+
+  tick() {
+    for (const row of this.list.children) {
+      const entry = /** @type {HTMLElement} */ (row).dataset.entry ?? "";
+      const { others } = this;
+      const [listed, place] = [others.listed(entry), others.place(entry)];
+      const age = place ? ageText(listed.standing, place, listed.looked_age_s + (performance.now() - others.readAt) / 1000) : "";
+      const trouble = others.troubles.get(entry);
+      setText(/** @type {Element} */ (row.querySelector(".compared-age")), [age, trouble && `not read: ${trouble}`].filter(Boolean).join(" · ") || "reading");
+    }
+  }
+}

@@ -1,0 +1,32 @@
+"""How tests are called in addresses."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+
+LONGEST_NAME = 60
+
+
+def url_name(text: str) -> str:
+    """Make a name of small letters, digits and hyphens; "test" where nothing of the text is left.
+
+    >>> url_name("Größe: Loch Nr. 2")
+    'grosse-loch-nr-2'
+    """
+    plain = unicodedata.normalize("NFKD", text.casefold()).encode("ascii", "ignore").decode()
+    return re.sub(r"[^a-z0-9]+", "-", plain)[:LONGEST_NAME].strip("-") or "test"
+
+
+def url_names(texts: Iterable[str]) -> list[str]:
+    """Name each in its order; a name that is taken gets a number behind it, beginning with 2."""
+    names: list[str] = []
+    for text in texts:
+        plain = name = url_name(text)
+        number = 1
+        while name in names:
+            number += 1
+            name = f"{plain}-{number}"
+        names.append(name)
+    return names

@@ -1,0 +1,103 @@
+"""`docs/reference/api.md` lists every type of problem and every kind of event that the code can tell."""
+
+import ast
+import re
+from pathlib import Path
+from typing import get_args
+
+from daq_service.catalogue.rows import SetState
+from daq_service.web.routes.stream import TOPICS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+TELLERS = ("recording", "judgement", "orders", "alarms")
+
+
+def trees(*rooms):
+    for room in rooms:
+        for path in sorted((ROOT / "daq_service" / room).rglob("*.py")):
+            yield path, ast.parse(path.read_text(encoding="utf-8"))
+
+
+def calls(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            yield getattr(node.func, "attr", getattr(node.func, "id", "")), node
+
+
+def texts(node, constants):
+    """Texts that an argument may be: written there, chosen between, or named."""
+    if isinstance(node, ast.IfExp):
+        yield from texts(node.body, constants)
+        yield from texts(node.orelse, constants)
+    elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        yield node.value
+    elif isinstance(node, ast.Name):
+        yield from constants.get(node.id, ())
+    elif isinstance(node, ast.Call):  # one of a table: `{...}.get(...)`
+        for part in [part for part in ast.walk(node) if isinstance(part, ast.Constant)]:
+            yield from texts(part, constants)
+
+
+def constants_of(tree):
+    """Names that stand for texts: `NAME = "text"`, `A, B = "a", "b"`, `x = "a" if y else "b"`."""
+    found = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assign) and len(node.targets) == 1:
+            pairs = [(node.targets[0], node.value)]
+            if isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple):
+                pairs = list(zip(node.targets[0].elts, node.value.elts, strict=True))
+            for target, value in pairs:
+                if isinstance(target, ast.Name) and isinstance(value, ast.Constant | ast.IfExp):
+                    found[target.id] = list(texts(value, {}))
+    return found
+
+
+def problems_of_the_code():
+    for _, tree in trees("web"):
+        for name, node in calls(tree):
+            if name == "Problem" and len(node.args) == 5:
+                status = node.args[0].value if isinstance(node.args[0], ast.Constant) else None
+                for text in texts(node.args[1], {}):
+                    yield text, status
+
+
+def test_every_type_of_problem_is_listed_with_its_status():
+    rows = dict(re.findall(r"^\| `([a-z-]+)` \| (\d{3}|any other) \|", PAGE, re.MULTILINE))
+    found = set(problems_of_the_code())
+    assert len(found) > 20
+    assert {name for name, _ in found} == rows.keys()
+    for name, status in found:
+        assert status is None or rows[name] == str(status), name
+
+
+def kinds_of_the_code():
+    """Literals at the places that name an event's kind."""
+    parsed = list(trees(*TELLERS))
+    constants = {}
+    for _, tree in parsed:
+        constants |= constants_of(tree)
+    for path, tree in parsed:
+        for name, node in calls(tree):
+            place = None
+            if name == "say":
+                place = node.args[0]
+            elif name in {"tell", "_tell"} and len(node.args) >= 2:
+                first = set(texts(node.args[0], constants))
+                place = node.args[1] if first & set(TOPICS) else node.args[0]
+            elif name == "_to" and path.name == "states.py":
+                place = node.args[3]
+            named = [key.value for key in node.keywords if key.arg == "event_kind"]
+            if name == "add_event":
+                named += [key.value for key in node.keywords if key.arg == "kind"]
+            for part in ([place] if place is not None else []) + named:
+                yield from texts(part, constants)
+
+
+def test_every_kind_of_event_is_listed():
+    rows = re.findall(r"^\| `(\w+)` \| ((?:`\w+`(?:, )?)+) \|", PAGE, re.MULTILINE)
+    listed = {kind for topic, kinds in rows if topic in TOPICS for kind in re.findall(r"\w+", kinds)}
+    found = {kind for kind in kinds_of_the_code() if re.fullmatch(r"[a-z]+(_[a-z]+)*", kind)}
+    found |= {f"set_{state}" for state in get_args(SetState)}
+    assert {topic for topic, _ in rows} >= set(TOPICS)
+    assert found - {"set"} == listed

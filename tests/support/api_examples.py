@@ -1,0 +1,106 @@
+"""Answers of a real service for the examples of the description: one of each operation."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from daq_service.settings.tree import Settings
+from daq_service.web.answers.words import EXAMPLES
+from daq_service.web.app import create_app
+from daq_service.web.doors.tokens import create_token
+from daq_service.web.many.app import create_app_of_many
+from daq_service.web.routes.description import found
+from support.filled_folder import FilledFolder
+from support.served_web import served_app
+
+FILE = Path(__file__).parents[2] / "daq_service" / "web" / "answers" / "examples.json"
+LONGEST_LIST = 2
+BODIES: dict[str, Any] = {
+    "create_command": {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}},
+    "acknowledge_alarm": {"author": "ann", "note": "inspected"},
+    "create_token": {"name": "bob", "role": "viewer", "days": 30},
+}
+ORDER = ("get_command", "list_audit", "revoke_token", "log_out")
+"""These come last, since they tell of the others."""
+STREAM = (
+    "id: 42\\nevent: sets\\n"
+    'data: {"id":42,"topic":"sets","kind":"set_done","position":"B","set_index":0,"payload":{}}\\n\\n'
+)
+TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "told": "taken", "took_s": 0.12}
+BY_HAND: dict[str, tuple[str, Any]] = {
+    "stream_events": ("text/event-stream", STREAM),
+    "test_receiver": ("application/json", TRIAL),  # it would need somebody who receives
+}
+
+
+def shortened(value: Any) -> Any:
+    """Lists are cut to their first entries, and no token is told."""
+    if isinstance(value, list):
+        return [shortened(part) for part in value[:LONGEST_LIST]]
+    if isinstance(value, dict):
+        return {key: "told once" if key == "token" else shortened(part) for key, part in value.items()}
+    return value
+
+
+def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any]) -> dict[str, Any] | None:
+    """Ask for one; None where the answer is no JSON."""
+    name = operation["operationId"]
+    if name in BY_HAND:
+        return {"status": "200", "answer": BY_HAND[name][1], "media_type": BY_HAND[name][0]}
+    place = re.sub(r"\{(\w+)\}", lambda part: str(found(EXAMPLES, name, part[1])), path)
+    asked_for = {
+        part["name"]: found(EXAMPLES, name, part["name"])
+        for part in operation.get("parameters", ())
+        if part["in"] == "query" and part["required"]
+    }
+    body = BODIES.get(name)
+    answer = client.request(method, place, params=asked_for, json=body)
+    media_type = answer.headers["content-type"].partition(";")[0]
+    if media_type == "application/openmetrics-text":
+        return {"status": "200", "media_type": media_type, "answer": "\n".join(answer.text.splitlines()[:6])}
+    if media_type != "application/json":
+        return None
+    told = {"status": str(answer.status_code), "media_type": media_type, "answer": shortened(answer.json())}
+    return told | ({} if body is None else {"body": shortened(body)})
+
+
+def write_examples(folder: Path, *, anew: bool) -> None:
+    """Serve an invented test, ask everything once, and write what came.
+
+    Parameters
+    ----------
+    anew
+        False: only of operations that have none yet.
+    """
+    kept: dict[str, Any] = {} if anew else json.loads(FILE.read_text(encoding="utf-8"))
+
+    def turn(call: tuple[str, str, dict[str, Any]]) -> int:
+        name = call[2]["operationId"]
+        return ORDER.index(name) if name in ORDER else -1
+
+    filled = FilledFolder(folder, Settings())
+    for index in range(50):
+        filled.add_set(index, stored=index == 0, shown=index == 49)
+    filled.add_alarm("B", 49)
+    filled.add_environment(49)
+    _, text = create_token(folder / "tokens.json", "ada", "admin")
+    BODIES["log_in"] = {"token": text}
+    answers: dict[str, Any] = {}
+    for app in (create_app(Settings(), folder), create_app_of_many([folder], Settings(), folder)):
+        with served_app(app) as service, service.client(Authorization=f"Bearer {text}") as client:
+            paths = app.openapi()["paths"]
+            calls = [(path, method, what) for path, item in paths.items() for method, what in item.items()]
+            calls.sort(key=turn)
+            for path, method, operation in calls:
+                told = asked(client, path, method, operation)
+                if told is not None:
+                    answers.setdefault(operation["operationId"], told)
+    filled.close()
+    answers |= {name: kept[name] for name in answers.keys() & kept.keys()}
+    content = json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True)
+    FILE.write_text(f"{content}\n", encoding="utf-8")

@@ -1,0 +1,105 @@
+"""`solimon serve PATH...`: which paths mean one test, which several, and whose doors they have."""
+
+import socket
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from support.command_line import solimon_here
+
+from daq_service.cli import serve
+from daq_service.cli.main import cli
+from daq_service.errors import UsageError
+from daq_service.web.context import context_of
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    """What would be served: applications and their settings; nobody listens."""
+    found = []
+
+    def serve_app(app, web, port):
+        found.append((app, web, port))
+        return 0
+
+    def serve_alone(**options):
+        found.append(options)
+        return 0
+
+    monkeypatch.setattr(serve, "serve_app", serve_app)
+    monkeypatch.setattr(serve, "serve_alone", serve_alone)
+    monkeypatch.setattr(serve, "log_to", lambda path: None)  # for the life of a process
+    monkeypatch.chdir(tmp_path)
+    return found
+
+
+def run(*words: object) -> None:
+    result = CliRunner().invoke(cli, ["serve", *map(str, words)])
+    if isinstance(result.exception, UsageError):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+
+
+def test_one_path_is_the_test_alone_as_a_configuration_or_its_folder(served, tmp_path):
+    (tmp_path / "folder").mkdir()
+    run("test.toml", "--port", 0)
+    run("folder")
+    run("--data-dir", "folder")
+    run()
+    assert [(options["config"], options["data_dir"]) for options in served] == [
+        (Path("test.toml"), None),
+        (None, Path("folder")),
+        (None, Path("folder")),
+        (None, None),
+    ]
+    assert served[0]["port"] == 0
+
+
+def test_two_names_of_a_folder_for_one_test_are_refused(served, tmp_path):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(UsageError, match="both folder and --data-dir other name a data folder"):
+        run("folder", "--data-dir", "other")
+    with pytest.raises(UsageError, match="--web is for several tests"):
+        run("folder", "--web", "service.toml")
+    assert served == []
+
+
+def test_several_paths_are_a_list_with_a_folder_of_the_service_s_own(served, tmp_path):
+    run("a.toml", "b", "--port", 8123)
+    app, web, port = served.pop()
+    assert list(app.state.tests.all) == ["a", "b"]
+    assert (web.host, port) == ("127.0.0.1", 8123)
+    assert context_of(app).data_folder == tmp_path / "solimon-service"
+    run("a.toml", "b", "--data-dir", tmp_path / "own")
+    assert context_of(served.pop()[0]).data_folder == tmp_path / "own"
+    assert not (tmp_path / "b").exists(), "no test's folder is made"
+
+
+def test_address_and_tokens_of_several_are_those_of_the_configuration_named_for_them(served, tmp_path):
+    file = tmp_path / "service" / "service.toml"
+    file.parent.mkdir()
+    file.write_text('[web]\nport = 9000\ntokens_file = "who.json"\n[storage]\nfolder = "own"')
+    run("a.toml", "b", "--web", file)
+    app, web, port = served.pop()
+    assert (web.port, port) == (9000, None)
+    assert context_of(app).data_folder == file.parent / "own"
+    assert context_of(app).doors.tokens_path == file.parent / "who.json"
+
+
+def test_a_service_of_several_that_others_reach_needs_a_token_of_its_own(served, tmp_path):
+    file = tmp_path / "service.toml"
+    file.write_text('[web]\nproxy = "127.0.0.1"\nhost_names = ["lab.example.org"]')
+    with pytest.raises(UsageError, match="holds no valid access token"):
+        run("a.toml", "b", "--web", file)
+
+
+def test_a_port_in_use_is_refused_for_several_too(tmp_path, monkeypatch):
+    monkeypatch.setattr(serve, "log_to", lambda path: None)
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        paths = (str(tmp_path / "a"), str(tmp_path / "b"))
+        done = solimon_here("serve", *paths, "--data-dir", str(tmp_path / "own"), "--port", port, env={})
+    assert done.returncode == 5
+    assert port in done.stderr
