@@ -101,6 +101,7 @@ OWN_NAMES = frozenset(
         "logs",
         "quarantine",
         "reserve",
+        "tiles",
         "tokens.json",
         "tokens.lock",
     }

@@ -41,6 +41,7 @@ from daq_service.web.routes import (
     transducers,
     trends,
     verdicts,
+    waterfall,
     waveforms,
 )
 from daq_service.web.routes.admission import admit
@@ -58,6 +59,7 @@ RESOURCES = (
     verdicts,
     trends,
     fits,
+    waterfall,
     waveforms,
     environment,
     alarms,

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI, Request, WebSocket
 
 from daq_service.archive import FolderSetReader
+from daq_service.archive.waterfall.picture import WaterfallReader
 from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
@@ -93,6 +94,7 @@ class Context:
         self.hub = EventHub(self.events)
         self.live = LivePictures(data_folder / "live", settings.positions)
         self.doors = Doors(settings.web, data_folder)
+        self.waterfall = WaterfallReader(self.archive)
         self._has_data = False
 
     def catalogue(self) -> Catalogue:
