@@ -158,7 +158,7 @@ class WaterfallReader:
         )
 
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
-        """Mean over sets of the least and greatest volts of each cell; of how many sets, and how many wait."""
+        """Mean over sets of the least and greatest volts of a cell; of how many sets, and how many wait."""
         reading = _Reading(self, tiles, index)
         rows = [row.planes for one in sets for row in reading.rows(0, one, one)]
         found = np.stack(rows or [nothing(tiles.frame)])

@@ -2,8 +2,10 @@
 
 import { SolimonAlarms } from "./alarms.js";
 import { Asked } from "./asked.js";
+import { trend } from "./api.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
+import { wholeOf } from "./charts/plot.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
@@ -21,9 +23,11 @@ import { WaveformStream } from "./streams.js";
 import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
+import { SolimonWaterfall } from "./waterfall/panel.js";
 import { SolimonWaveform } from "./waveform.js";
 
 customElements.define("solimon-chart", SolimonChart);
+customElements.define("solimon-waterfall", SolimonWaterfall);
 customElements.define("solimon-waveform", SolimonWaveform);
 customElements.define("solimon-alarms", SolimonAlarms);
 customElements.define("solimon-set", SolimonSet);
@@ -35,6 +39,7 @@ const THEME_KEY = "solimon-theme";
 let noticeTimer;
 
 const waveform = /** @type {SolimonWaveform} */ (byId("waveform"));
+const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "" };
@@ -70,6 +75,21 @@ const panelHost = {
   go: (part, how) => address.go(part, how),
 };
 panel.host = panelHost;
+/** @type {import("./waterfall/panel.js").Host} */
+const waterfallHost = {
+  info: () => (reading.trends.has(address.view.position) ? reading.info : null),
+  view: () => address.view,
+  go: (part, how) => address.go(part, how),
+  whole: () => wholeOf(/** @type {any} */ ({ x: reading.trends.get(address.view.position)?.columns.due_h ?? [], endHour: reading.info.schedule.end_h })),
+  timeline,
+  open: openSet,
+  over: (position) => {
+    const { ranges, alarms, opened } = board.about(address.view, [position]);
+    return { gaps: ranges.filter((range) => range.word !== "baseline"), alarms, opened };
+  },
+  trend,
+};
+waterfall.host = waterfallHost;
 
 // ---- what is shown ----------------------------------------------------------------------------
 
@@ -130,6 +150,7 @@ function become(view, before) {
   toolbar.update(view, charted(), reading.info, timeline());
   if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, charted());
   for (const chart of board.all) chart.respan();
+  waterfall.update();
   panel.update();
 }
 
@@ -150,6 +171,7 @@ function onColumns() {
   failing.end();
   board.update(address.view, charted());
   toolbar.update(address.view, charted(), reading.info, timeline());
+  waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
   panel.update();
 }
 
@@ -264,6 +286,7 @@ function showTheme() {
 function redraw() {
   board.redraw();
   waveform.draw();
+  if (reading.info) waterfall.update();
   panel.draw();
 }
 
@@ -315,6 +338,9 @@ Object.defineProperty(window, "solimonDashboard", {
     },
     get set() {
       return panel.snapshot();
+    },
+    get waterfall() {
+      return waterfall.snapshot();
     },
     get waveform() {
       return waveform.snapshot();
