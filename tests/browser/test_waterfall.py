@@ -12,7 +12,8 @@ from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
 
-from daq_service.catalogue.rows import FeatureRow
+from daq_service.archive.waterfall import picture
+from daq_service.catalogue.rows import FeatureRow, SetRow
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -259,6 +260,19 @@ def test_it_goes_on_while_sets_arrive(filled, service, open_page):
     filled.add_set(n_sets)
     until(lambda: shown(page)["header"]["rows"] == rows + 1, "the new set is drawn")
     assert shown(page)["header"]["last_set"][-1] == n_sets
+
+
+def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
+    monkeypatch.setattr(picture, "SETS_AT_ONCE", 9)
+    with served(filled.settings, filled.folder) as fresh:
+        page = open_page(f"{fresh.url}?position=B")
+        until(
+            lambda: shown(page)["ready"] and shown(page)["header"]["pending_sets"] == 0, "all sets are read"
+        )
+        told = shown(page)["header"]
+        stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
+        assert told["first_set"] == stored
+        expect(page.locator("#waterfall")).not_to_contain_text("still being read")
 
 
 @pytest.mark.parametrize("viewport", [PHONE, WALL], ids=["390", "1920"])

@@ -56,6 +56,8 @@ export class SolimonWaterfall extends HTMLElement {
     this.trouble = "";
     /** @type {import("./axes.js").Box | null} */
     this.lastArea = null;
+    /** Sets that the picture before lacked. */
+    this.pending = Infinity;
     /** What there is of the position: a picture of less is asked for again. */
     this.newest = "";
     /** Hour and seconds under the pointer or the keys. @type {{hour: number, seconds: number} | null} */
@@ -164,11 +166,14 @@ export class SolimonWaterfall extends HTMLElement {
   schedule(ms) {
     if (this.timer !== undefined) return;
     this.timer = setTimeout(async () => {
+      // Another question, or the first: whatever waits is gone on with.
+      this.pending = this.asked === "" ? (this.picture?.header.pending_sets ?? Infinity) : Infinity;
       await this.read();
+      const left = this.picture?.header.pending_sets ?? 0;
       this.timer = undefined;
       if (this.asked !== this.question()) this.schedule(READ_MS);
-      else if (this.picture?.header.pending_sets && !this.trouble) {
-        // Sets without tiles are read some at a time.
+      else if (left > 0 && left < this.pending) {
+        // Sets without tiles are read some at a time, as long as they get fewer: the service's memory has an end.
         this.asked = "";
         this.schedule(GO_ON_MS);
       }
@@ -203,6 +208,7 @@ export class SolimonWaterfall extends HTMLElement {
   /** Something may be new. @param {string} newest what there is of the position */
   renew(newest) {
     this.newest = newest;
+    if (this.trouble) this.asked = "";
     this.update();
   }
 
