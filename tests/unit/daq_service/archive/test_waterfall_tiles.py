@@ -185,8 +185,10 @@ def test_a_whole_picture_reads_no_record(copied, stored, tiles):
 
 
 def damaged(path):
+    """Flip a bit of a sample of the third row, where there is one: a NaN would stay one."""
+    n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
     content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
+    content[512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2] ^= 0x40
     path.write_bytes(content)
 
 
