@@ -35,7 +35,7 @@ def order_options(command: Callable[..., None]) -> Callable[..., None]:
     """Options of an order to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
-    return click.option("--note", default="", help="Why.")(command)
+    return click.option("--note", "--reason", "note", default="", help="Why; a hold needs it.")(command)
 
 
 class _Words(click.Group):
@@ -350,6 +350,10 @@ def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None
 
 
 def _give_order(kind: str, **options: Any) -> None:
+    if kind == "hold" and not options["note"].strip():
+        if not sys.stdin.isatty():
+            raise click.UsageError("a hold needs a reason, for whoever finds it: --reason 'hands in the rig'")
+        options["note"] = click.prompt("Why is the test held", err=True)
     from daq_service.orders.give import give_order
 
     sys.exit(give_order(kind, **options))

@@ -12,10 +12,10 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 from daq_service.catalogue.history import append_durably, line_of, told_by
 from daq_service.processes.data_folder import one_at_a_time
@@ -27,6 +27,8 @@ AUDIT_FILE = "audit.jsonl"
 TABLE = "audit"
 BLOCK_BYTES = 64 * 1024
 """More than the longest line."""
+MOST_LINES = 20_000
+"""That one reading looks at: some 6 MB."""
 LOOK_BACK_LINES = 20
 """The last ones may be torn."""
 MOST_REFUSALS, REFUSAL_EVERY_S = 100, 120.0
@@ -125,20 +127,31 @@ class Audit:
 
 def _append(path: Path, deed: Mapping[str, Any]) -> None:
     with one_at_a_time(path):
-        found, _ = read_audit(path.parent, limit=LOOK_BACK_LINES)
+        found, _ = read_audit(path.parent, limit=1, most_lines=LOOK_BACK_LINES)
         number = found[0][0] + 1 if found else 1
         append_durably(path, [line_of(number, TABLE, deed)])
 
 
 def read_audit(
-    folder: Path, *, limit: int, end: int | None = None
+    folder: Path,
+    *,
+    limit: int,
+    end: int | None = None,
+    wanted: Callable[[Deed], bool] = lambda deed: True,
+    most_lines: int = MOST_LINES,
 ) -> tuple[list[tuple[int, Deed]], int | None]:
     """Read the newest lines, the newest first; damaged ones are left out (`solimon verify` tells them).
 
     Parameters
     ----------
+    limit
+        Most deeds.
     end
         Byte at which the lines end that are asked for; None: all.
+    wanted
+        Tells which deeds are asked for.
+    most_lines
+        No more are looked at, wanted or not: what is found may be fewer than `limit`, or nothing.
 
     Returns
     -------
@@ -152,20 +165,30 @@ def read_audit(
     OSError
         The file cannot be read.
     """
+    found: list[tuple[int, Deed]] = []
     try:
         with patiently(lambda: (folder / AUDIT_FILE).open("rb")) as file:
-            size = file.seek(0, os.SEEK_END)
-            begin, content = min(size, size if end is None else end), b""
-            while begin and content.count(b"\n") <= limit:
-                step = min(BLOCK_BYTES, begin)
-                begin = file.seek(begin - step)
-                content = file.read(step) + content
+            for n_lines, (begin, line) in enumerate(_lines_back(file, end), start=1):
+                told = told_by(line)
+                if told is not None and wanted(deed := Deed(**told[2])):
+                    found.append((told[0], deed))
+                if len(found) == limit or n_lines == most_lines:
+                    return found, begin or None
     except FileNotFoundError:
-        return [], None
-    lines = content.splitlines(keepends=True)
-    if begin:
-        begin += len(lines.pop(0))
-    for line in lines[:-limit]:
-        begin += len(line)
-    told = [told_by(line.rstrip(b"\n")) for line in reversed(lines[-limit:])]
-    return [(one[0], Deed(**one[2])) for one in told if one is not None], begin or None
+        pass
+    return found, None
+
+
+def _lines_back(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
+    """Yield the lines before a byte, the last one first, each with the byte at which it begins."""
+    size = file.seek(0, os.SEEK_END)
+    begin, content = min(size, size if end is None else end), b""
+    while begin:
+        step = min(BLOCK_BYTES, begin)
+        begin = file.seek(begin - step)
+        lines = (file.read(step) + content).splitlines(keepends=True)
+        content = lines.pop(0) if begin else b""  # its begin is in the block before
+        at = begin + len(content) + sum(map(len, lines))
+        for line in reversed(lines):
+            at -= len(line)
+            yield at, line.rstrip(b"\n")

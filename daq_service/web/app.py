@@ -129,8 +129,11 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    app.add_middleware(Doorkeeper, doors=app.state.context.doors)
-    app.add_middleware(RequestGuard, names_elsewhere=settings.web.names_elsewhere)
+    doors = app.state.context.doors
+    app.add_middleware(Doorkeeper, doors=doors)
+    app.add_middleware(
+        RequestGuard, tell_refused=doors.tell_refused, names_elsewhere=settings.web.names_elsewhere
+    )
     problem.install(app)
     app.include_router(health.probes)
     app.include_router(metrics.probes)

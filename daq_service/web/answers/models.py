@@ -337,6 +337,18 @@ class AskedInfo(Answer):
     left_s: float = Field(description="Until the recorder waits no longer, at the moment of this answer")
 
 
+class SupplyInfo(Answer):
+    """What an order to the corrosion drive may ask for, and what ends it."""
+
+    voltage_v: float = Field(description="Configured: an order without a voltage sets it")
+    current_limit_a: float = Field(description="Configured, likewise")
+    voltage_cap_v: float = Field(description="No order beyond it is carried out")
+    current_cap_a: float = Field(description="Likewise, of the limit")
+    interlock_current_a: float = Field(description="Measured current at which it is switched off")
+    off_at_end: bool = Field(description="Whether the end of the test, and a stop, switch it off")
+    unwatched_s: float = Field(description="Without a recorder for so long it is switched off")
+
+
 class Info(Answer):
     """Which experiment this is."""
 
@@ -351,6 +363,7 @@ class Info(Answer):
     schedule: ScheduleInfo
     limits: LimitInfo
     initial_thickness_m: float
+    supply: SupplyInfo | None = Field(description="null: this test has no corrosion drive")
     positions: list[PositionInfo]
     held: str | None = Field(description="Who holds the test and why: nothing strikes; null: nobody does")
     asked: AskedInfo | None = Field(description="What a person shall do now; null: nothing")
