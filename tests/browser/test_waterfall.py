@@ -214,16 +214,29 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, ope
     before = shown(page)
     other = open_page(page.url)
     assert drawn(other)["header"] == before["header"]
-    over = page.locator(".waterfall-over").bounding_box()
-    middle = over["x"] + over["width"] / 2, over["y"] + over["height"] / 2
-    page.mouse.move(middle[0] - 3, middle[1])
-    page.mouse.move(*middle)
-    page.mouse.wheel(0, -300)
-    until(lambda: query(page)["from_h"] != str(before["hours"][0]), "the wheel zooms hours")
-    page.keyboard.down("Shift")
-    page.mouse.wheel(0, -300)
-    page.keyboard.up("Shift")
-    until(lambda: "from_wf_us" in query(page), "with Shift it zooms time")
+    box.scroll_into_view_if_needed()
+
+    def wheeled():
+        # A page that still scrolls goes on scrolling: the pointer has to move after it.
+        over = page.locator(".waterfall-over").bounding_box()
+        x, y = over["x"] + over["width"] / 2, over["y"] + over["height"] / 2
+        page.mouse.move(x - 3, y)
+        page.mouse.move(x, y)
+        page.mouse.wheel(0, -300)
+
+    def hours_are_zoomed():
+        wheeled()
+        return shown(page)["hours"] != before["hours"]
+
+    def time_is_zoomed():
+        page.keyboard.down("Shift")
+        wheeled()
+        page.keyboard.up("Shift")
+        return shown(page)["seconds"] != shown(page)["header"]["whole_s"]
+
+    until(hours_are_zoomed, "the wheel zooms hours")
+    until(time_is_zoomed, "with Shift it zooms time")
+    assert "from_wf_us" in query(page)
     page.locator("#waterfall").get_by_role("button", name="Whole record").click()
     assert "from_wf_us" not in query(page)
 
