@@ -9,28 +9,19 @@ disk. A flood of refusals leaves a bounded number of lines, and the count of wha
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, Literal
 
-from daq_service.catalogue.history import append_durably, line_of, told_by
-from daq_service.processes.data_folder import one_at_a_time
-from daq_service.shared_file import patiently
+from daq_service.processes.line_file import append_line, newest_lines
 
 log = logging.getLogger(__name__)
 
 AUDIT_FILE = "audit.jsonl"
 TABLE = "audit"
-BLOCK_BYTES = 64 * 1024
-"""More than the longest line."""
-MOST_LINES = 20_000
-"""That one reading looks at: some 6 MB."""
-LOOK_BACK_LINES = 20
-"""The last ones may be torn."""
 MOST_REFUSALS, REFUSAL_EVERY_S = 100, 120.0
 """Lines of refusals of one name, or of all strangers: so many at once, then one each two minutes. A flood
 for a year comes to 80 MB."""
@@ -114,7 +105,7 @@ class Audit:
                 return
             left_out, self._left_out = self._left_out, 0
         try:
-            _append(self._path, asdict(told) | {"left_out": left_out})
+            append_line(self._path, TABLE, asdict(told) | {"left_out": left_out})
         except OSError as error:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, told.what, told.result, told.who, error)
 
@@ -125,70 +116,21 @@ class Audit:
         return self._allowances[whose]
 
 
-def _append(path: Path, deed: Mapping[str, Any]) -> None:
-    with one_at_a_time(path):
-        found, _ = read_audit(path.parent, limit=1, most_lines=LOOK_BACK_LINES)
-        number = found[0][0] + 1 if found else 1
-        append_durably(path, [line_of(number, TABLE, deed)])
-
-
 def read_audit(
     folder: Path,
     *,
     limit: int,
     end: int | None = None,
     wanted: Callable[[Deed], bool] = lambda deed: True,
-    most_lines: int = MOST_LINES,
 ) -> tuple[list[tuple[int, Deed]], int | None]:
-    """Read the newest lines, the newest first; damaged ones are left out (`solimon verify` tells them).
-
-    Parameters
-    ----------
-    limit
-        Most deeds.
-    end
-        Byte at which the lines end that are asked for; None: all.
-    wanted
-        Tells which deeds are asked for.
-    most_lines
-        No more are looked at, wanted or not: what is found may be fewer than `limit`, or nothing.
-
-    Returns
-    -------
-    list of tuple
-        Number and deed.
-    int or None
-        `end` of the lines before; None: there are none.
+    """Read the newest deeds and their numbers, as `line_file.newest_lines` (`solimon verify` tells damage).
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    found: list[tuple[int, Deed]] = []
-    try:
-        with patiently(lambda: (folder / AUDIT_FILE).open("rb")) as file:
-            for n_lines, (begin, line) in enumerate(_lines_back(file, end), start=1):
-                told = told_by(line)
-                if told is not None and wanted(deed := Deed(**told[2])):
-                    found.append((told[0], deed))
-                if len(found) == limit or n_lines == most_lines:
-                    return found, begin or None
-    except FileNotFoundError:
-        pass
-    return found, None
-
-
-def _lines_back(file: BinaryIO, end: int | None) -> Iterator[tuple[int, bytes]]:
-    """Yield the lines before a byte, the last one first, each with the byte at which it begins."""
-    size = file.seek(0, os.SEEK_END)
-    begin, content = min(size, size if end is None else end), b""
-    while begin:
-        step = min(BLOCK_BYTES, begin)
-        begin = file.seek(begin - step)
-        lines = (file.read(step) + content).splitlines(keepends=True)
-        content = lines.pop(0) if begin else b""  # its begin is in the block before
-        at = begin + len(content) + sum(map(len, lines))
-        for line in reversed(lines):
-            at -= len(line)
-            yield at, line.rstrip(b"\n")
+    found, before = newest_lines(
+        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(Deed(**row))
+    )
+    return [(number, Deed(**row)) for number, row in found], before

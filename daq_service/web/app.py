@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asyncio import to_thread
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -30,7 +31,10 @@ from daq_service.web.routes import (
     health,
     info,
     metrics,
+    notifications,
     orders,
+    record_files,
+    report,
     session,
     set_waveforms,
     sets,
@@ -69,7 +73,10 @@ RESOURCES = (
     tokens,
     audit,
     tables,
+    record_files,
     files,
+    notifications,
+    report,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -80,12 +87,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context = context_of(app)
     await context.hub.start()
     await context.live.start()
+    context.notifications.start()
     try:
         yield
     finally:
         context.close_streams()
         await context.hub.join()
         await context.live.join()
+        await to_thread(context.notifications.join)
         context.catalogue_access.close()
 
 
@@ -102,13 +111,15 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(settings: Settings, data_folder: Path) -> FastAPI:
+def create_app(settings: Settings, data_folder: Path, *, asks_nobody: bool = False) -> FastAPI:
     """Build the service of one data folder; it reads, and writes only operator commands.
 
     Parameters
     ----------
     data_folder
         May still be empty: answers are 503 "no data yet" until the recorder has stored something.
+    asks_nobody
+        No token is asked for: never of an application that listens on a port.
     """
     app = Service(
         title="solimon",
@@ -125,7 +136,7 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         default_response_class=JsonAnswer,
         lifespan=_lifespan,
     )
-    app.state.context = Context(settings, data_folder)
+    app.state.context = Context(settings, data_folder, asks_nobody=asks_nobody)
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)

@@ -567,3 +567,88 @@ class AuditPage(Answer):
 
     next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
     items: list[AuditEntry]
+
+
+class HeartbeatState(Answer):
+    """Signs of life to a receiver."""
+
+    every_s: float
+    state: Literal["off", "ok", "failing", "withheld"] = Field(
+        description="`withheld`: no recorder answers, so none is sent; `off`: none was due yet"
+    )
+    told: str = Field(description="What became of the last one")
+    last_utc: str | None = Field(description="Of the last one that was taken")
+    next_utc: str | None
+
+
+class ReceiverState(Answer):
+    """How a receiver of notifications stands; counts are since the service began."""
+
+    name: str
+    kind: Literal["webhook", "apprise"]
+    address: str = Field(description="Its host, or where its address is read: it may be secret")
+    rules: list[int] = Field(description="Numbers of the rules that concern it, from 1")
+    state: Literal["idle", "waiting", "failing", "dead"] = Field(
+        description="`dead`: it has taken nothing for ten minutes, though it was tried"
+    )
+    began: str = Field(description="From which event on it is told, and why")
+    sent: int = Field(description="Messages that it took")
+    failed: int = Field(description="Attempts that failed")
+    gave_up: int = Field(description="Messages that were given up")
+    waiting: int = Field(description="Changes that wait for their delay, their group or the receiver")
+    last_sent_utc: str | None
+    last_sent_age_s: float | None
+    last_failure_utc: str | None
+    last_failure: str
+    failing_since_utc: str | None
+    next_attempt_utc: str | None
+    heartbeat: HeartbeatState | None = Field(description="null: none is asked for")
+
+
+class NotificationsState(Answer):
+    """Who is told of alarms elsewhere; times are of the computer's clock."""
+
+    sending: bool = Field(description="True: this service tells the receivers")
+    why_silent: str = Field(description="Why it does not")
+    receivers: list[ReceiverState]
+
+
+class TrialResult(Answer):
+    """What became of a trial message."""
+
+    receiver: str
+    ok: bool
+    status: int | None = Field(description="Of HTTP; null: none came, or the receiver is no webhook")
+    told: str
+    took_s: float
+
+
+class DeliveryEntry(Answer):
+    """A line of the log of deliveries."""
+
+    id: int = Field(description="Running number; one that is missing was damaged or taken away")
+    utc: str
+    receiver: str
+    what: Literal[
+        "began",
+        "passed",
+        "held_back",
+        "sending",
+        "sent",
+        "failing",
+        "gave_up",
+        "heartbeat",
+        "tested",
+        "test_failed",
+    ] = Field(description="`sending` without `sent` behind it: it is under way, or a crash came in between")
+    told: str
+    event_ids: list[int]
+    key: str = Field(description="The message's Idempotency-Key; the same again is the same message")
+    attempts: int
+
+
+class DeliveryPage(Answer):
+    """The newest first."""
+
+    next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
+    items: list[DeliveryEntry]

@@ -19,6 +19,7 @@ import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
 import { admitted } from "./login.js";
+import { Notifications } from "./notifications.js";
 import { giveBy } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
@@ -339,3 +340,5 @@ Object.defineProperty(window, "solimonDashboard", {
 await admitted();
 new Audit();
 reading.begin((after) => events.open(after));
+const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));
+notifications.begin().catch((error) => failing.fail(error, reading.readAt));

@@ -39,6 +39,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_waveform": "viewer",
     "get_set_waveforms": "viewer",
     "get_waterfall": "viewer",
+    "get_waveforms": "viewer",
     "get_live_waveform": "viewer",
     "live_waveforms": "viewer",
     "list_environment": "viewer",
@@ -50,10 +51,14 @@ OPERATIONS: Mapping[str, Role | None] = {
     "list_tables": "viewer",
     "get_table": "viewer",
     "get_file": "viewer",
+    "get_report": "viewer",
     "get_metrics": "viewer",
+    "get_notifications": "viewer",
+    "list_deliveries": "viewer",
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
+    "test_receiver": "engineer",
     # Who may do all this, and who did.
     "list_tokens": "admin",
     "create_token": "admin",

@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 from starlette.responses import Response
 
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, Quality
+from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import Word, look_at_recorder
@@ -61,12 +61,26 @@ class _Present(Collector):
         yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
         yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
         yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
+        yield from _of_notifications(context)
         has_data = context.has_data()
         yield _gauge("has_data", "1: something is stored", [((), has_data)])
         if has_data:
             yield from _of_test(context, context.freshness())
         else:
             yield _recorder(look_at_recorder(context.data_folder, []).word)
+
+
+def _of_notifications(context: Context) -> Iterator[Metric]:
+    lines = context.notifications.lines.values()
+    sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
+    failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
+    for line in lines:
+        sent.add_metric((line.name,), line.state.sent)
+        failed.add_metric((line.name,), line.state.failed)
+    yield sent
+    yield failed
+    waiting = [((line.name,), line.state.waiting) for line in lines]
+    yield _gauge("notifications_waiting", "Changes of alarms not told yet", waiting, ("receiver",))
 
 
 def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:
@@ -85,6 +99,8 @@ def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _counter("partial_sets", "Due times with a record that lack something", counts["partial_sets"])
     yield _counter("shots", "Stored solitary-wave shots", counts["shots"])
     yield _counter("pulse_echo_records", "Stored pulse-echo records", counts["pulse_echo_records"])
+    yield _counter("alarms", "Alarms ever raised", catalogue.newest_id(AlarmRow))
+    yield _counter("orders", "Orders ever given", catalogue.newest_id(CommandRow))
     disk = outlook(context.data_folder, context.settings, catalogue)
     yield _gauge("disk_free_bytes", "Free on the volume of the data folder", [((), disk.free_bytes)])
     yield _gauge("disk_size_bytes", "Size of that volume", [((), disk.total_bytes)])

@@ -19,6 +19,7 @@ from websockets.sync.client import connect
 
 from daq_service.errors import StorageError, UsageError
 from daq_service.orders.audit import Audit, read_audit
+from daq_service.processes.line_file import newest_lines
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
@@ -451,7 +452,7 @@ def audited(tmp_path):
     ],
 )
 def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkeypatch, query, found):
-    monkeypatch.setattr("daq_service.web.routes.audit.read_audit", partial(read_audit, most_lines=7))
+    monkeypatch.setattr("daq_service.orders.audit.newest_lines", partial(newest_lines, most_lines=7))
     seen, cursor = [], {}
     while True:
         page = audited.get("/api/v1/audit", params={**query, "limit": 4, **cursor}).json()
@@ -502,7 +503,7 @@ def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch,
     def refuse(*_):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("daq_service.orders.audit.append_durably", refuse)
+    monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.post("/api/v1/commands", json=HOLD).status_code == 202
     assert "not in audit.jsonl: hold accepted mallory" in caplog.text
