@@ -33,6 +33,11 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
     refuse_other_experiment(ExperimentRow(**found._mapping), path.parent, settings, lines)
 
 
+def experiment_identity(row: ExperimentRow) -> str:
+    """Tell tests apart in what is derived from one and kept beside it."""
+    return f"{row.configuration_hash}/{row.epoch_utc_ns}"
+
+
 def refuse_other_experiment(
     row: ExperimentRow, folder: Path, settings: Settings, lines: Sequence[str] = ()
 ) -> None:

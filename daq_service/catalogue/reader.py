@@ -200,6 +200,14 @@ class Catalogue:
         with self.reading() as connection:
             return {row.set_index: row.file for row in connection.execute(_newest_files(n_rows))}
 
+    def n_stored(self, position: str, first_set: int, last_set: int) -> int:
+        """Count the sets of a position that have records, between two indices that are included."""
+        chosen_sets = (sets.c.position == position) & sets.c.set_index.between(first_set, last_set)
+        with self.reading() as connection:
+            return connection.execute(
+                select(func.count()).where(chosen_sets & sets.c.file.is_not(None) & (sets.c.n_taken > 0))
+            ).scalar_one()
+
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Tell the first pulse-echo result with a travel time; None before it."""
         table = table_of(ThicknessRow)

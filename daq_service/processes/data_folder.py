@@ -104,6 +104,7 @@ OWN_NAMES = frozenset(
         "notifier.lock",
         "quarantine",
         "reserve",
+        "tiles",
         "tokens.json",
         "tokens.lock",
     }

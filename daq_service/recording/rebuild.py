@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from daq_service.acquisition.taken_set import features_of
@@ -23,10 +24,12 @@ from daq_service.catalogue.errors import (
 )
 from daq_service.catalogue.experiment_file import HISTORY_FILE, keep_experiment, refuse_another
 from daq_service.catalogue.history import History, HistoryFollower, read_history
-from daq_service.catalogue.owner import refuse_other_experiment
+from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, salvaged
+from daq_service.judgement.results import results_in
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.replay import FeaturesOf, Replayed, Told, replay
+from daq_service.recording.tiling import tiles_again
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently, sync_folder
@@ -119,14 +122,14 @@ def rebuild(
         ) from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
-    _tell_beside(folder)
+    not_tiled = _tell_beside(folder, progress)
     return Rebuilt(
         experiment=experiment.name,
         sets=found.sets,
         events=n_events,
         orders=len(orders),
         kept=name,
-        warnings=_warnings(history, kept, found),
+        warnings=_warnings(history, kept, found, not_tiled),
     )
 
 
@@ -181,14 +184,19 @@ def _sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _tell_beside(folder: Path) -> None:
-    """Let experiment.json and history say what the new catalogue says."""
+def _tell_beside(folder: Path, progress: Progress) -> list[str]:
+    """Let experiment.json, history and tiles say what the new catalogue says; return what tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
-        keep_experiment(folder, catalogue.experiment_row())
+        experiment = catalogue.experiment_row()
+        keep_experiment(folder, experiment)
         HistoryFollower(folder, catalogue).begin()
+        results = partial(results_in, catalogue)
+        return tiles_again(
+            folder, experiment_identity(experiment), catalogue.files_but_of(()), results, progress
+        )
 
 
-def _warnings(history: History, kept: Salvaged, found: Replayed) -> list[str]:
+def _warnings(history: History, kept: Salvaged, found: Replayed, not_tiled: list[str]) -> list[str]:
     def some(lines: Iterable[str], what: str) -> list[str]:
         told = list(lines)
         return [f"{what}: {line}" for line in told[:10]] + (
@@ -200,4 +208,5 @@ def _warnings(history: History, kept: Salvaged, found: Replayed) -> list[str]:
         *some(kept.damage, "old catalogue"),
         *some(found.damaged, "set"),
         *some(found.differing, "not what it was"),
+        *some(not_tiled, "not in the waterfall's tiles"),
     ]

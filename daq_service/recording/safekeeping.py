@@ -23,6 +23,7 @@ from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import IdleCheck
 from daq_service.recording.ledger import Ledger
 from daq_service.recording.machine import MachineWatch
+from daq_service.recording.tiling import Tiling
 
 log = logging.getLogger(__name__)
 
@@ -50,6 +51,8 @@ class Helpers:
         Gives sets of the journal their files.
     idle_check
         Reads stored sets while nothing is due.
+    tiling
+        Adds sets to the tiles of the waterfall.
     history
         Follows the catalogue, so that it can be made again.
     disk
@@ -62,6 +65,7 @@ class Helpers:
 
     compaction: Compaction | None = None
     idle_check: IdleCheck | None = None
+    tiling: Tiling | None = None
     history: HistoryFollower | None = None
     disk: DiskWatch | None = None
     machine: MachineWatch | None = None
@@ -99,6 +103,7 @@ class Safekeeping:
     ) -> None:
         self._archive, self._catalogue, self._ledger = archive, catalogue, ledger
         self._compaction, self._idle_check = helpers.compaction, helpers.idle_check
+        self._tiling = helpers.tiling
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
         self._stop, self._moment, self._mono_s = stop, moment, mono_s
         self._on_trouble, self._look_every_s = on_trouble, look_every_s
@@ -217,6 +222,8 @@ class Safekeeping:
         if self._idle_check is not None and self.trouble is None:
             self._idle_check.work(free_s)
             self._tell_damage()
+        if self._tiling is not None:
+            self._tiling.work(free_s)
 
     def begin_check(self) -> None:
         """Look which stored sets are gone, and tell of those and of what is in quarantine."""
@@ -246,7 +253,10 @@ class Safekeeping:
         if self._compaction is None or self._stop.is_set():
             return
         until_s = self._mono_s() + WAIT_FOR_FILES_S
-        while idle() and self._compaction.waits and self._mono_s() < until_s:
+        while idle() and self._mono_s() < until_s:
+            tiles_wait = self._tiling is not None and self._tiling.waits
+            if not (self._compaction.waits or tiles_wait):
+                break
             self._compaction.try_again()
             self._stop.wait(self._look_every_s)
 

@@ -20,6 +20,7 @@ from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import keep_experiment
 from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, RemoteDrive, answered_within_s
@@ -38,6 +39,7 @@ from daq_service.recording.rebuild import lost_catalogue, rebuild
 from daq_service.recording.recorder import Recorder, Teller
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.recording.safekeeping import Helpers
+from daq_service.recording.tiling import Tiling
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError as InstrumentBusyError
@@ -122,11 +124,14 @@ def record(
             catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=made_again)
         history = HistoryFollower(folder, catalogue)
         history.begin()
+        tiling: Tiling | None = None  # before the sets that a crash left without a digest
         archive = stack.enter_context(closing(FolderArchive(folder, journal=settings.storage.journal)))
 
         def filed(set_index: int, file: str, sha256: str) -> None:
             catalogue.set_digest(set_index, file, sha256)
             history.filed(file, sha256)
+            if tiling is not None:
+                tiling.put(set_index, file)
 
         _note_digests(catalogue, archive, filed)
         clock: Clock
@@ -173,6 +178,14 @@ def record(
         live = LivePicture(folder, rig.kind)
         disk = DiskWatch(folder, settings.storage, usage=disk_usage)
         stack.callback(disk.give_back)
+        tiling = Tiling(
+            folder,
+            experiment_identity(catalogue.experiment_row()),
+            compaction,
+            partial(catalogue.files_but_of, ()),
+            partial(results_in, catalogue),
+            has_room=lambda: disk.space.level in ("ample", "warn"),
+        )
         machine = MachineWatch(clock, space=lambda: disk.space, files_read=lambda: idle_check.files_read)
         recorder = Recorder(
             settings,
@@ -188,6 +201,7 @@ def record(
             helpers=Helpers(
                 compaction=compaction,
                 idle_check=idle_check,
+                tiling=tiling,
                 history=history,
                 disk=disk,
                 machine=machine,

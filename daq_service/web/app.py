@@ -45,6 +45,7 @@ from daq_service.web.routes import (
     transducers,
     trends,
     verdicts,
+    waterfall,
     waveforms,
 )
 from daq_service.web.routes.admission import admit
@@ -62,6 +63,7 @@ RESOURCES = (
     verdicts,
     trends,
     fits,
+    waterfall,
     waveforms,
     environment,
     alarms,

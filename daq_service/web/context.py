@@ -13,6 +13,7 @@ from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
 from daq_service.archive import FolderSetReader
+from daq_service.archive.waterfall.picture import WaterfallReader
 from daq_service.catalogue.rows import Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
@@ -117,6 +118,7 @@ class Context:
         self.live = LivePictures(data_folder / "live", settings.positions)
         self.doors = doors or Doors(settings.web, data_folder, asks_nobody=asks_nobody)
         self.audit = self.doors.audit if doors is None else Audit(data_folder)
+        self.waterfall = WaterfallReader(self.archive)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
         self.open_streams = open_streams or (lambda: self.hub.clients)
         self._has_data = False

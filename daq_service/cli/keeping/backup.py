@@ -51,6 +51,7 @@ LEFT_OUT = {
     HISTORY_FILE,
     RESERVE_FILE,
     "live",
+    "tiles",
     HEARTBEAT_FILE,
     LOCK_FILE,
     DRIVE_LOCK,

@@ -548,6 +548,36 @@ class WaveformAnswer(Answer):
     age_h: float
 
 
+class Waterfall(Answer):
+    """All records of a position over the test, as cells of extremes; the binary form's header is the same."""
+
+    position: str
+    method: Method
+    align: Literal["trigger", "isw", "first_echo"]
+    shown: Literal["volts", "normalised", "difference"] = Field(description="What `as` asked for")
+    unit: Literal["V", "1"]
+    rows: int
+    columns: int
+    row_sets: int = Field(description="Planned sets of a row; a row begins at a multiple of it")
+    cell_s: float = Field(description="Time of a column; a whole number of samples")
+    first_s: float = Field(description="Begin of the first column, in seconds after the anchor")
+    whole_s: tuple[float, float] = Field(description="Times that there are")
+    sample_rate_hz: float
+    delay_s: float | None = Field(description="Of the probe; thickness = (time - delay_s) velocity / 2")
+    velocity_m_per_s: float | None
+    baseline_sets: int | None = Field(description="Sets whose mean the difference is from")
+    first_set: list[int]
+    last_set: list[int]
+    n_sets: list[int] = Field(description="Sets of each row whose records are in it")
+    first_h: list[float]
+    last_h: list[float]
+    until_h: list[float] = Field(description="Where the row ends: when the set after it is due")
+    pending_sets: int = Field(description="Sets that are not in the picture yet: ask again")
+    unreadable_sets: list[int]
+    minimum: list[list[float | None]] = Field(description="By row; null where there is no sample")
+    maximum: list[list[float | None]]
+
+
 class Session(Answer):
     """Who asks, and what that person may do."""
 

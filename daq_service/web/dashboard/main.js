@@ -1,12 +1,13 @@
 // Wires the page: what is shown stands in its address, what is drawn comes from the API.
 
 import { SolimonAlarms } from "./alarms.js";
-import { BASE } from "./api.js";
+import { BASE, trend } from "./api.js";
 import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
 import { Compared } from "./charts/compared.js";
 import { Others, isOther, whereOf } from "./charts/others.js";
+import { wholeOf } from "./charts/plot.js";
 import { Toolbar } from "./charts/toolbar.js";
 import { Audit } from "./control/audit.js";
 import { confirmed } from "./control/confirm.js";
@@ -30,9 +31,11 @@ import { Theme } from "./theme.js";
 import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
+import { SolimonWaterfall } from "./waterfall/panel.js";
 import { SolimonWaveform } from "./waveform.js";
 
 customElements.define("solimon-chart", SolimonChart);
+customElements.define("solimon-waterfall", SolimonWaterfall);
 customElements.define("solimon-waveform", SolimonWaveform);
 customElements.define("solimon-alarms", SolimonAlarms);
 customElements.define("solimon-set", SolimonSet);
@@ -43,6 +46,7 @@ const NOTICE_MS = 60_000;
 let noticeTimer;
 
 const waveform = /** @type {SolimonWaveform} */ (byId("waveform"));
+const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "" };
@@ -82,6 +86,21 @@ const panelHost = {
   go: (part, how) => address.go(part, how),
 };
 panel.host = panelHost;
+/** @type {import("./waterfall/panel.js").Host} */
+const waterfallHost = {
+  info: () => (reading.trends.has(address.view.position) ? reading.info : null),
+  view: () => address.view,
+  go: (part, how) => address.go(part, how),
+  whole: () => wholeOf(/** @type {any} */ ({ x: reading.trends.get(address.view.position)?.columns.due_h ?? [], endHour: reading.info.schedule.end_h })),
+  timeline,
+  open: openSet,
+  over: (position) => {
+    const { ranges, alarms, opened } = board.about(address.view, [position]);
+    return { gaps: ranges.filter((range) => range.word !== "baseline"), alarms, opened };
+  },
+  trend,
+};
+waterfall.host = waterfallHost;
 
 // ---- what is shown ----------------------------------------------------------------------------
 
@@ -149,6 +168,7 @@ function become(view, before) {
   compared.update(view);
   if (JSON.stringify(rest) !== JSON.stringify(restBefore)) board.update(view, charted());
   for (const chart of board.all) chart.respan();
+  waterfall.update();
   panel.update();
 }
 
@@ -170,6 +190,7 @@ function onColumns() {
   board.update(address.view, charted());
   toolbar.update(address.view, charted(), reading.info, timeline());
   compared.update(address.view);
+  waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
   panel.update();
 }
 
@@ -269,6 +290,7 @@ function notice(text, tone = "") {
 function redraw() {
   board.redraw();
   waveform.draw();
+  if (reading.info) waterfall.update();
   panel.draw();
 }
 
@@ -313,6 +335,9 @@ Object.defineProperty(window, "solimonDashboard", {
     },
     get set() {
       return panel.snapshot();
+    },
+    get waterfall() {
+      return waterfall.snapshot();
     },
     get waveform() {
       return waveform.snapshot();

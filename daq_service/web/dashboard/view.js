@@ -15,6 +15,11 @@
  * @property {number | null} shot emphasised record of it
  * @property {number | null} from_us null with `to_us`: the whole record
  * @property {number | null} to_us
+ * @property {"trigger" | "first"} align where the waterfall's time counts from; first: the first pulse or echo
+ * @property {"volts" | "normalised" | "difference"} shown by the waterfall
+ * @property {number | null} from_wf_us null with `to_wf_us`: the waterfall's whole record
+ * @property {number | null} to_wf_us
+ * @property {string[]} hides what is not drawn over the waterfall
  * @property {string[]} tables charts shown as tables, by id
  * @property {"" | "auto" | "light" | "dark"} theme empty: as this browser remembers
  */
@@ -33,10 +38,15 @@ export const PLAIN = Object.freeze({
   shot: null,
   from_us: null,
   to_us: null,
+  align: "trigger",
+  shown: "volts",
+  from_wf_us: null,
+  to_wf_us: null,
+  hides: [],
   tables: [],
   theme: "",
 });
-const CHOICES = /** @type {Record<string, string[]>} */ ({ axis: ["hours", "utc", "local"], theme: ["auto", "light", "dark"] });
+const CHOICES = /** @type {Record<string, string[]>} */ ({ axis: ["hours", "utc", "local"], align: ["trigger", "first"], shown: ["volts", "normalised", "difference"], theme: ["auto", "light", "dark"] });
 const WHOLE_NUMBERS = new Set(["set", "shot"]);
 const GESTURE_MS = 1000;
 
@@ -60,7 +70,7 @@ export function parse(search) {
     const value = Object.hasOwn(PLAIN, key) ? read(key, text) : undefined;
     if (value !== undefined) view[key] = value;
   }
-  for (const [low, high] of [["from_h", "to_h"], ["from_us", "to_us"]]) {
+  for (const [low, high] of [["from_h", "to_h"], ["from_us", "to_us"], ["from_wf_us", "to_wf_us"]]) {
     if (view[low] === null || view[high] === null || view[low] >= view[high]) view[low] = view[high] = null;
   }
   return view;

@@ -38,6 +38,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_fit": "viewer",
     "get_waveform": "viewer",
     "get_set_waveforms": "viewer",
+    "get_waterfall": "viewer",
     "get_waveforms": "viewer",
     "get_live_waveform": "viewer",
     "live_waveforms": "viewer",

@@ -194,6 +194,8 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.last_ended_utc_ns()
         catalogue.next_sequence()
         catalogue.committed_sets({4})
+        catalogue.n_stored("B", 3, 17)
+        catalogue.last_rows(SetRow, "B", 1, last_h=13.1)
         for first_h, last_h in ((None, None), (2.2, 13.1)):
             for points in (1, 8):
                 trend_bins(catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points)

@@ -1,0 +1,141 @@
+"""Tiles of the waterfall grow with the test, in the worker's process; trouble costs the tiles alone."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+
+from daq_service.archive import Results, SetReference
+from daq_service.archive.waterfall.cells import anchors_of
+from daq_service.archive.waterfall.keeping import forget_tiles, keep_file
+from daq_service.errors import StorageError
+from daq_service.recording.compaction import Compaction
+from daq_service.recording.idle_check import QUIET_S
+
+log = logging.getLogger(__name__)
+
+EVERY_S, SETS_A_TURN = 10.0, 4
+"""Some hundredths of a second each: about one per cent of a core."""
+
+
+def tiled(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
+    """Add stored sets to the tiles; return what kept one from it, empty: nothing."""
+    told = ""
+    for file, results in sets:
+        try:
+            keep_file(folder, experiment, SetReference(file), anchors_of(results))
+        except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
+            told = f"{file}: {error!r}"
+    return told
+
+
+def tiles_again(
+    folder: Path,
+    experiment: str,
+    files: Mapping[int, str],
+    results: Callable[[int], Results],
+    progress: Callable[[int, int], None],
+) -> list[str]:
+    """Make the tiles of a folder anew; what could not be made is returned in words."""
+    try:
+        forget_tiles(folder)
+    except OSError as error:
+        return [f"the old tiles stay: {error}"]
+    told = []
+    for number, (set_index, file) in enumerate(files.items()):
+        told.append(tiled(folder, experiment, [(file, results(set_index))]))
+        progress(number + 1, len(files))
+    return [line for line in told if line]
+
+
+class Tiling:
+    """Adds each set that got its file, and while nothing is due those that the tiles lack.
+
+    Parameters
+    ----------
+    compaction
+        Whose worker does it, when it has no files to make.
+    files, results
+        The files of all sets by index; what was computed of one.
+    has_room
+        Whether the volume has room for a cache.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        experiment: str,
+        compaction: Compaction,
+        files: Callable[[], Mapping[int, str]],
+        results: Callable[[int], Results],
+        *,
+        has_room: Callable[[], bool] = lambda: True,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._folder, self._experiment, self._compaction = folder, experiment, compaction
+        self._files, self._results, self._has_room, self._mono_s = files, results, has_room, mono_s
+        self._new: dict[int, str] = {}
+        self._round: list[tuple[int, str]] = []
+        self._running: Future[str] | None = None
+        self._next_s = mono_s()
+        self._told = ""
+
+    def put(self, set_index: int, file: str) -> None:
+        """Have a set added that has its file now, when the worker has time."""
+        self._new[set_index] = file
+
+    @property
+    def waits(self) -> bool:
+        """A set that got its file is in no tile yet."""
+        return bool(self._new) or self._running is not None
+
+    def work(self, free_s: float) -> None:
+        """Take back what is done, and go on.
+
+        Parameters
+        ----------
+        free_s
+            Time until the next set is due.
+        """
+        if self._running is not None:
+            if not self._running.done():
+                return
+            self._take_back(self._running)
+            self._running = None
+        if not self._has_room():
+            self._new.clear()
+        elif self._new:
+            self._begin([self._new.popitem() for _ in range(min(SETS_A_TURN, len(self._new)))])
+        elif free_s > QUIET_S and self._mono_s() >= self._next_s:
+            self._next_s = self._mono_s() + EVERY_S
+            self._begin(self._of_the_round())
+
+    def _of_the_round(self) -> list[tuple[int, str]]:
+        """Choose sets of which nobody knows whether the tiles have them; the newest ones come first."""
+        if not self._round:
+            self._round = sorted(self._files().items())
+        some, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
+        return some
+
+    def _begin(self, sets: Sequence[tuple[int, str]]) -> None:
+        try:
+            told = [(file, self._results(set_index)) for set_index, file in sets]
+        except (StorageError, OSError) as error:
+            log.warning("no tiles of the waterfall now: %s", error)
+            return
+        if told:
+            self._running = self._compaction.beside(tiled, self._folder, self._experiment, told)
+        if self._running is None:  # files come first; these follow in a later turn
+            self._new.update(sets)
+
+    def _take_back(self, future: Future[str]) -> None:
+        try:
+            told = future.result()
+        except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again
+            told = repr(error)
+        if told and told != self._told:
+            log.warning("a set is not in the tiles of the waterfall: %s", told)
+        self._told = told

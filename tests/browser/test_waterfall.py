@@ -1,0 +1,301 @@
+"""The waterfall in a browser: its pixels against the records, its cursor, its address, pointer and keys."""
+
+import base64
+from dataclasses import replace
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from support.browser_pages import PHONE, expect
+from support.filled_folder import FilledFolder
+from support.served_web import served
+from support.waiting import until
+
+from daq_service.archive.waterfall import picture
+from daq_service.catalogue.rows import FeatureRow, SetRow
+from daq_service.settings.tree import Settings
+
+pytestmark = pytest.mark.browser
+
+N_SETS, SHOTS = 24, 2
+MISSED = {9, 10, 11}
+BAD = 15
+WALL = {"width": 1920, "height": 1080}
+SETTINGS = Settings(
+    ultrasound={"delay_s": 1e-6}, schedule={"end_h": 14.0, "phases": [{"until_h": 14.0, "interval_h": 0.5}]}
+)
+# The page's map, written down once more: a test that asked the page for it would find any map right.
+LIGHT = {
+    -1: np.array([[255, 255, 255], [120, 178, 222], [0, 82, 148], [0, 30, 66]], dtype=float),
+    1: np.array([[255, 255, 255], [244, 176, 104], [186, 84, 0], [84, 26, 0]], dtype=float),
+}
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("fall"), SETTINGS, shots_per_set=SHOTS)
+    commit = folder.catalogue.commit_set
+
+    def with_a_bad_set(rows):
+        rows.features = [
+            replace(row, quality="bad") if (row.position, row.set_index) == ("B", BAD) else row
+            for row in rows.features
+        ]
+        return commit(rows)
+
+    folder.catalogue.commit_set = with_a_bad_set
+    for index in range(N_SETS):
+        folder.add_set(index, stored=index not in MISSED)
+    folder.add_alarm("B", 20)
+    assert [row.quality for row in folder.catalogue.rows(FeatureRow, position="B", set_index=BAD)] == [
+        "bad"
+    ] * 3
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+def shown(page):
+    return page.evaluate("window.solimonDashboard.waterfall")
+
+
+def drawn(page, what="the waterfall is drawn"):
+    until(lambda: shown(page)["ready"], what)
+    return shown(page)
+
+
+def query(page):
+    return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
+
+
+def pixels(page, canvas="image"):
+    """RGBA of the canvas, shape (height, width, 4)."""
+    width, height, data = page.evaluate(
+        f"""() => {{
+          const canvas = document.querySelector(".waterfall-{canvas}");
+          const all = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+          let text = ""; for (const value of all) text += String.fromCharCode(value);
+          return [canvas.width, canvas.height, btoa(text)];
+        }}"""
+    )
+    return np.frombuffer(base64.b64decode(data), np.uint8).reshape(height, width, 4)
+
+
+def value_of(rgb, limit):
+    """The voltage that a colour of the light map stands for."""
+    parts = np.linspace(0.0, 1.0, 128)
+    best = (np.inf, 0.0)
+    for sign, stops in LIGHT.items():
+        table = np.stack([np.interp(parts * 3, np.arange(4), stops[:, c]) for c in range(3)], axis=1)
+        away = np.abs(table - rgb).sum(axis=1)
+        best = min(best, (away.min(), sign * parts[away.argmin()] * limit))
+    assert best[0] < 3.0, "a colour of the map, but for rounding of three channels"
+    return best[1]
+
+
+def open_light(open_page, service, **view):
+    more = "".join(f"&{key}={value}" for key, value in view.items())
+    # Only a test reads pixels back.
+    page = open_page(f"{service.url}?theme=light&position=B{more}", forgiven="Canvas2D: Multiple readback")
+    drawn(page)
+    return page
+
+
+@pytest.mark.parametrize("align", ["trigger", "first"])
+def test_pixels_are_the_samples_of_the_records(filled, service, open_page, align):
+    page = open_light(open_page, service, align=align, hides="tracks,alarms,gaps,bad")
+    told = drawn(page)
+    header, limit = told["header"], told["limit"]
+    image = pixels(page)
+    height, width, _ = image.shape
+    seen = 0
+    rng = np.random.default_rng(7)
+    for index in range(N_SETS):
+        hour = filled.due[index].due_h + 0.25
+        x = int((hour - told["hours"][0]) / (told["hours"][1] - told["hours"][0]) * width)
+        if index in MISSED:
+            assert (image[:, x, 3] == 0).all(), "a gap stays a gap"
+            continue
+        records = [one.waveform for one in filled.records(index) if one.key.position == "B"]
+        for y in rng.integers(2, height - 2, 12).tolist():
+            # Every sample whose time lies in a cell that the pixel touches.
+            per_s = (told["seconds"][1] - told["seconds"][0]) / height
+            edges = (told["seconds"][0] + np.array([y, y + 1]) * per_s - header["first_s"]) / header["cell_s"]
+            first, last = int(np.floor(edges[0] + 1e-6)), int(np.floor(edges[1] + 1e-6)) - 1
+            cells = header["first_s"] + np.array([first, max(first, last) + 1]) * header["cell_s"]
+            values = []
+            for waveform in records:
+                anchor = 0.0 if align == "trigger" else 50e-6
+                after = waveform.time_s() - anchor
+                inside = (after >= cells[0] - 1e-12) & (after < cells[1] - 1e-12)
+                values.append(waveform.volts()[inside])
+            samples = np.concatenate(values)
+            if samples.size == 0:
+                assert image[y, x, 3] == 0
+                continue
+            expected = samples[np.abs(samples).argmax()]
+            # A step of the map is a 127th of the limit; two channels' rounding may take the next one.
+            assert value_of(image[y, x, :3], limit) == pytest.approx(expected, abs=1.6 * limit / 127)
+            seen += 1
+    assert seen > 100
+
+
+def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, service, open_page):
+    page = open_light(open_page, service, align="first")
+    told = drawn(page)
+    (isw, psw) = told["tracks"][:2]
+    assert {value for value in isw["seconds"] if value is not None} == {0.0}
+    features = {
+        row.due_h: row.psw_time_s - row.isw_time_s
+        for row in filled.catalogue.rows(FeatureRow, position="B", scope="set")
+    }
+    found = dict(zip(psw["hours"], psw["seconds"], strict=True))
+    assert found == {hour: pytest.approx(value) for hour, value in features.items()}
+    assert told["header"]["align"] == "isw"
+    expect(page.locator("#waterfall")).to_contain_text("a set a row")
+
+
+def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, service, open_page):
+    page = open_light(open_page, service)
+    box = page.locator("#waterfall .plot")
+    box.scroll_into_view_if_needed()
+    over = page.locator(".waterfall-over").bounding_box()
+    told = drawn(page)
+    hour = filled.due[6].due_h + 0.1
+    x = over["x"] + over["width"] * hour / told["hours"][1]
+    page.mouse.move(x, over["y"] + over["height"] / 2)
+    readout = page.locator("#waterfall .readout")
+    expect(readout).to_contain_text("hour 3.")
+    expect(readout).to_contain_text("set 6")
+    expect(readout).to_contain_text(" V")
+    page.mouse.move(
+        over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / told["hours"][1], over["y"] + 9
+    )
+    expect(readout).to_contain_text("no record")
+    page.mouse.click(x, over["y"] + over["height"] / 2)
+    expect(page.locator("#set")).to_have_attribute("data-set", "B 6")
+    page.keyboard.press("Escape")
+    box.focus()
+    page.mouse.move(5, 5)
+    for key in ("Home", "ArrowRight", "ArrowDown", "ArrowUp", "End", "ArrowLeft"):
+        page.keyboard.press(key)
+    expect(readout).to_contain_text(f"set {N_SETS - 2}")
+    page.keyboard.press("Enter")
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {N_SETS - 2}")
+    page.keyboard.press("Escape")
+    expect(box).to_be_focused()
+
+
+def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, open_page):
+    page = open_light(open_page, service)
+    box = page.locator("#waterfall .plot")
+    box.focus()
+    page.keyboard.press("Home")
+    for key in ("ArrowRight", "ArrowRight", "+", "+", "PageUp", "PageUp"):
+        page.keyboard.press(key)
+    until(lambda: shown(page)["ready"] and "from_wf_us" in query(page), "both axes are zoomed")
+    told = shown(page)
+    assert told["hours"][1] - told["hours"][0] < 14.0
+    assert page.evaluate("window.solimonDashboard.charts.tof.span") == told["hours"]
+    whole = told["header"]["whole_s"]
+    assert told["seconds"][1] - told["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
+    page.get_by_label("Values of the waterfall").select_option("difference")
+    page.get_by_label("Time counts from").select_option("first")
+    page.get_by_role("button", name="Tracks").click()
+    until(lambda: shown(page)["header"]["shown"] == "difference" and shown(page)["ready"], "it is asked for")
+    wanted = {"shown": "difference", "align": "first", "hides": "tracks"}
+    assert wanted.items() <= query(page).items()
+    before = shown(page)
+    other = open_page(page.url)
+    assert drawn(other)["header"] == before["header"]
+    box.scroll_into_view_if_needed()
+
+    def wheeled():
+        # A page that still scrolls goes on scrolling: the pointer has to move after it.
+        over = page.locator(".waterfall-over").bounding_box()
+        x, y = over["x"] + over["width"] / 2, over["y"] + over["height"] / 2
+        page.mouse.move(x - 3, y)
+        page.mouse.move(x, y)
+        page.mouse.wheel(0, -300)
+
+    def hours_are_zoomed():
+        wheeled()
+        return shown(page)["hours"] != before["hours"]
+
+    def time_is_zoomed():
+        page.keyboard.down("Shift")
+        wheeled()
+        page.keyboard.up("Shift")
+        return shown(page)["seconds"] != shown(page)["header"]["whole_s"]
+
+    until(hours_are_zoomed, "the wheel zooms hours")
+    until(time_is_zoomed, "with Shift it zooms time")
+    assert "from_wf_us" in query(page)
+    page.locator("#waterfall").get_by_role("button", name="Whole record").click()
+    assert "from_wf_us" not in query(page)
+
+
+def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, service, open_page):
+    page = open_light(open_page, service)
+    counts = {}
+    for name in ("Tracks", "Alarms", "Missing sets", "Bad sets"):
+        before = int((pixels(page, "over")[..., 3] > 0).sum())
+        page.locator("#waterfall").get_by_role("button", name=name).click()
+        counts[name] = before - int((pixels(page, "over")[..., 3] > 0).sum())
+    assert all(count > 0 for name, count in counts.items() if name != "Missing sets"), counts
+    assert not (pixels(page, "over")[..., 3] > 0).any()
+
+
+def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(filled, service, open_page):
+    page = open_page(f"{service.url}?position=A&align=first")
+    until(lambda: shown(page)["ready"] and shown(page)["header"]["align"] == "first_echo", "it is drawn")
+    box = page.locator("#waterfall .plot")
+    box.focus()
+    page.keyboard.press("End")
+    expect(page.locator("#waterfall .readout")).to_contain_text("mm")
+    page.get_by_role("button", name="Table of: Waterfall").click()
+    rows = page.locator("#waterfall tbody tr")
+    expect(rows).to_have_count(N_SETS - len(MISSED))
+    rows.first.locator(".link").click()
+    expect(page.locator("#set")).to_have_attribute("data-set", f"A {N_SETS - 1}")
+
+
+def test_it_goes_on_while_sets_arrive(filled, service, open_page):
+    page = open_light(open_page, service)
+    rows = shown(page)["header"]["rows"]
+    n_sets = len(filled.catalogue.rows(FeatureRow, position="B", scope="set"))
+    filled.add_set(n_sets)
+    until(lambda: shown(page)["header"]["rows"] == rows + 1, "the new set is drawn")
+    assert shown(page)["header"]["last_set"][-1] == n_sets
+
+
+def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
+    monkeypatch.setattr(picture, "SETS_AT_ONCE", 9)
+    with served(filled.settings, filled.folder) as fresh:
+        page = open_page(f"{fresh.url}?position=B")
+        until(
+            lambda: shown(page)["ready"] and shown(page)["header"]["pending_sets"] == 0, "all sets are read"
+        )
+        told = shown(page)["header"]
+        stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
+        assert told["first_set"] == stored
+        expect(page.locator("#waterfall")).not_to_contain_text("still being read")
+
+
+@pytest.mark.parametrize("viewport", [PHONE, WALL], ids=["390", "1920"])
+def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
+    page = open_page(f"{service.url}?theme=dark&position=B", viewport=viewport)
+    drawn(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
+    for theme in ("dark", "light"):
+        if theme == "light":
+            page.goto(f"{service.url}?theme=light&position=B")
+            drawn(page)
+        found = Axe().run(page, context="#waterfall")
+        assert found.violations_count == 0, found.generate_report()
