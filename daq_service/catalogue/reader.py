@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -381,7 +381,7 @@ class Catalogue:
         with translated(self._path, "writing a command"), writing(self._for_commands()) as connection:
             now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
             row = CommandRow(
-                id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1,
+                id=0,
                 wall_utc_ns=now_ns,
                 author=author,
                 kind=kind,
@@ -391,8 +391,7 @@ class Catalogue:
                 deadline_boot_ns=elapsed_ns() + within_ns,
                 boot_id=boot_name(),
             )
-            connection.execute(insert(commands), storable(row))
-            return row.id
+            return stored_command(connection, row)
 
     def _for_commands(self) -> Engine:
         if self._command_engine is None:
@@ -451,6 +450,13 @@ def _behind(table: Table, order: Sequence[ColumnElement[Any]], row_id: int) -> C
         return order[0] > row_id
     place = [select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
     return (order[0] >= place[0]) & (tuple_(*order) > tuple_(*place))
+
+
+def stored_command(connection: Connection, row: CommandRow) -> int:
+    """Store an order under the next id, which is returned; the caller holds the write lock."""
+    row = replace(row, id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1)
+    connection.execute(insert(commands), storable(row))
+    return row.id
 
 
 def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, func, insert, select, update
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.pyramid import last_sets, touched_sets, update_trends
-from daq_service.catalogue.reader import Catalogue, due_time_counts, made
+from daq_service.catalogue.reader import Catalogue, due_time_counts, made, stored_command
 from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
@@ -51,6 +51,8 @@ class SetCommit:
         Without ``wall_utc_ns`` an event is dated when it is stored.
     alarm_of_event
         Which of ``alarms`` an event tells of, by their numbers here: ``alarm_id`` is put into its payload.
+    order
+        An order that is carried out by storing this, with its answer; it gets its id.
     verdicts
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other verdict is final.
@@ -66,6 +68,7 @@ class SetCommit:
     alarms: list[AlarmRow] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
     alarm_of_event: dict[int, int] = field(default_factory=dict)
+    order: CommandRow | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +78,7 @@ class Committed:
     event_ids: list[int]
     alarm_ids: list[int]
     baseline_ids: list[int]
+    order_id: int | None = None
 
 
 class RecorderCatalogue(Catalogue):
@@ -171,7 +175,10 @@ class RecorderCatalogue(Catalogue):
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
-        return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
+            order_id = stored_command(connection, commit.order) if commit.order else None
+        return Committed(
+            event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids, order_id=order_id
+        )
 
     def add_event(
         self,

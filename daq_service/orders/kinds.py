@@ -28,7 +28,7 @@ from daq_service.clock import SimulatedClock, WallClock
 from daq_service.errors import UsageError
 
 if TYPE_CHECKING:
-    from daq_service.orders.running_test import RunningTest
+    from daq_service.orders.running_test import RunningTest, StoredTest
 
 LARGEST_ID = 2**53 - 1
 
@@ -43,6 +43,8 @@ class Facts:
     ----------
     recorder
         How it is, in one word of `processes.recorder_state`; whoever obeys is running.
+    recorded
+        Somebody holds the recorder's lock, or nobody can tell.
     can_skip_time
         The test runs on a simulated clock; asked by the web: on one that is paced.
     held
@@ -54,6 +56,7 @@ class Facts:
     """
 
     recorder: str = "running"
+    recorded: bool = True
     can_skip_time: bool
     held: str
     positions: Sequence[str]
@@ -126,20 +129,29 @@ class SupplyArguments(Strict):
     note: str = Field(default="", max_length=2000)
 
 
+class OrderRefusedError(ValueError):
+    """An order cannot be carried out now; ``refusal`` says why."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.reason)
+        self.refusal = refusal
+
+
 class Order(Strict):
-    """What a person asks of a running test."""
+    """What a person asks of a test."""
 
     needs_recorder: ClassVar[bool] = True
-    """False: one that has finished may be given it, too; if that lingers it obeys, else the order expires."""
     kind: str
     author: Author = "operator"
     arguments: Any = NoArguments()
 
     def forbidden(self, facts: Facts) -> Refusal | None:
         """Why it cannot be carried out now; None where nothing forbids it."""
-        if self.needs_recorder and facts.recorder in {"finished", "stopped"}:
+        told = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
+        if self.needs_recorder and (told or not facts.recorded):
             return Refusal(
-                f"the recorder has {facts.recorder}: nobody would carry this out", "Start it again first."
+                f"{told or 'nobody records this test'}: nobody would carry this out",
+                "Start it with `solimon run` or `solimon record`, then give the order again.",
             )
         return self._forbidden(facts)
 
@@ -151,10 +163,20 @@ class Order(Strict):
         ValueError
             It was not done, and why.
         """
+        self.refuse_forbidden(facts)
+        return self._carry_out(test, order_id)
+
+    def refuse_forbidden(self, facts: Facts) -> None:
+        """Go on only where nothing forbids it now.
+
+        Raises
+        ------
+        OrderRefusedError
+            What does.
+        """
         refusal = self.forbidden(facts)
         if refusal is not None:
-            raise ValueError(refusal.reason)
-        return self._carry_out(test, order_id)
+            raise OrderRefusedError(refusal)
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         return None
@@ -195,10 +217,22 @@ class Stop(Order):
         return "stopping after the shot being taken"
 
 
-class AcknowledgeAlarm(Order):
-    """An operator has seen an alarm."""
+class DeskOrder(Order):
+    """An order that changes rows only: where nobody records, the web service carries it out."""
 
     needs_recorder = False
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        return self.carry_out_stored(test)
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Do what nothing forbids, in one transaction, and say what was done."""
+        raise NotImplementedError
+
+
+class AcknowledgeAlarm(DeskOrder):
+    """An operator has seen an alarm."""
+
     kind: Literal["acknowledge_alarm"]
     arguments: AlarmArguments
 
@@ -215,7 +249,8 @@ class AcknowledgeAlarm(Order):
             f"Only alarms that are {' or '.join(AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
         )
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Carry the alarm on."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
@@ -357,7 +392,9 @@ class SupplyOn(_SupplyOrder):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
-        return test.switch.supply_on(self.author, test.hour(), voltage_v=volts, current_limit_a=amperes)
+        return test.switch.supply_on(
+            self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
+        )
 
 
 class SupplyOff(_SupplyOrder):
@@ -367,7 +404,7 @@ class SupplyOff(_SupplyOrder):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        return test.switch.supply_off(self.author, test.hour())
+        return test.switch.supply_off(self.author, test.moment().due_h)
 
 
 AnyOrder = Annotated[

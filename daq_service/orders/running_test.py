@@ -1,4 +1,4 @@
-"""The test that the recorder runs, as its orders meet it."""
+"""The test that orders act on: what is stored of any, and the one that the recorder runs."""
 
 from __future__ import annotations
 
@@ -31,43 +31,22 @@ class SupplySwitch(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunningTest:
-    """What an order may act on.
+class StoredTest:
+    """What an order may act on that changes rows only.
 
     Attributes
     ----------
-    hour
-        Tells the hour of the experiment.
+    moment
+        Tells the moment of what is told or changed now.
     alarms
-        The recorder's current alarms by position and kind.
+        The current alarms by position and kind.
     store
         Stores a transaction and takes its alarms over.
-    reinstated
-        Called with a position that may strike again.
-    positions
-        The solitary-wave transducers.
-    supply
-        None where the test has no supply.
     """
 
-    clock: Clock
-    hour: Callable[[], float]
-    stop: threading.Event
+    moment: Callable[[], Moment]
     alarms: Alarms
     store: Callable[[Transaction], None]
-    reinstated: Callable[[str], None]
-    positions: Sequence[str]
-    supply: SupplySwitch | None = None
-
-    @property
-    def switch(self) -> SupplySwitch:
-        """The supply of a test that has one."""
-        assert self.supply is not None, "a test without one forbids the order"
-        return self.supply
-
-    def moment(self) -> Moment:
-        """Return the moment of what is told or changed now."""
-        return Moment(utc_ns=self.clock.utc_ns(), due_h=self.hour(), set_index=None)
 
     def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Store an event of the service itself."""
@@ -81,3 +60,30 @@ class RunningTest:
         for change in changes:
             transaction.add_alarm(change, moment)
         self.store(transaction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunningTest(StoredTest):
+    """What an order to the recorder may act on.
+
+    Attributes
+    ----------
+    reinstated
+        Called with a position that may strike again.
+    positions
+        The solitary-wave transducers.
+    supply
+        None where the test has no supply.
+    """
+
+    clock: Clock
+    stop: threading.Event
+    reinstated: Callable[[str], None]
+    positions: Sequence[str]
+    supply: SupplySwitch | None = None
+
+    @property
+    def switch(self) -> SupplySwitch:
+        """The supply of a test that has one."""
+        assert self.supply is not None, "a test without one forbids the order"
+        return self.supply

@@ -144,7 +144,7 @@ class Recorder:
         drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
-            hour=self._hour,
+            moment=self._moment,
             stop=stop,
             alarms=self._ledger.alarms,
             store=self._ledger.commit,

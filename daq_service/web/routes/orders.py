@@ -1,7 +1,8 @@
-"""`/api/v1/commands`: orders for the recorder. A row is written here; the recorder carries it out."""
+"""`/api/v1/commands`: orders. The recorder carries them out; where nobody records, some are done here."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
 
@@ -9,8 +10,11 @@ from fastapi import APIRouter, Path, Request
 from pydantic import Field
 from starlette.responses import Response
 
+from daq_service.alarms.states import Moment
+from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, values
-from daq_service.errors import StorageError
+from daq_service.errors import BusyError, StorageError
+from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
 from daq_service.orders.kinds import (
     LARGEST_ID,
@@ -18,10 +22,14 @@ from daq_service.orders.kinds import (
     AlarmArguments,
     AnyOrder,
     Author,
+    DeskOrder,
     Facts,
     Order,
+    OrderRefusedError,
     Strict,
 )
+from daq_service.orders.unattended import carry_out_unattended
+from daq_service.processes.data_folder import is_owned
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import CommandRow, problems
 from daq_service.web.answers.problem import Problem, conflict, not_found
@@ -49,6 +57,8 @@ ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
 def create_command(command: AnyOrder, context: ContextOf, request: Request, person: PersonOf) -> Response:
     """Write an order; the recorder carries it out within 60 s, or it expires (see its `state`).
 
+    Where nobody records the test, an order that changes no more than what is stored (an acknowledgement) is
+    done when this answers; any other is refused (409).
     With a token the author is the token's, whatever the body says.
     """
     return _audited(context, request, person, command)
@@ -93,31 +103,49 @@ def _audited(context: Context, request: Request, person: Person, order: Order) -
     try:
         if not person.may(ORDERS.get(order.kind, "admin")):
             raise role_too_low(person, order.kind, ORDERS.get(order.kind, "admin"))
-        command_id = _written(context, order, person.name or order.author)
+        command_id, result = _given(context, order, person.name or order.author)
     except (Problem, StorageError) as refusal:
         tell("refused", str(refusal))
         raise
-    tell("accepted", command_id=command_id)
+    tell(result, command_id=command_id)
     return JsonAnswer(
         _row(context, command_id), status_code=202, headers={"Location": f"/api/v1/commands/{command_id}"}
     )
 
 
-def _written(context: Context, order: Order, author: str) -> int:
-    """Write an order that nothing forbids."""
+def _given(context: Context, order: Order, author: str) -> tuple[int, Result]:
+    """Write an order that nothing forbids, or carry it out where nobody records; its id, and which."""
     catalogue = context.catalogue()
-    facts = Facts(
+    try:
+        if isinstance(order, DeskOrder) and is_owned(context.data_folder) is False:
+            with suppress(BusyError):  # a recorder has come meanwhile: it is given the order
+                return _carried_out(context, order, author), "done"
+        order.refuse_forbidden(_facts(context, catalogue))
+    except OrderRefusedError as error:
+        refusal = error.refusal
+        raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
+    return catalogue.add_command(author, order.kind, order.arguments.model_dump()), "accepted"
+
+
+def _carried_out(context: Context, order: DeskOrder, author: str) -> int:
+    def moment() -> Moment:
+        now = context.freshness()
+        return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
+
+    facts = partial(_facts, context)
+    return carry_out_unattended(context.data_folder, order, author, facts=facts, moment=moment)
+
+
+def _facts(context: Context, catalogue: Catalogue) -> Facts:
+    return Facts(
         recorder=context.freshness().recorder.word,
+        recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
         positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
         alarms=catalogue.rows(AlarmRow),
     )
-    refusal = order.forbidden(facts)
-    if refusal is not None:
-        raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint)
-    return catalogue.add_command(author, order.kind, order.arguments.model_dump())
 
 
 def _row(context: Context, command_id: int) -> dict[str, Any]:

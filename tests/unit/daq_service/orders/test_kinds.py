@@ -7,7 +7,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState
 from daq_service.errors import UsageError
-from daq_service.orders.kinds import KINDS, AnyOrder, Facts, Order, read_order
+from daq_service.orders.kinds import KINDS, AnyOrder, DeskOrder, Facts, Order, read_order
 
 
 def facts(**values: object) -> Facts:
@@ -62,6 +62,15 @@ def test_a_recorder_that_has_ended_is_given_acknowledgements_only(kind: str, wor
     else:
         assert refusal is not None
         assert refusal.detail == f"The recorder has {word}: nobody would carry this out."
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) -> None:
+    given = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = given.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    assert (refusal is None) == isinstance(given, DeskOrder)
+    if refusal is not None:
+        assert refusal.detail == "Nobody records this test: nobody would carry this out."
 
 
 @pytest.mark.parametrize(

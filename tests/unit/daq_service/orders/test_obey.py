@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 from support.begun_experiment import begun_catalogue
 
+from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.catalogue.rows import AlarmRow
@@ -58,7 +59,7 @@ class Bench:
         self.ledger = Ledger(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
         test = RunningTest(
             clock=self.clock,
-            hour=lambda: HOUR,
+            moment=lambda: Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None),
             stop=self.stop,
             alarms=self.ledger.alarms,
             store=self.ledger.commit,
