@@ -48,7 +48,16 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.sealed import checked_rows, storable
-from daq_service.catalogue.tables import alarms, commands, counts, events, features, sets, table_of
+from daq_service.catalogue.tables import (
+    alarms,
+    annotated,
+    commands,
+    counts,
+    events,
+    features,
+    sets,
+    table_of,
+)
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -69,8 +78,8 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h``,
-    ``first_set <= set_index <= last_set``.
+    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations:
+    any of their hours), ``withdrawn`` annotations or the others, ``first_set <= set_index <= last_set``.
     """
 
     position: str | None
@@ -85,6 +94,7 @@ class Filters(TypedDict, total=False):
     first_h: float | None
     last_h: float | None
     tried: bool | None
+    withdrawn: bool | None
     first_set: int | None
     last_set: int | None
     after_id: int | None
@@ -98,10 +108,17 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (
-        (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
+        table.c.to_h >= hour
+        if table is annotated
+        else (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
-        (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
+        table.c.from_h <= hour
+        if table is annotated
+        else (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
+    ),
+    "withdrawn": lambda table, withdrawn: (
+        table.c.withdrawn_utc_ns.is_not(None) if withdrawn else table.c.withdrawn_utc_ns.is_(None)
     ),
     "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
     "first_set": lambda table, index: table.c.set_index >= index,
@@ -260,6 +277,10 @@ class Catalogue:
             )
         return row
 
+    def position_names(self) -> list[str]:
+        """Name every position that the experiment is configured for."""
+        return list(self.experiment_row().configuration.get("positions", ()))
+
     def counts(self) -> dict[str, int]:
         """Sizes of the experiment so far.
 
@@ -281,7 +302,7 @@ class Catalogue:
 
     def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
         """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
-        positions = list(self.experiment_row().configuration.get("positions", ()))
+        positions = self.position_names()
         found: dict[int, str] = {}
         with self.reading() as connection:
             last = connection.execute(_last_set_index()).scalar()

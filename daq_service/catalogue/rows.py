@@ -225,13 +225,28 @@ class AlarmRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class AnnotationRow(Row):
+    """What a person notes of an hour of the test, or of a range; it is withdrawn, never erased."""
+
+    id: int | None = None
+    position: Annotated[str | None, "null: the whole test"] = None
+    from_h: float
+    to_h: Annotated[float, "The same as `from_h`: an instant"]
+    text: str
+    author: str
+    written_utc_ns: int
+    withdrawn_utc_ns: int | None = None
+    withdrawn_by: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class EventRow(Row):
     """One piece of news: its ids are ordered, and never used again."""
 
     id: int | None = None
     utc_ns: int  # experiment time
     wall_utc_ns: int = 0  # when it was written; 0 until then
-    topic: str  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service"
+    topic: str  # "sets", "features", "verdicts", "alarms", ...: the list is `web.routes.stream.TOPICS`
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None

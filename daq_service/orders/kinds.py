@@ -8,10 +8,10 @@ in `AnyOrder`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.states import (
@@ -23,7 +23,7 @@ from daq_service.alarms.states import (
     retired_positions,
     update,
 )
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.errors import UsageError
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from daq_service.orders.running_test import RunningTest, StoredTest
 
 LARGEST_ID = 2**53 - 1
+LARGEST_HOUR = 1e7
 
 Author = Annotated[str, Field(min_length=1, max_length=80, description="Who gives the order")]
 
@@ -53,6 +54,10 @@ class Facts:
         The solitary-wave transducers.
     alarms
         Rows, with at least the newest of each position and kind.
+    places
+        Every position, of any method.
+    annotations
+        Rows.
     """
 
     recorder: str = "running"
@@ -62,6 +67,8 @@ class Facts:
     positions: Sequence[str]
     has_supply: bool
     alarms: Sequence[AlarmRow]
+    places: Sequence[str] = ()
+    annotations: Sequence[AnnotationRow] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +113,35 @@ class AlarmArguments(Strict):
 
     alarm_id: int = Field(ge=1, le=LARGEST_ID)
     note: str = Field(default="", max_length=2000)
+
+
+class AnnotationArguments(Strict):
+    """An instant or a range of hours, and what is to be known of it."""
+
+    from_h: float = Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="First hour")
+    to_h: float | None = Field(
+        default=None,
+        ge=-LARGEST_HOUR,
+        le=LARGEST_HOUR,
+        allow_inf_nan=False,
+        description="Last hour; null: an instant",
+    )
+    position: str | None = Field(
+        default=None, min_length=1, max_length=16, description="null: the whole test"
+    )
+    text: str = Field(min_length=1, max_length=2000, pattern=r"\S")
+
+    @model_validator(mode="after")
+    def _forwards(self) -> Self:
+        if self.to_h is not None and self.to_h < self.from_h:
+            raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
+        return self
+
+
+class WithdrawalArguments(Strict):
+    """Which annotation is no longer to be shown."""
+
+    annotation_id: int = Field(ge=1, le=LARGEST_ID)
 
 
 class NoteArguments(Strict):
@@ -255,6 +291,65 @@ class AcknowledgeAlarm(DeskOrder):
         moment = test.moment()
         test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
         return "acknowledged"
+
+
+class Annotate(DeskOrder):
+    """Note something of an hour of the test, or of a range."""
+
+    kind: Literal["annotate"]
+    arguments: AnnotationArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        if position is None or position in facts.places:
+            return None
+        return Refusal(
+            f"there is no position {position!r}",
+            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
+            missing=True,
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Add it."""
+        given = self.arguments
+        row = AnnotationRow(
+            position=given.position,
+            from_h=given.from_h,
+            to_h=given.from_h if given.to_h is None else given.to_h,
+            text=given.text.strip(),
+            author=self.author,
+            written_utc_ns=test.moment().utc_ns,
+        )
+        test.annotate(row, "annotation_added")
+        return "noted"
+
+
+class WithdrawAnnotation(DeskOrder):
+    """Take an annotation back; it stays in the catalogue, with who withdrew it."""
+
+    kind: Literal["withdraw_annotation"]
+    arguments: WithdrawalArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.annotation_id
+        row = next((row for row in facts.annotations if row.id == wanted), None)
+        if row is None:
+            return Refusal(
+                f"there is no annotation {wanted}", "/api/v1/annotations lists them.", missing=True
+            )
+        if row.withdrawn_utc_ns is None:
+            return None
+        return Refusal(
+            f"annotation {wanted} was withdrawn by {row.withdrawn_by} already",
+            "Note it again if it is still true.",
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Mark it."""
+        (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
+        withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
+        test.annotate(withdrawn, "annotation_withdrawn")
+        return "withdrawn"
 
 
 class Hold(Order):
@@ -417,7 +512,9 @@ AnyOrder = Annotated[
     | Retire
     | Reinstate
     | SupplyOn
-    | SupplyOff,
+    | SupplyOff
+    | Annotate
+    | WithdrawAnnotation,
     Field(discriminator="kind"),
 ]
 KINDS: Mapping[str, type[Order]] = {

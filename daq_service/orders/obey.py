@@ -132,4 +132,6 @@ class OrderListener:
             positions=self._test.positions,
             has_supply=self._test.supply is not None,
             alarms=list(self._test.alarms.values()),
+            places=self._catalogue.position_names(),
+            annotations=self._test.annotations(),
         )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from daq_service.alarms.states import Change, Moment
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.judgement.transaction import Transaction
 from hardware_drivers.instruments import Clock
 
@@ -40,18 +40,27 @@ class StoredTest:
         Tells the moment of what is told or changed now.
     alarms
         The current alarms by position and kind.
+    annotations
+        Reads them.
     store
         Stores a transaction and takes its alarms over.
     """
 
     moment: Callable[[], Moment]
     alarms: Alarms
+    annotations: Callable[[], Sequence[AnnotationRow]]
     store: Callable[[Transaction], None]
 
     def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Store an event of the service itself."""
         transaction = Transaction()
         transaction.tell(kind, payload, self.moment())
+        self.store(transaction)
+
+    def annotate(self, row: AnnotationRow, kind: str) -> None:
+        """Store an annotation, or what becomes of one."""
+        transaction = Transaction()
+        transaction.annotate(row, kind, self.moment())
         self.store(transaction)
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:

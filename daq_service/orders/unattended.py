@@ -13,7 +13,7 @@ from pathlib import Path
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.history import HistoryFollower
-from daq_service.catalogue.rows import AlarmRow, CommandRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow
 from daq_service.catalogue.store import open_for_one_order
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.kinds import DeskOrder, Facts
@@ -24,7 +24,6 @@ from daq_service.processes.data_folder import own_data_folder
 def carry_out_unattended(
     folder: Path,
     order: DeskOrder,
-    author: str,
     *,
     facts: Callable[[Catalogue], Facts],
     moment: Callable[[], Moment],
@@ -53,6 +52,7 @@ def carry_out_unattended(
         test = StoredTest(
             moment=moment,
             alarms={(row.position, row.kind): row for row in catalogue.rows(AlarmRow)},
+            annotations=lambda: catalogue.rows(AnnotationRow),
             store=done.append,
         )
         result = order.carry_out_stored(test)
@@ -61,7 +61,7 @@ def carry_out_unattended(
         transaction.order = CommandRow(
             id=0,
             wall_utc_ns=now_ns,
-            author=author,
+            author=order.author,
             kind=order.kind,
             arguments=order.arguments.model_dump(),
             state="done",

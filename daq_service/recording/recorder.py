@@ -29,6 +29,7 @@ from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AnnotationRow
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
@@ -147,6 +148,7 @@ class Recorder:
             moment=self._moment,
             stop=stop,
             alarms=self._ledger.alarms,
+            annotations=lambda: catalogue.rows(AnnotationRow),
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             positions=settings.names_of(SOLITARY_WAVE),

@@ -22,6 +22,7 @@ from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
+    annotation,
     audit,
     environment,
     features,
@@ -61,6 +62,7 @@ RESOURCES = (
     waveforms,
     environment,
     alarms,
+    annotation,
     orders,
     stream,
     session,

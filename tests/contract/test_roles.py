@@ -23,7 +23,14 @@ CALLS = {
 }
 SAMPLES = {"position": "B", "name": "nobody"}
 ALARM, POSITION = {"alarm_id": 1}, {"position": "B"}
-ARGUMENTS = {"acknowledge_alarm": ALARM, "retire": POSITION, "reinstate": POSITION, "hold": {"note": "why"}}
+ARGUMENTS = {
+    "acknowledge_alarm": ALARM,
+    "annotate": {"from_h": 1.0, "text": "a note"},
+    "withdraw_annotation": {"annotation_id": 7},
+    "retire": POSITION,
+    "reinstate": POSITION,
+    "hold": {"note": "why"},
+}
 
 
 @pytest.fixture(scope="module")

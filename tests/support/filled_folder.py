@@ -15,6 +15,7 @@ from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
@@ -24,7 +25,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
-from daq_service.judgement.transaction import shot_row
+from daq_service.judgement.transaction import Transaction, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
@@ -290,6 +291,23 @@ class FilledFolder:
             payload=payload,
         )
         self.catalogue.commit_set(SetCommit(environment=[row], events=[event]))
+
+    def annotate(
+        self, from_h: float, text: str, *, to_h: float | None = None, position: str | None = None
+    ) -> int:
+        """Note something, as the recorder does."""
+        row = AnnotationRow(
+            position=position,
+            from_h=from_h,
+            to_h=from_h if to_h is None else to_h,
+            text=text,
+            author="ann",
+            written_utc_ns=self.due[0].due_utc_ns,
+        )
+        transaction = Transaction()
+        now = Moment(utc_ns=row.written_utc_ns, due_h=from_h, set_index=None)
+        transaction.annotate(row, "annotation_added", now)
+        return self.catalogue.commit_set(transaction).annotation_ids[0]
 
     def show(self, records, hour: float) -> None:
         """Replace the live pictures, as often as a test wants."""

@@ -18,6 +18,9 @@ ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
     ("B", 3, 0): ("reinstate", {"position": "C"}),
     ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
     ("B", 10, 0): ("reinstate", {"position": "D"}),
+    ("C", 10, 0): ("annotate", {"from_h": 4.0, "to_h": 5.0, "position": "B", "text": "couplant renewed"}),
+    ("C", 10, 1): ("annotate", {"from_h": 3.0, "text": "door slammed"}),
+    ("C", 11, 0): ("withdraw_annotation", {"annotation_id": 1}),
     ("B", 11, 0): ("acknowledge_alarm", {"alarm_id": 2, "note": "seen"}),
 }
 
@@ -71,4 +74,5 @@ def lived(folder: Path) -> Line:
         states = {row.state for row in rows}
     assert states == {"done", "partial", "missed", "retired"}
     assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    assert {"annotation_added", "annotation_withdrawn"} <= kinds
     return line

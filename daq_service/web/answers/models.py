@@ -181,6 +181,20 @@ class AlarmPage(Page):
     items: list[AlarmRow]
 
 
+@_of_row(rows.AnnotationRow)
+class AnnotationRow(Answer):
+    """What a person noted of an hour of the test, or of a range."""
+
+    from_utc: str
+    to_utc: str
+
+
+class AnnotationPage(Page):
+    """Annotations in order."""
+
+    items: list[AnnotationRow]
+
+
 @_of_row(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """What supply and climate probe said around a set; null where nothing was heard."""

@@ -13,6 +13,7 @@ import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
 import { admitted } from "./login.js";
+import { SolimonNotes } from "./notes.js";
 import { order } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
@@ -27,6 +28,7 @@ customElements.define("solimon-chart", SolimonChart);
 customElements.define("solimon-waveform", SolimonWaveform);
 customElements.define("solimon-alarms", SolimonAlarms);
 customElements.define("solimon-set", SolimonSet);
+customElements.define("solimon-notes", SolimonNotes);
 
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
@@ -36,6 +38,7 @@ let noticeTimer;
 
 const waveform = /** @type {SolimonWaveform} */ (byId("waveform"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
+const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "" };
 
@@ -49,6 +52,7 @@ const board = new Board(
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
     timeline,
     open: openSet,
+    note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
     table: (id, shown) => address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
   },
   (feature) => address.go({ feature }),
@@ -70,6 +74,11 @@ const panelHost = {
   go: (part, how) => address.go(part, how),
 };
 panel.host = panelHost;
+notes.host = {
+  span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
+  positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
+  show: ([from_h, to_h]) => address.go({ from_h, to_h }),
+};
 
 // ---- what is shown ----------------------------------------------------------------------------
 
@@ -153,9 +162,10 @@ function onColumns() {
   panel.update();
 }
 
-/** @param {{alarms?: any[], transducers?: any, environment?: any, info?: boolean}} news */
-function onRead({ alarms, transducers, environment, info }) {
+/** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
+function onRead({ alarms, notes: noted, transducers, environment, info }) {
   if (alarms) alarmList.update(alarms);
+  if (noted) notes.update(noted);
   if (info) {
     asked.show(reading.info.asked);
     showInfo();
@@ -286,6 +296,7 @@ byId("finish").addEventListener("click", async () => {
   }
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
+notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 setInterval(() => tiles.tick(), 1000);
 // Where no recorder runs no event comes, and the supply's own process may switch off.

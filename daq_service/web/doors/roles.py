@@ -44,6 +44,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_latest_environment": "viewer",
     "list_alarms": "viewer",
     "get_alarm": "viewer",
+    "list_annotations": "viewer",
     "stream_events": "viewer",
     "get_command": "viewer",
     "list_tables": "viewer",
@@ -53,6 +54,8 @@ OPERATIONS: Mapping[str, Role | None] = {
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
+    "create_annotation": "operator",
+    "withdraw_annotation": "operator",
     # Who may do all this, and who did.
     "list_tokens": "admin",
     "create_token": "admin",
@@ -61,6 +64,8 @@ OPERATIONS: Mapping[str, Role | None] = {
 }
 ORDERS: Mapping[str, Role] = {
     "acknowledge_alarm": "operator",
+    "annotate": "operator",
+    "withdraw_annotation": "operator",
     "hold": "operator",
     "release": "operator",
     "retire": "engineer",

@@ -12,7 +12,7 @@ from starlette.responses import Response
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, values
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
 from daq_service.errors import BusyError, StorageError
 from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
@@ -20,6 +20,8 @@ from daq_service.orders.kinds import (
     LARGEST_ID,
     AcknowledgeAlarm,
     AlarmArguments,
+    Annotate,
+    AnnotationArguments,
     AnyOrder,
     Author,
     DeskOrder,
@@ -27,6 +29,8 @@ from daq_service.orders.kinds import (
     Order,
     OrderRefusedError,
     Strict,
+    WithdrawalArguments,
+    WithdrawAnnotation,
 )
 from daq_service.orders.unattended import carry_out_unattended
 from daq_service.processes.data_folder import is_owned
@@ -46,6 +50,18 @@ class Acknowledgement(Strict):
 
     author: Author = "operator"
     note: str = Field(default="", max_length=2000)
+
+
+class Annotation(AnnotationArguments):
+    """Body of an annotation."""
+
+    author: Author = "operator"
+
+
+class Withdrawal(Strict):
+    """Body of a withdrawal."""
+
+    author: Author = "operator"
 
 
 ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
@@ -84,6 +100,40 @@ def acknowledge_alarm(
     return _audited(context, request, person, order)
 
 
+@router.post(
+    "/annotations",
+    operation_id="create_annotation",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def create_annotation(body: Annotation, context: ContextOf, request: Request, person: PersonOf) -> Response:
+    """Note something of an hour of the test, or of a range; the same as the command `annotate`."""
+    arguments = AnnotationArguments(**body.model_dump(exclude={"author"}))
+    order = Annotate(kind="annotate", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/annotations/{annotation_id}/withdraw",
+    operation_id="withdraw_annotation",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def withdraw_annotation(
+    annotation_id: Annotated[int, Path(ge=1, le=LARGEST_ID)],
+    body: Withdrawal,
+    context: ContextOf,
+    request: Request,
+    person: PersonOf,
+) -> Response:
+    """Take an annotation back; it stays stored, with who withdrew it."""
+    arguments = WithdrawalArguments(annotation_id=annotation_id)
+    order = WithdrawAnnotation(kind="withdraw_annotation", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
 @router.get(
     "/commands/{command_id}",
     operation_id="get_command",
@@ -103,7 +153,8 @@ def _audited(context: Context, request: Request, person: Person, order: Order) -
     try:
         if not person.may(ORDERS.get(order.kind, "admin")):
             raise role_too_low(person, order.kind, ORDERS.get(order.kind, "admin"))
-        command_id, result = _given(context, order, person.name or order.author)
+        order = order.model_copy(update={"author": person.name or order.author})
+        command_id, result = _given(context, order)
     except (Problem, StorageError) as refusal:
         tell("refused", str(refusal))
         raise
@@ -113,27 +164,27 @@ def _audited(context: Context, request: Request, person: Person, order: Order) -
     )
 
 
-def _given(context: Context, order: Order, author: str) -> tuple[int, Result]:
+def _given(context: Context, order: Order) -> tuple[int, Result]:
     """Write an order that nothing forbids, or carry it out where nobody records; its id, and which."""
     catalogue = context.catalogue()
     try:
         if isinstance(order, DeskOrder) and is_owned(context.data_folder) is False:
             with suppress(BusyError):  # a recorder has come meanwhile: it is given the order
-                return _carried_out(context, order, author), "done"
+                return _carried_out(context, order), "done"
         order.refuse_forbidden(_facts(context, catalogue))
     except OrderRefusedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
-    return catalogue.add_command(author, order.kind, order.arguments.model_dump()), "accepted"
+    return catalogue.add_command(order.author, order.kind, order.arguments.model_dump()), "accepted"
 
 
-def _carried_out(context: Context, order: DeskOrder, author: str) -> int:
+def _carried_out(context: Context, order: DeskOrder) -> int:
     def moment() -> Moment:
         now = context.freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
 
     facts = partial(_facts, context)
-    return carry_out_unattended(context.data_folder, order, author, facts=facts, moment=moment)
+    return carry_out_unattended(context.data_folder, order, facts=facts, moment=moment)
 
 
 def _facts(context: Context, catalogue: Catalogue) -> Facts:
@@ -145,6 +196,8 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
         positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
         alarms=catalogue.rows(AlarmRow),
+        places=catalogue.position_names(),
+        annotations=catalogue.rows(AnnotationRow),
     )
 
 

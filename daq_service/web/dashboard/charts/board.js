@@ -2,6 +2,7 @@
 
 import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
+import { notesOn } from "../notes.js";
 import { isFeature, wordOf } from "./features.js";
 import { baselineMean, colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
 
@@ -142,7 +143,7 @@ export class Board {
     const baseline = { from_h: 0, to_h: info.schedule.baseline_h, word: "baseline", tone: "good" };
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
-    return { ranges: [baseline, ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
+    return { ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */

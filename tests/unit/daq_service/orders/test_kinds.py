@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from daq_service.catalogue.rows import AlarmRow, AlarmState
+from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
 from daq_service.errors import UsageError
 from daq_service.orders.kinds import KINDS, AnyOrder, DeskOrder, Facts, Order, read_order
 
@@ -42,9 +42,17 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "acknowledge_alarm": {"alarm_id": 7},
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
+    "annotate": {"from_h": 1.0, "position": "A", "text": "couplant renewed"},
+    "withdraw_annotation": {"annotation_id": 3},
 }
 DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_doubted")
-OPEN = {"alarms": [alarm("unacknowledged", position="C"), DOUBTED], "held": ""}
+NOTED = AnnotationRow(id=3, from_h=1.0, to_h=1.0, text="dropped a spanner", author="ben", written_utc_ns=0)
+OPEN = {
+    "alarms": [alarm("unacknowledged", position="C"), DOUBTED],
+    "held": "",
+    "places": ("A", "B", "C"),
+    "annotations": [NOTED],
+}
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -55,9 +63,10 @@ def test_what_nothing_forbids_is_carried_out(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("word", ["finished", "stopped"])
-def test_a_recorder_that_has_ended_is_given_acknowledgements_only(kind: str, word: str) -> None:
-    refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**OPEN, recorder=word))
-    if kind == "acknowledge_alarm":
+def test_a_recorder_that_has_ended_is_given_what_changes_rows_only(kind: str, word: str) -> None:
+    given = order(kind, **ARGUMENTS.get(kind, {}))
+    refusal = given.forbidden(facts(**OPEN, recorder=word))
+    if isinstance(given, DeskOrder):
         assert refusal is None
     else:
         assert refusal is not None

@@ -12,7 +12,7 @@ from support.begun_experiment import begun_catalogue
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -62,6 +62,7 @@ class Bench:
             moment=lambda: Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None),
             stop=self.stop,
             alarms=self.ledger.alarms,
+            annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
             reinstated=self.ledger.reinstated,
             positions=("B", "C", "D"),

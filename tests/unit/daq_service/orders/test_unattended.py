@@ -51,7 +51,7 @@ def facts(catalogue: Catalogue) -> Facts:
 def acknowledge(folder: Path, alarm_id: int = 1) -> int:
     order = read_order("acknowledge_alarm", "ann", {"alarm_id": alarm_id, "note": "seen"})
     assert isinstance(order, DeskOrder)
-    return carry_out_unattended(folder, order, "ann", facts=facts, moment=lambda: NOW)
+    return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
 
 
 def test_an_acknowledgement_is_stored_with_its_order_its_event_and_its_history(tmp_path: Path) -> None:
