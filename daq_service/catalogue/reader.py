@@ -78,13 +78,15 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations:
-    any of their hours), ``withdrawn`` annotations or the others, ``first_set <= set_index <= last_set``.
+    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations
+    any of their hours, of alarms when they were raised), ``withdrawn`` annotations or the others,
+    ``first_set <= set_index <= last_set``.
     """
 
     position: str | None
     set_index: int | None
     state: str | None
+    severity: str | None
     states: Collection[str] | None
     scope: Scope | None
     active: bool | None
@@ -100,6 +102,8 @@ class Filters(TypedDict, total=False):
     after_id: int | None
 
 
+_HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
+"""First and last hour of what belongs to no set."""
 _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
@@ -108,13 +112,13 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (
-        table.c.to_h >= hour
-        if table is annotated
+        table.c[_HOURS[table][1]] >= hour
+        if table in _HOURS
         else (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
-        table.c.from_h <= hour
-        if table is annotated
+        table.c[_HOURS[table][0]] <= hour
+        if table in _HOURS
         else (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
     ),
     "withdrawn": lambda table, withdrawn: (

@@ -22,6 +22,7 @@ LimitName = Literal["f_predictive", "paper_mean_3sd"]
 Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+Suppression = Literal["shelved", "out_of_service"]
 CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "stale", "lost", "absent"]
@@ -222,6 +223,13 @@ class AlarmRow(Row):
     note: str | None = None
     message: str
     proof: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
+    suppressed: Annotated[
+        Suppression | None, "A person does not want to be told: `shelved` for a while, or `out_of_service`"
+    ] = None
+    suppressed_by: str | None = None
+    suppressed_because: str | None = None
+    shelved_until_utc_ns: Annotated[int | None, "On the experiment's clock"] = None
+    shelved_until_wall_utc_ns: Annotated[int | None, "In real time; whichever comes first ends it"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,17 +1,16 @@
 """Orders to a running test: of each kind its arguments, what forbids it, and what it does.
 
 The web and the command line check the arguments; the web asks `Order.forbidden` of what is stored, the
-recorder of what is so now, and only the recorder carries an order out. A new kind is a class here and a name
-in `AnyOrder`.
+recorder of what is so now. A new kind is a class here, or in a module beside, and a name in `every.AnyOrder`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.states import (
@@ -25,7 +24,6 @@ from daq_service.alarms.states import (
 )
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.clock import SimulatedClock, WallClock
-from daq_service.errors import UsageError
 
 if TYPE_CHECKING:
     from daq_service.orders.running_test import RunningTest, StoredTest
@@ -500,40 +498,3 @@ class SupplyOff(_SupplyOrder):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         return test.switch.supply_off(self.author, test.moment().due_h)
-
-
-AnyOrder = Annotated[
-    FinishNow
-    | Stop
-    | AcknowledgeAlarm
-    | Hold
-    | Release
-    | TrustClock
-    | Retire
-    | Reinstate
-    | SupplyOn
-    | SupplyOff
-    | Annotate
-    | WithdrawAnnotation,
-    Field(discriminator="kind"),
-]
-KINDS: Mapping[str, type[Order]] = {
-    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyOrder)[0])
-}
-
-
-def read_order(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
-    """Check an order that is no JSON of the web.
-
-    Raises
-    ------
-    UsageError
-        An unknown kind, or what is wrong with its author or arguments.
-    """
-    if kind not in KINDS:
-        raise UsageError(f"unknown order {kind!r}; there are {', '.join(KINDS)}")
-    try:
-        return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
-    except ValidationError as error:
-        wrong = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
-        raise UsageError("; ".join(wrong)) from error

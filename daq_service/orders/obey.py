@@ -17,7 +17,8 @@ from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
 from daq_service.errors import StorageError, UsageError
 from daq_service.orders.deadline import as_it_stands, expired_because, left_now_s
-from daq_service.orders.kinds import Facts, read_order
+from daq_service.orders.every import read_order
+from daq_service.orders.kinds import Facts
 from daq_service.orders.running_test import RunningTest
 from hardware_drivers.nanoseconds import NS_PER_S
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from daq_service.alarms.states import Change, Moment
+from daq_service.alarms.states import Change, Moment, as_it_stands
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.judgement.transaction import Transaction
 from hardware_drivers.instruments import Clock
@@ -62,6 +63,11 @@ class StoredTest:
         transaction = Transaction()
         transaction.annotate(row, kind, self.moment())
         self.store(transaction)
+
+    def alarm(self, alarm_id: int) -> AlarmRow:
+        """Tell a current alarm, as it stands now."""
+        (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
+        return as_it_stands(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:
         """Store what became of alarms, together."""

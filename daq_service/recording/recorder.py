@@ -573,13 +573,17 @@ class Recorder:
         self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._kept.trouble is None:
-            self._kept.do(self._orders.listen)
+            self._kept.do(self._hear)
         else:
             with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
-                self._orders.listen()
+                self._hear()
         if self._ledger.drive is not None:
             self._ledger.drive.tick(self._hour())
         return not self._stop.is_set()
+
+    def _hear(self) -> None:
+        self._orders.listen()
+        self._ledger.expire_shelves(self._moment())
 
     def _moment(self) -> Moment:
         return Moment(utc_ns=self._rig.clock.utc_ns(), due_h=self._hour(), set_index=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from analysis.waves.features import extract_features
 from daq_service.acquisition.schedule import plan
-from daq_service.alarms.states import Change, Moment, acknowledge, reset
+from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
@@ -355,6 +356,12 @@ class FilledFolder:
             payload={},
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
+
+    def shelve(self, alarm_id: int, because: str, *, for_h: float) -> None:
+        """Shelve an alarm, as the recorder does, from when it was raised and from now on."""
+        row = self.catalogue.alarm(alarm_id)
+        moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
+        self._change(shelve(row, "ann", because, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""

@@ -32,6 +32,7 @@ customElements.define("solimon-notes", SolimonNotes);
 
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
+const SHELF_MS = 30_000;
 const THEME_KEY = "solimon-theme";
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
@@ -299,6 +300,8 @@ alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} 
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 setInterval(() => tiles.tick(), 1000);
+// A shelf ends in real time, too: where nobody records, no event says so.
+setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
 showTheme();

@@ -98,6 +98,11 @@ export class Reading {
     this.dirty.gaps.add(position);
   }
 
+  readAlarms() {
+    this.dirty.alarms = true;
+    this.schedule();
+  }
+
   /** Another feature is to be drawn. @param {string} feature */
   choose(feature) {
     if (feature === this.feature) return;

@@ -44,6 +44,8 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_latest_environment": "viewer",
     "list_alarms": "viewer",
     "get_alarm": "viewer",
+    "get_alarm_history": "viewer",
+    "list_guidance": "viewer",
     "list_annotations": "viewer",
     "stream_events": "viewer",
     "get_command": "viewer",
@@ -54,6 +56,10 @@ OPERATIONS: Mapping[str, Role | None] = {
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
+    "shelve_alarm": "operator",
+    "unshelve_alarm": "operator",
+    "take_alarm_out_of_service": "engineer",
+    "return_alarm_to_service": "engineer",
     "create_annotation": "operator",
     "withdraw_annotation": "operator",
     # Who may do all this, and who did.
@@ -64,6 +70,10 @@ OPERATIONS: Mapping[str, Role | None] = {
 }
 ORDERS: Mapping[str, Role] = {
     "acknowledge_alarm": "operator",
+    "shelve_alarm": "operator",
+    "unshelve_alarm": "operator",
+    "take_out_of_service": "engineer",
+    "return_to_service": "engineer",
     "annotate": "operator",
     "withdraw_annotation": "operator",
     "hold": "operator",

@@ -16,13 +16,13 @@ from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
 from daq_service.errors import BusyError, StorageError
 from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
+from daq_service.orders.every import AnyOrder
 from daq_service.orders.kinds import (
     LARGEST_ID,
     AcknowledgeAlarm,
     AlarmArguments,
     Annotate,
     AnnotationArguments,
-    AnyOrder,
     Author,
     DeskOrder,
     Facts,
@@ -31,6 +31,16 @@ from daq_service.orders.kinds import (
     Strict,
     WithdrawalArguments,
     WithdrawAnnotation,
+)
+from daq_service.orders.suppressing import (
+    OutOfServiceArguments,
+    Reason,
+    ReturnToService,
+    ShelfArguments,
+    ShelfHours,
+    ShelveAlarm,
+    TakeOutOfService,
+    UnshelveAlarm,
 )
 from daq_service.orders.unattended import carry_out_unattended
 from daq_service.processes.data_folder import is_owned
@@ -45,11 +55,29 @@ from hardware_drivers.methods import SOLITARY_WAVE
 router = APIRouter(tags=["commands"])
 
 
+AlarmId = Annotated[int, Path(ge=1, le=LARGEST_ID)]
+
+
 class Acknowledgement(Strict):
     """Body of an acknowledgement."""
 
     author: Author = "operator"
     note: str = Field(default="", max_length=2000)
+
+
+class Shelving(Strict):
+    """Body of a shelving."""
+
+    author: Author = "operator"
+    for_h: ShelfHours
+    reason: Reason
+
+
+class OutOfService(Strict):
+    """Body of taking an alarm out of service."""
+
+    author: Author = "operator"
+    reason: Reason
 
 
 class Annotation(AnnotationArguments):
@@ -88,7 +116,7 @@ def create_command(command: AnyOrder, context: ContextOf, request: Request, pers
     responses=ACCEPTED,
 )
 def acknowledge_alarm(
-    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)],
+    alarm_id: AlarmId,
     body: Acknowledgement,
     context: ContextOf,
     request: Request,
@@ -97,6 +125,70 @@ def acknowledge_alarm(
     """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
     arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
     order = AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/shelve",
+    operation_id="shelve_alarm",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def shelve_alarm(
+    alarm_id: AlarmId, body: Shelving, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told nothing of an alarm for a while; the same as the command `shelve_alarm`."""
+    arguments = ShelfArguments(alarm_id=alarm_id, for_h=body.for_h, reason=body.reason)
+    order = ShelveAlarm(kind="shelve_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/unshelve",
+    operation_id="unshelve_alarm",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def unshelve_alarm(
+    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told of a shelved alarm again; the same as the command `unshelve_alarm`."""
+    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
+    order = UnshelveAlarm(kind="unshelve_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/out-of-service",
+    operation_id="take_alarm_out_of_service",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def take_alarm_out_of_service(
+    alarm_id: AlarmId, body: OutOfService, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told nothing of an alarm until it is returned; the same as the command `take_out_of_service`."""
+    arguments = OutOfServiceArguments(alarm_id=alarm_id, reason=body.reason)
+    order = TakeOutOfService(kind="take_out_of_service", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/return-to-service",
+    operation_id="return_alarm_to_service",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def return_alarm_to_service(
+    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told again of an alarm that was out of service; the same as the command `return_to_service`."""
+    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
+    order = ReturnToService(kind="return_to_service", author=body.author, arguments=arguments)
     return _audited(context, request, person, order)
 
 
@@ -195,7 +287,7 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
         held=catalogue.held() or "",
         positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
-        alarms=catalogue.rows(AlarmRow),
+        alarms=list(map(context.freshness().standing, catalogue.rows(AlarmRow))),
         places=catalogue.position_names(),
         annotations=catalogue.rows(AnnotationRow),
     )

@@ -7,7 +7,8 @@ from pydantic import TypeAdapter, ValidationError
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
 from daq_service.errors import UsageError
-from daq_service.orders.kinds import KINDS, AnyOrder, DeskOrder, Facts, Order, read_order
+from daq_service.orders.every import KINDS, AnyOrder, read_order
+from daq_service.orders.kinds import DeskOrder, Facts, Order
 
 
 def facts(**values: object) -> Facts:
@@ -42,13 +43,19 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "acknowledge_alarm": {"alarm_id": 7},
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
+    "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
+    "unshelve_alarm": {"alarm_id": 9},
+    "take_out_of_service": {"alarm_id": 7, "reason": "sensor is being repaired"},
+    "return_to_service": {"alarm_id": 10},
     "annotate": {"from_h": 1.0, "position": "A", "text": "couplant renewed"},
     "withdraw_annotation": {"annotation_id": 3},
 }
 DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_doubted")
 NOTED = AnnotationRow(id=3, from_h=1.0, to_h=1.0, text="dropped a spanner", author="ben", written_utc_ns=0)
+SHELVED = replace(alarm("acknowledged", alarm_id=9, kind="wall_change"), suppressed="shelved")
+OUT_OF_SERVICE = replace(alarm("acknowledged", alarm_id=10, kind="thickness"), suppressed="out_of_service")
 OPEN = {
-    "alarms": [alarm("unacknowledged", position="C"), DOUBTED],
+    "alarms": [alarm("unacknowledged", position="C"), DOUBTED, SHELVED, OUT_OF_SERVICE],
     "held": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],

@@ -14,7 +14,8 @@ from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
 from daq_service.errors import BusyError
 from daq_service.judgement.transaction import Transaction
-from daq_service.orders.kinds import DeskOrder, Facts, OrderRefusedError, read_order
+from daq_service.orders.every import read_order
+from daq_service.orders.kinds import DeskOrder, Facts, OrderRefusedError
 from daq_service.orders.unattended import carry_out_unattended
 from daq_service.processes.data_folder import own_data_folder
 

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.orders.audit import read_audit
 from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H
 
 
 @pytest.fixture
@@ -90,3 +92,65 @@ def test_a_folder_that_cannot_be_written_is_served_and_says_so(ended, monkeypatc
     assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
     assert LOCK_FILE in refused.json()["detail"]
     assert api.get("/api/v1/alarms/1").json()["state"] == "unacknowledged"
+
+
+def shelve(api, **body):
+    given = {"author": "Ada", "for_h": 8.0, "reason": "known", **body}
+    return api.post("/api/v1/alarms/1/shelve", json=given)
+
+
+def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
+    _, api = ended
+    assert shelve(api).json()["state"] == "done"
+    alarm = api.get("/api/v1/alarms/1").json()
+    told = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
+    assert told == ("unacknowledged", "shelved", "Ada")
+    assert alarm["shelved_until_utc"] == "2024-01-01T09:00:00Z"
+    place = api.get("/api/v1/transducers/B").json()
+    assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "learning")
+    assert place["shelved_until_utc"] == "2024-01-01T09:00:00Z"
+    assert 'state="unacknowledged",suppressed="shelved"} 1' in api.get("/metrics").text
+    assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "done"
+    answer = api.post("/api/v1/alarms/1/unshelve", json={"author": "ben", "note": "mended"})
+    assert answer.json()["state"] == "done"
+    assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
+    history = api.get("/api/v1/alarms/1/history").json()["items"]
+    assert [(row["kind"], row["who"], row["why"]) for row in history[1:]] == [
+        ("alarm_shelved", "Ada", "known"),
+        ("alarm_acknowledged", "operator", ""),
+        ("alarm_unshelved", "ben", "mended"),
+    ]
+
+
+def test_a_shelf_ends_in_real_time_though_nobody_records(ended, monkeypatch):
+    _, api = ended
+    shelve(api, for_h=8.0)
+    later_ns = time.time_ns() + 9 * NS_PER_H
+    monkeypatch.setattr("daq_service.processes.freshness.time.time_ns", lambda: later_ns)
+    assert api.get("/api/v1/alarms/1").json()["suppressed"] is None
+    assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
+    refused = api.post("/api/v1/alarms/1/unshelve", json={})
+    assert (refused.status_code, refused.json()["detail"]) == (409, "Alarm 1 is not shelved.")
+    assert shelve(api).json()["state"] == "done"
+
+
+@pytest.mark.parametrize("body", [{"for_h": 0.0}, {"for_h": 73.0}, {"reason": " "}, {"for_h": "inf"}])
+def test_a_shelf_has_an_end_and_a_reason(ended, body):
+    _, api = ended
+    assert shelve(api, **body).status_code == 422
+    assert api.get("/api/v1/alarms/1").json()["suppressed"] is None
+
+
+def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
+    filled, api = ended
+    again = FilledFolder(filled.folder, filled.settings, begun=True)
+    again.add_alarm("C", 0, severity="low", kind="no_data", state="acknowledged")
+    again.close()
+
+    def found(query):
+        return [row["id"] for row in api.get(f"/api/v1/alarms?{query}").json()["items"]]
+
+    assert found("") == [1, 2]
+    assert found("state=acknowledged") == found("severity=low") == found("kind=no_data") == [2]
+    assert found("from_h=0.9") == found("severity=high&position=B") == [1]
+    assert found("from_h=0.5&to_h=1.0") == [2]
