@@ -1,7 +1,8 @@
 """The web service under load: small answers, many streams, many that come back at once, frozen readers.
 
 A process of its own serves a new data folder; this one writes events through the catalogue and reads with
-plain sockets, so the load shares the cores with the service::
+plain sockets, so the load shares the cores with the service. The last part records on the twin in real time,
+and shows what streams do to its strikes::
 
     python benchmarks/event_stream.py [--clients 1000] [--rate 4] [--seconds 10] [--json]
 
@@ -30,7 +31,7 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.catalogue import SetCommit, open_catalogue
-from daq_service.catalogue.rows import EventRow
+from daq_service.catalogue.rows import EventRow, ShotRow
 
 SERVER = """
 import asyncio, json, os, socket, sys, threading
@@ -81,6 +82,7 @@ ID = re.compile(rb"^id: (\d+)$", re.MULTILINE)
 STORED_EVENTS, FROZEN, SMALL_REQUESTS = 5000, 200, 200
 LOOK_EVERY_S = 0.01
 LARGEST_STREAM_BYTES = 2**26
+STRUCK_S, SHOTS, SHOT_INTERVAL_S = 60, 7, 0.05
 
 
 @dataclass(frozen=True)
@@ -260,6 +262,61 @@ async def lost_by_those_who_come_back(port: int, clients: int) -> int:
     return sum(await asyncio.gather(*(resume() for _ in range(clients))))
 
 
+def strikes(clients: int) -> dict[str, float]:
+    """How far strikes of a recorder (of the twin, in real time) are from their times, beside streams.
+
+    A set each second of `SHOTS` strikes; the first sets, in which kernels are compiled, are left out.
+    """
+    second_h = 1.0 / 3600.0
+    schedule = {
+        "phases": [{"until_h": STRUCK_S * second_h, "interval_h": second_h}],
+        "shots_per_set": SHOTS,
+        "shot_interval_s": SHOT_INTERVAL_S,
+    }
+    test = {"clock": {"kind": "wall"}, "positions": {"B": {"method": "solitary_wave"}}, "schedule": schedule}
+    with tempfile.TemporaryDirectory() as name:
+        config, folder = Path(name, "test.json"), Path(name, "data")
+        config.write_text(json.dumps(test), encoding="utf-8")
+        command = [sys.executable, "-m", "daq_service.cli", "record", str(config), "--data-dir", str(folder)]
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as recorder:
+            while not (folder / "catalogue.sqlite").exists():
+                if recorder.poll() is not None:
+                    raise SystemExit(f"the recorder ended with {recorder.returncode}")
+                time.sleep(LOOK_EVERY_S)
+            with service(folder) as served:
+                asyncio.run(_listen_until(recorder, served.port, clients))
+        with open_catalogue(folder) as catalogue:
+            rows = catalogue.rows(ShotRow)
+    begun_ns = {row.set_index: row.mono_ns for row in rows if row.shot_index == 0}
+    off_ms = [
+        abs((row.mono_ns - begun_ns[row.set_index]) / 1e6 - 1e3 * SHOT_INTERVAL_S * row.shot_index)
+        for row in rows
+        if row.shot_index and row.set_index in begun_ns and row.set_index >= STRUCK_S // 2
+    ]
+    return {
+        "clients": clients,
+        "strikes": len(off_ms),
+        "p50_ms": round(statistics.median(off_ms), 2),
+        "p99_ms": round(percentile(off_ms, 0.99), 2),
+    }
+
+
+async def _listen_until(recorder: subprocess.Popen[bytes], port: int, clients: int) -> None:
+    """Read many streams and throw away what they tell, until the recorder has ended."""
+    opened = [await ask(port, "/api/v1/stream") for _ in range(clients)]
+
+    async def read(reader: asyncio.StreamReader) -> None:
+        while await reader.read(65536):
+            pass
+
+    readers = [asyncio.create_task(read(reader)) for reader, _ in opened]
+    await asyncio.to_thread(recorder.wait)
+    for task in readers:
+        task.cancel()
+    for _, writer in opened:
+        writer.close()
+
+
 def measured(folder: Path, options: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
     """Everything that `main` prints."""
     found: dict[str, Any] = {}
@@ -314,12 +371,16 @@ def main() -> None:
                 found["come_back"][f"{frozen} frozen"] = asyncio.run(
                     come_back(served, options.clients, frozen)
                 )
+    found["strikes_off_their_times"] = {}
+    for clients in (0, options.clients):
+        tell(f"strikes beside {clients} streams")
+        found["strikes_off_their_times"][f"{clients}"] = strikes(clients)
     if options.json:
         print(json.dumps(found))
         return
     for part, values in found.items():
         for name, value in values.items() if isinstance(values, dict) else [("", values)]:
-            print(f"{part:<18}{name:<12}{value}")
+            print(f"{part:<25}{name:<12}{value}")
 
 
 def begin(folder: Path) -> None:

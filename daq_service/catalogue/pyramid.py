@@ -17,7 +17,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, delete, func, insert, select
+from sqlalchemy import Connection, bindparam, delete, func, insert, select
 
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
 from analysis.statistics.trend import PART, joined_part, parts_of_points
@@ -229,14 +229,17 @@ def _store(
         connection.execute(insert(trend_blocks), [storable(row) for row in rows])
 
 
+# Built once: building it costs more than asking.
+_NEWEST = (
+    select(sets.c.set_index, sets.c.method)
+    .where(sets.c.position == bindparam("position"))
+    .order_by(sets.c.set_index.desc())
+    .limit(1)
+)
+
+
 def _place_of(connection: Connection, position: str) -> _Place | None:
-    newest = (
-        select(sets.c.set_index, sets.c.method)
-        .where(sets.c.position == position)
-        .order_by(sets.c.set_index.desc())
-        .limit(1)
-    )
-    found = connection.execute(newest).first()
+    found = connection.execute(_NEWEST, {"position": position}).first()
     if found is None:
         return None
     return _Place(position=position, kind=MEASURED_BY[found.method], end=found.set_index + 1)
@@ -278,10 +281,11 @@ def update_trends(
         place = _place_of(connection, position)
         if place is None:
             continue
-        changed = {*indices, last_before.get(position, 0)}
+        n_before = last_before.get(position, -1) + 1
         for pyramid in _PYRAMIDS:
             for width in pyramid.widths(place.end):
-                blocks = sorted({index // width for index in changed})
+                unfinished = {n_before // width} if n_before % width else set()
+                blocks = sorted({index // width for index in indices} | unfinished)
                 for first, end in _runs([block for block in blocks if (block + 1) * width <= place.end]):
                     try:
                         _store(connection, pyramid, place, width, first * width, end * width)
@@ -373,13 +377,21 @@ def _asked(connection: Connection, position: str, hours: tuple[float | None, flo
 
 
 def trend_bins(
-    catalogue: Catalogue, position: str, *, first_h: float | None, last_h: float | None, points: int
+    catalogue: Catalogue,
+    position: str,
+    *,
+    first_h: float | None,
+    last_h: float | None,
+    points: int,
+    most_bins: int,
 ) -> tuple[int, NDArray[np.void]] | None:
     """Bins over the sets of a position that are due between two hours, both included (None: any).
 
     Parameters
     ----------
     points
+        How many sets make bins unnecessary.
+    most_bins
         How many bins at most.
 
     Returns
@@ -393,7 +405,7 @@ def trend_bins(
             return None
         place, first, end = asked
         width = _CHARTS.finest
-        while (end - 1) // width - first // width >= points:
+        while (end - 1) // width - first // width >= most_bins:
             width *= 2
         pieces = _covering(connection, _CHARTS, place, first, end, max(_CHARTS.widths(width)))
     _, bins = _joined(_CHARTS, _concatenated(pieces), width)

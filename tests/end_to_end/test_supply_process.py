@@ -14,6 +14,8 @@ from typing import Any
 
 import pytest
 from support.notify_socket import notify_socket
+from support.offered_kinds import offer
+from support.scripted_kinds import OFFERED
 from support.small_experiment import RigOpener, disturbed_rig, small_settings
 from support.stepped_clock import SteppedClock
 from support.waiting import ended, until
@@ -38,6 +40,7 @@ from daq_service.processes.data_folder import (
 from daq_service.processes.heartbeat import read_heartbeat
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
+from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
@@ -50,6 +53,11 @@ pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "avai
 SECOND_H = 1.0 / 3600.0
 SETS = 4
 WATCHED_S, UNWATCHED_S = 600.0, 1.0
+IDENTITY = "SOLIMON,DC SUPPLY DOUBLE"
+
+
+def line_of(instruments: SerialInstruments) -> dict[str, str | float]:
+    return {"port": str(instruments.supply_link.path), "reply_timeout_s": 5.0}
 
 
 def settings_of(
@@ -67,13 +75,36 @@ def settings_of(
         baseline={"hours": 100.0},
         rig={
             "supply": {
-                "line": {"port": str(instruments.supply_link.path), "reply_timeout_s": 5.0},
-                "identity": "SOLIMON,DC SUPPLY DOUBLE",
+                "line": line_of(instruments),
+                "identity": IDENTITY,
                 "log_interval_s": 0.2,
                 "off_at_end": off_at_end,
                 "unwatched_s": unwatched_s,
             }
         },
+    )
+
+
+def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> Settings:
+    """Instruments of another package at B, and a supply that speaks text as the drive of a mixed rig."""
+    plain = settings_of(instruments, unwatched_s=unwatched_s, off_at_end=True, sets=600)
+    return with_defaults(
+        Settings(
+            positions={"B": {"method": "solitary_wave"}},
+            clock=plain.clock,
+            schedule=plain.schedule,
+            baseline=plain.baseline,
+            rig={
+                "kind": "mixed",
+                "instruments": {
+                    "scope": {"kind": "scripted-scope"},
+                    "hammer": {"kind": "scripted-hammer"},
+                    "psu": {"kind": "text-supply", "line": line_of(instruments), "identity": IDENTITY},
+                },
+                "positions": {"B": {"digitizer": "scope", "striker": "hammer"}},
+                "drive": {"instrument": "psu", "log_interval_s": 0.2, "unwatched_s": unwatched_s},
+            },
+        )
     )
 
 
@@ -170,6 +201,9 @@ class Test:
     def charge_coulomb(self) -> float:
         with open_catalogue(self.folder) as catalogue:
             return max(row.charge_coulomb or 0.0 for row in catalogue.rows(EnvironmentRow))
+
+    def has_charge(self) -> bool:
+        return self.charge_coulomb() > 0.0
 
     def answers(self) -> list[str]:
         with open_catalogue(self.folder) as catalogue:
@@ -328,6 +362,26 @@ def test_after_a_kill_it_is_switched_off_when_nobody_is_back(
         ended(process, "the kill")
         test.is_switched_off_unwatched()
         until(lambda: is_owned(test.folder) is False, "the recorder's end")
+
+
+@pytest.fixture
+def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another package's instruments, for this process and those that it starts."""
+    offer(monkeypatch, tmp_path / "site", OFFERED)
+    paths = [str(tmp_path / "site"), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
+
+
+@pytest.mark.usefixtures("offered")
+def test_the_drive_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
+    settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
+    with started(test, "record", settings) as process:
+        until(test.has_charge, "a set with its charge")
+        assert test.switchings() == [True]
+        assert test.drive() != process.pid
+        os.kill(process.pid, signal.SIGKILL)
+        ended(process, "the kill")
+        test.is_switched_off_unwatched()
 
 
 def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None:

@@ -19,6 +19,7 @@ import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
+import { Theme } from "./theme.js";
 import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
@@ -33,7 +34,6 @@ customElements.define("solimon-notes", SolimonNotes);
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
 const SHELF_MS = 30_000;
-const THEME_KEY = "solimon-theme";
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
 
@@ -123,7 +123,7 @@ function ghostOf(position) {
 
 /** @param {import("./view.js").View} view @param {import("./view.js").View} before */
 function become(view, before) {
-  if (view.theme !== before.theme) showTheme();
+  if (view.theme !== before.theme) theme.show();
   if (!reading.info) return;
   // A position that this experiment does not have, e.g. of an address from elsewhere.
   if (!reading.place(view.position)) view.position = charted() || reading.info.positions[0].position;
@@ -257,33 +257,13 @@ function notice(text, tone = "") {
 
 // ---- controls ---------------------------------------------------------------------------------
 
-const THEMES = ["auto", "light", "dark"];
-
-/** The theme of the address, else what this browser remembers. */
-function theme() {
-  const remembered = address.view.theme || localStorage.getItem(THEME_KEY) || "";
-  return THEMES.includes(remembered) ? remembered : "auto";
-}
-
-function showTheme() {
-  if (theme() === "auto") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = theme();
-  setText(byId("theme"), `Theme: ${theme()}`);
-  redraw();
-}
-
 function redraw() {
   board.redraw();
   waveform.draw();
   panel.draw();
 }
 
-byId("theme").addEventListener("click", () => {
-  const next = THEMES[(THEMES.indexOf(theme()) + 1) % THEMES.length];
-  localStorage.setItem(THEME_KEY, next);
-  address.go({ theme: /** @type {any} */ (next) }, { step: true });
-});
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
   button.disabled = true;
@@ -304,7 +284,7 @@ setInterval(() => tiles.tick(), 1000);
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
-showTheme();
+theme.show();
 
 /** Read-only view of what is shown, for tests and for the curious. */
 Object.defineProperty(window, "solimonDashboard", {

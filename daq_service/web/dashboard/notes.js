@@ -22,7 +22,7 @@ export class SolimonNotes extends HTMLElement {
     this.items = [];
     this.count = el("p", { "aria-live": "polite", text: "Reading" });
     this.list = el("ul", { class: "alarm-list", "aria-labelledby": "notes-title" });
-    this.adding = el("button", { class: "button ghost small", type: "button", text: "Add a note" });
+    this.adding = el("button", { class: "button ghost small", type: "button", hidden: true, text: "Add a note" });
     const field = (/** @type {string} */ name, /** @type {string} */ type) => /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
     this.from = field("from", "number");
     this.to = field("to", "number");
@@ -68,6 +68,7 @@ export class SolimonNotes extends HTMLElement {
   /** @param {any[]} items those that are not withdrawn */
   update(items) {
     this.items = items;
+    this.adding.hidden = false; // the experiment's positions are known
     this.dataset.count = String(items.length);
     setText(this.count, items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.");
     this.list.hidden = !items.length;

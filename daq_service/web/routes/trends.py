@@ -25,6 +25,12 @@ router = APIRouter(tags=["trends"])
 VERDICTS = ("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline", "reason")
 POINTS, MOST_POINTS = 500, 1000
 """Entries of an answer that asks for no number, and the most that may be asked for."""
+MOST_BYTES = 195_000
+"""Of the columns of an answer; units and names beside them take less than 5 kB."""
+_SET_BYTES, _BIN_BYTES = 120, 210
+"""What an entry takes beside its values: number, hours, time, quality; of a bin also counts and sets."""
+_NUMBER_BYTES, _WORD_BYTES, _REASON_BYTES = 25, 6, 200
+"""The longest number of 64 bits, true or false, a verdict's reason, each with its comma."""
 COMMON = ("set_index", "due_h", "quality")
 
 
@@ -73,7 +79,14 @@ def get_trend(
     ] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
-    points: Annotated[int, Query(ge=1, le=MOST_POINTS, description="How many entries at most")] = POINTS,
+    points: Annotated[
+        int,
+        Query(
+            ge=1,
+            le=MOST_POINTS,
+            description="How many entries at most; fewer of many columns, since no answer is beyond 200 kB",
+        ),
+    ] = POINTS,
 ) -> JsonAnswer:
     """Tell features or thickness by set, with verdicts beside them, by column; of many sets by bins.
 
@@ -86,7 +99,15 @@ def get_trend(
     last_h = last_hour(from_h, to_h)
     fresh = context.freshness()
     kind = METHODS[method].row
-    binned = trend_bins(context.catalogue(), position, first_h=from_h, last_h=last_h, points=points)
+    set_bytes, bin_bytes = entry_bytes(chosen)
+    binned = trend_bins(
+        context.catalogue(),
+        position,
+        first_h=from_h,
+        last_h=last_h,
+        points=min(points, MOST_BYTES // set_bytes),
+        most_bins=min(points, MOST_BYTES // bin_bytes),
+    )
     bin_sets, told = 1, None
     if binned is None:
         columns = read_columns(context, position, chosen, from_h, last_h)
@@ -106,6 +127,15 @@ def get_trend(
             "bins": told,
         }
     )
+
+
+def entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
+    """Give the most that a set and a bin take in an answer with these columns."""
+    numbers = [name for name in fields if name not in _UNITLESS]
+    words = _WORD_BYTES * (len(fields) - len(numbers))
+    of_set = _SET_BYTES + words + _NUMBER_BYTES * len(numbers) + _REASON_BYTES * ("reason" in fields)
+    # A bin has mean, least and greatest, and how many sets have the value; it has no reason.
+    return of_set, _BIN_BYTES + words + (3 * _NUMBER_BYTES + 8) * len(numbers)
 
 
 _UNITLESS = frozenset({"outlier", "outlier_paper", "in_baseline", "reason"})

@@ -8,6 +8,7 @@ from sqlalchemy import event, func, select
 from support.begun_experiment import begun_catalogue
 
 from daq_service.catalogue import SetCommit, open_catalogue
+from daq_service.catalogue.pyramid import trend_bins, trend_part
 from daq_service.catalogue.reader import due_time_counts
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -22,7 +23,7 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.tables import events, shots
 
 POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}
-GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", "events")
+GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", "events", "trend_blocks")
 
 
 def random_catalogue(folder, seed):
@@ -193,6 +194,13 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.last_ended_utc_ns()
         catalogue.next_sequence()
         catalogue.committed_sets({4})
+        for first_h, last_h in ((None, None), (2.2, 13.1)):
+            for points in (1, 8):
+                trend_bins(catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points)
+            trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
+        own = {"position": "B", "set_index": 31, "due_h": 15.5}  # the last one of a block
+        planned = SetRow(**own, due_utc_ns=31, method="solitary_wave", state="missed", n_planned=2)
+        catalogue.commit_set(SetCommit(sets=[planned]))
     for sql, values, steps in plans:
         for step in steps:
             scanned = re.match(r"SCAN (\w+)( USING)?", step)

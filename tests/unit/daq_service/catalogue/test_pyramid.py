@@ -93,7 +93,9 @@ def test_bins_say_what_all_rows_say(tmp_path, seed):
             first_h, last_h = sorted(chance.uniform(-5.0, 180.0) for _ in range(2))
             points = chance.choice([1, 2, 7, 30, 100])
             rows = {index: row for index, row in told.items() if first_h <= row["due_h"] <= last_h}
-            found = trend_bins(catalogue, "B", first_h=first_h, last_h=last_h, points=points)
+            found = trend_bins(
+                catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points
+            )
             if found is None:
                 assert sum(row["state"] == "done" for row in rows.values()) <= points
                 continue
@@ -164,6 +166,14 @@ def test_blocks_are_a_function_of_the_rows_and_a_wrong_one_is_told(tmp_path):
             found = list(trend_differences(connection))
         assert any(gone in line for line in found)
         catalogue.restore([replace(alarm(70), id=99)])  # touches a set of that block
+        with catalogue.reading() as connection:
+            assert list(trend_differences(connection)) == []
+
+
+def test_a_block_whose_last_sets_never_come_is_kept_when_a_later_one_comes(tmp_path):
+    with begun_catalogue(tmp_path) as catalogue:
+        for index in (*range(70), 300):
+            catalogue.commit_set(SetCommit(sets=[planned(index)]))
         with catalogue.reading() as connection:
             assert list(trend_differences(connection)) == []
 

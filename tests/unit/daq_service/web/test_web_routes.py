@@ -1,5 +1,6 @@
 """Every reading route of the service against a folder filled through the real catalogue and archive."""
 
+import json
 import math
 import re
 import time
@@ -22,6 +23,7 @@ from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import rfc3339, with_utc
+from daq_service.web.routes import trends
 from hardware_drivers.nanoseconds import NS_PER_H
 
 N_SETS = 60
@@ -282,6 +284,15 @@ def test_a_trend_of_more_sets_than_points_comes_in_bins(api):
     assert {i for i in bins["first_alarm_set_index"] if i is not None} == {55}
     narrow = get(api, f"/api/v1/trends/B?points=8&from_h={whole['columns']['due_h'][50]}&to_h=29")
     assert (narrow["bin_sets"], narrow["columns"]["set_index"][0]) == (1, 50)
+
+
+@pytest.mark.parametrize("query", ["", "?fields=tof_pp_s,outlier", "?points=30", "?fields=reason"])
+def test_no_trend_is_beyond_its_bytes(api, monkeypatch, query):
+    monkeypatch.setattr(trends, "MOST_BYTES", 6000)
+    trend = get(api, f"/api/v1/trends/B{query}")
+    length = len(json.dumps([trend["columns"], trend["bins"]], separators=(",", ":")))
+    assert 1200 < length <= 6000  # bins double their width: half of it may stay free
+    assert trend["bin_sets"] > 1
 
 
 def test_trend_gives_the_chosen_fields_only(api):
