@@ -23,7 +23,7 @@ export class AlarmFilter {
     this.state = select("Alarms by state");
     this.state.append(...Object.entries(STATES).map(([value, [text]]) => el("option", { value, text })));
     this.by = { severity: select("Alarms by severity"), position: select("Alarms by position"), kind: select("Alarms by kind") };
-    this.root = el("div", { class: "card-actions", role: "group", "aria-label": "Which alarms are listed" }, this.state, ...Object.values(this.by));
+    this.root = el("div", { class: "alarm-filter", role: "group", "aria-label": "Which alarms are listed" }, this.state, ...Object.values(this.by));
     this.offered = "";
   }
 
