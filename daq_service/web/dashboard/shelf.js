@@ -38,7 +38,7 @@ export class ShelfDialog {
       {},
       el("h2", { id: "shelf-title", text: "Shelve an alarm" }),
       this.what,
-      el("label", { for: "shelf-reason", text: "Reason" }),
+      el("label", { for: "shelf-reason", text: "Why it is shelved" }),
       this.reason,
       el("label", { for: "shelf-length", text: "For, in hours of the test or in real time, whichever pass first" }),
       this.length,
