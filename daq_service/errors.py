@@ -9,7 +9,8 @@
     └── BusyError       exit 5   another recorder, process or port owner is in the way
 
 ``0`` is success, ``130`` an interruption by the operator, ``1`` a fault of solimon itself; ``6``
-a test whose certificate does not pass: nothing failed now, but a criterion is not met or not decided.
+a test whose certificate does not pass, or a receiver of notifications that was not reached: nothing failed
+here, but a criterion is not met or not decided.
 """
 
 from __future__ import annotations

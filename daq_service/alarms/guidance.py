@@ -19,6 +19,8 @@ class Guidance:
         What has been found, and what that does not prove.
     look_first
         Likely causes, in the order in which to look.
+    short
+        The same in a sentence or two, for a message.
     call
         Who decides.
     """
@@ -26,6 +28,7 @@ class Guidance:
     says: str
     does_not_say: str
     look_first: tuple[str, ...]
+    short: str
     call: str
 
 
@@ -38,6 +41,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "*contributions* in the proof: which feature",
             "temperature, a knock, work at the rig at that hour",
         ),
+        short="Does the control position move, too? Then which feature contributes; temperature.",
         call="who is responsible for the wall, with the proof",
     ),
     "hole": Guidance(
@@ -48,6 +52,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "does the chain stand on the wall?",
             "the last waveforms: incident wave there, reflected one gone",
         ),
+        short="Look for leaks, and whether the chain stands on the wall; call who is responsible at once.",
         call="who is responsible for the wall, at once",
     ),
     "thickness": Guidance(
@@ -58,6 +63,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "the echo: one clear back wall?",
             "couplant, cable, temperature",
         ),
+        short="See the interval in the proof; has the echo one clear back wall? Then couplant, cable.",
         call="who is responsible for the wall",
     ),
     "no_data": Guidance(
@@ -68,6 +74,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "coil and striker: does it lift and fall?",
             "sensor, cable, range",
         ),
+        short="Flags of the newest shots; does the striker lift and fall? Then sensor, cable, range.",
         call="who looks after the rig",
     ),
     "retired": Guidance(
@@ -78,6 +85,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "coil's temperature",
             "as for `no_data`; then `solimon reinstate`",
         ),
+        short="The message says who or what retired it; mend that, then `solimon reinstate`.",
         call="who looks after the rig",
     ),
     "rig_unavailable": Guidance(
@@ -88,6 +96,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "another program that has the board",
             "`solimon doctor`; did the recorder end, start it again",
         ),
+        short="Power and cables of chassis and boards; a program that has them; `solimon doctor`.",
         call="who looks after the rig",
     ),
     "data_damaged": Guidance(
@@ -98,6 +107,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "the disk's health",
             "`solimon repair` with a [backup](back-up.md)",
         ),
+        short="`solimon verify`, the disk's health, then `solimon repair` with a backup.",
         call="who looks after the computer",
     ),
     "disk_space": Guidance(
@@ -108,6 +118,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "`solimon status`: enough for the rest?",
             "move other data away, never files of the folder",
         ),
+        short="Move other data off the volume; never take files out of the data folder.",
         call="who looks after the computer",
     ),
     "storage_unavailable": Guidance(
@@ -118,6 +129,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "a scanner or another program on the folder",
             "do **not** stop the test before it clears",
         ),
+        short="Is the disk there and writable? Do not stop the test before this clears.",
         call="who looks after the computer, at once",
     ),
     "clock_doubted": Guidance(
@@ -128,6 +140,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "its synchronisation",
             "set it, or `solimon trust-clock` if it is right",
         ),
+        short="Set the computer's clock, or `solimon trust-clock` if it is right.",
         call="who looks after the computer",
     ),
     "supply_lost": Guidance(
@@ -138,6 +151,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "cable, port",
             "another program that has the port",
         ),
+        short="The output is unknown: read the instrument's own display, then cable and port.",
         call="who looks after the cell",
     ),
     "supply_off_unexpectedly": Guidance(
@@ -148,6 +162,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "mains and front panel",
             "the cell: a short? then `solimon supply --on`",
         ),
+        short="See which protection is named; mains, front panel, a short in the cell.",
         call="who looks after the cell",
     ),
     "supply_limit": Guidance(
@@ -158,6 +173,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "level and strength of the electrolyte",
             "the configured limit",
         ),
+        short="Electrodes that touch? Level and strength of the electrolyte; the configured limit.",
         call="who looks after the cell",
     ),
     "interlock_tripped": Guidance(
@@ -168,6 +184,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "the cell, by eye",
             "`/api/v1/environment`; only then `solimon supply --on`",
         ),
+        short="The drive stays off: see why, and the cell by eye, before anybody switches it on.",
         call="who looks after the cell, at once",
     ),
     "supply_unwatched": Guidance(
@@ -178,6 +195,7 @@ GUIDANCE: Mapping[str, Guidance] = {
             "why it ended: `logs/`",
             "as for `interlock_tripped`",
         ),
+        short="Does the recorder run, and why did it end? See the cell before switching on.",
         call="who looks after the cell",
     ),
 }

@@ -12,6 +12,7 @@ import click
 from daq_service.acquisition.schedule import plan
 from daq_service.cli.forecast import record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
+from daq_service.errors import UsageError
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
@@ -44,10 +45,23 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     )
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
+    _print_receivers(settings)
     if facts["stored_bytes"] > facts["free_bytes"]:
         click.echo(
             "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
         )
+
+
+def _print_receivers(settings: Settings) -> None:
+    """Say who is told of alarms, and what is missing here; the service may run as another user."""
+    from daq_service.web.notifications.addresses import address_of, shown_address
+
+    for name, receiver in settings.notifications.receivers.items():
+        click.echo(f"receiver   {name}: {receiver.kind}, {shown_address(receiver)}")
+        try:
+            address_of(name, receiver)
+        except UsageError as error:
+            click.echo(f"WARNING: {error}", err=True)
 
 
 def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:

@@ -35,7 +35,7 @@ def order_options(command: Callable[..., None]) -> Callable[..., None]:
     """Options of an order to a running recorder."""
     command = JSON(command)
     command = click.option("--author", help="Who gives the order; default: this user.")(command)
-    return click.option("--note", default="", help="Why.")(command)
+    return click.option("--note", "--reason", "note", default="", help="Why; a hold needs it.")(command)
 
 
 class _Words(click.Group):
@@ -291,6 +291,22 @@ def token_revoke(**options: Any) -> None:
     run_revoke(**options)
 
 
+@cli.group()
+def notify() -> None:
+    """Who is told of alarms elsewhere ([notifications] of the configuration)."""
+
+
+@notify.command("test")
+@CONFIG
+@click.option("--receiver", metavar="NAME", help="This one only; default: all.")
+@JSON
+def notify_test(**options: Any) -> None:
+    """Send each receiver one message that is marked as a trial, and say what became of it."""
+    from daq_service.cli.set_up.notify import run_test
+
+    run_test(**options)
+
+
 @cli.command()
 @CONFIG
 @DATA_DIR
@@ -350,6 +366,10 @@ def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None
 
 
 def _give_order(kind: str, **options: Any) -> None:
+    if kind == "hold" and not options["note"].strip():
+        if not sys.stdin.isatty():
+            raise click.UsageError("a hold needs a reason, for whoever finds it: --reason 'hands in the rig'")
+        options["note"] = click.prompt("Why is the test held", err=True)
     from daq_service.orders.give import give_order
 
     sys.exit(give_order(kind, **options))

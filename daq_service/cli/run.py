@@ -84,6 +84,10 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         from daq_service.web.doors.entry import refuse_open_doors
 
         refuse_open_doors(settings.web, folder)
+    if not no_web and settings.notifications.receivers:
+        from daq_service.web.notifications.addresses import refuse_unusable
+
+        refuse_unusable(settings.notifications)
 
     log_to(folder / "logs" / "supervisor.log")
     with stop_on_signals() as stop, Telling() as telling:
@@ -268,11 +272,14 @@ def serve_alone(
     """Serve the data folder until somebody says stop."""
     from daq_service.web.app import create_app
     from daq_service.web.doors.entry import refuse_open_doors
+    from daq_service.web.notifications.addresses import refuse_unusable
     from daq_service.web.server import serve
 
     settings, folder = settings_of_folder(config, data_dir)
     if not restarted_because:
         refuse_other_folders(folder)
+        if config is not None:  # who opens a folder only to look needs no secrets
+            refuse_unusable(settings.notifications)
     refuse_open_doors(settings.web, folder)
     prepare_data_folder(folder, anew=not restarted_because)
     log_to(folder / "logs" / "web.log")

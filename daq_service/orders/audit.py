@@ -9,7 +9,6 @@ disk. A flood of refusals leaves a bounded number of lines, and the count of wha
 from __future__ import annotations
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -17,18 +16,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from daq_service.catalogue.history import append_durably, line_of, told_by
-from daq_service.processes.data_folder import one_at_a_time
-from daq_service.shared_file import patiently
+from daq_service.processes.line_file import append_line, newest_lines
 
 log = logging.getLogger(__name__)
 
 AUDIT_FILE = "audit.jsonl"
 TABLE = "audit"
-BLOCK_BYTES = 64 * 1024
-"""More than the longest line."""
-LOOK_BACK_LINES = 20
-"""The last ones may be torn."""
 MOST_REFUSALS, REFUSAL_EVERY_S = 100, 120.0
 """Lines of refusals of one name, or of all strangers: so many at once, then one each two minutes. A flood
 for a year comes to 80 MB."""
@@ -112,7 +105,7 @@ class Audit:
                 return
             left_out, self._left_out = self._left_out, 0
         try:
-            _append(self._path, asdict(told) | {"left_out": left_out})
+            append_line(self._path, TABLE, asdict(told) | {"left_out": left_out})
         except OSError as error:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, told.what, told.result, told.who, error)
 
@@ -123,49 +116,21 @@ class Audit:
         return self._allowances[whose]
 
 
-def _append(path: Path, deed: Mapping[str, Any]) -> None:
-    with one_at_a_time(path):
-        found, _ = read_audit(path.parent, limit=LOOK_BACK_LINES)
-        number = found[0][0] + 1 if found else 1
-        append_durably(path, [line_of(number, TABLE, deed)])
-
-
 def read_audit(
-    folder: Path, *, limit: int, end: int | None = None
+    folder: Path,
+    *,
+    limit: int,
+    end: int | None = None,
+    wanted: Callable[[Deed], bool] = lambda deed: True,
 ) -> tuple[list[tuple[int, Deed]], int | None]:
-    """Read the newest lines, the newest first; damaged ones are left out (`solimon verify` tells them).
-
-    Parameters
-    ----------
-    end
-        Byte at which the lines end that are asked for; None: all.
-
-    Returns
-    -------
-    list of tuple
-        Number and deed.
-    int or None
-        `end` of the lines before; None: there are none.
+    """Read the newest deeds and their numbers, as `line_file.newest_lines` (`solimon verify` tells damage).
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    try:
-        with patiently(lambda: (folder / AUDIT_FILE).open("rb")) as file:
-            size = file.seek(0, os.SEEK_END)
-            begin, content = min(size, size if end is None else end), b""
-            while begin and content.count(b"\n") <= limit:
-                step = min(BLOCK_BYTES, begin)
-                begin = file.seek(begin - step)
-                content = file.read(step) + content
-    except FileNotFoundError:
-        return [], None
-    lines = content.splitlines(keepends=True)
-    if begin:
-        begin += len(lines.pop(0))
-    for line in lines[:-limit]:
-        begin += len(line)
-    told = [told_by(line.rstrip(b"\n")) for line in reversed(lines[-limit:])]
-    return [(one[0], Deed(**one[2])) for one in told if one is not None], begin or None
+    found, before = newest_lines(
+        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(Deed(**row))
+    )
+    return [(number, Deed(**row)) for number, row in found], before

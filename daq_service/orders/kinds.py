@@ -6,11 +6,12 @@ recorder of what is so now. A new kind is a class here, or in a module beside, a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.states import (
@@ -146,6 +147,26 @@ class NoteArguments(Strict):
     """Why; shown to everybody."""
 
     note: str = Field(default="", max_length=2000)
+
+
+WRITTEN = re.compile(r"[^\s\x00-\x1f\x85]")
+"""Neither space nor control character, for Python and for JSON Schema alike."""
+
+
+def _says_why(note: str) -> str:
+    if not WRITTEN.search(note):
+        raise ValueError("say why, for whoever finds the test on hold, such as 'hands in the rig'")
+    return note
+
+
+class ReasonArguments(Strict):
+    """Why; shown to everybody for as long as it lasts."""
+
+    note: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": WRITTEN.pattern}),
+        AfterValidator(_says_why),
+    ]
 
 
 class TransducerArguments(Strict):
@@ -354,15 +375,14 @@ class Hold(Order):
     """Strike nothing until the test is released, not even after a restart."""
 
     kind: Literal["hold"]
-    arguments: NoteArguments = NoteArguments()
+    arguments: ReasonArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         reason = f"the test is already on hold: {facts.held}"
         return Refusal(reason, "Release it first; a hold has one reason.") if facts.held else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        note = self.arguments.note
-        held = f"held by {self.author}" + (f": {note}" if note else "")
+        held = f"held by {self.author}: {self.arguments.note}"
         test.tell("hold", {"held": held, "author": self.author})
         return "on hold: nothing strikes until the test is released; sets that fall due are missed"
 

@@ -21,6 +21,7 @@ from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
 
 WEB_FILES = ("tls_certificate", "tls_key", "tokens_file")
+RECEIVER_FILES = ("url_file", "secret_file")
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES", "SOLIMON_TOKEN")
 """Variables that are no keys: of the tests, where doubles of the vendor's libraries find
 their brain, and what the client shows a service."""
@@ -119,8 +120,21 @@ def _resolve_doors(values: dict[str, Any], path: Path) -> None:
     """Make the files of the web service absolute in the same way."""
     web = values.get("web")
     if isinstance(web, dict):
-        files = {key: web[key] for key in WEB_FILES if isinstance(web.get(key), str) and web[key]}
-        values["web"] = web | {key: str(path.absolute().parent / file) for key, file in files.items()}
+        values["web"] = _beside(path, web, WEB_FILES)
+    notifications = values.get("notifications")
+    receivers = notifications.get("receivers") if isinstance(notifications, dict) else None
+    if isinstance(notifications, dict) and isinstance(receivers, dict):
+        found = {
+            name: _beside(path, receiver, RECEIVER_FILES) if isinstance(receiver, dict) else receiver
+            for name, receiver in receivers.items()
+        }
+        values["notifications"] = notifications | {"receivers": found}
+
+
+def _beside(path: Path, table: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+    """Make the files that some keys name absolute."""
+    files = {key: table[key] for key in keys if isinstance(table.get(key), str) and table[key]}
+    return table | {key: str(path.absolute().parent / file) for key, file in files.items()}
 
 
 def _refuse_unknown_variables() -> None:
@@ -162,7 +176,9 @@ def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: P
             lines.append(f"{key}: unknown key{hint}")
         else:
             value = problem.get("input")
-            shown = f" (value: {value!r})" if isinstance(value, (str, int, float, bool)) else ""
+            # Of a receiver nothing is repeated: a secret may have been written where its place belongs.
+            told = problem["loc"][:2] != ("notifications", "receivers")
+            shown = f" (value: {value!r})" if told and isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
     return _refused(path, lines)
 

@@ -18,6 +18,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
+from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.web import WebSettings
 from hardware_drivers.daqmx import parameters as daqmx
@@ -31,6 +32,7 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
 HASHED_OUT: Mapping[str, Any] = {
     "web": True,
+    "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
     "schedule": {"end_h"},
     "storage": True,
@@ -283,6 +285,7 @@ class Settings(BaseSettings):
     alarms: AlarmSettings = AlarmSettings()
     storage: StorageSettings = StorageSettings()
     web: WebSettings = WebSettings()
+    notifications: NotificationSettings = NotificationSettings()
     twin: TwinParameters = TwinParameters()
 
     @classmethod
@@ -337,6 +340,7 @@ class Settings(BaseSettings):
                 f"twin.faults.{unknown[0]}: there is no solitary_wave position {unknown[0]!r}; take it out, "
                 "or correct the name"
             )
+        self.notifications.require_positions(list(self.positions))
         if self.rig.kind == "daqmx":
             self._is_wired()
         if self.rig.kind == "mixed":

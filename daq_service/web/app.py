@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from asyncio import to_thread
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -32,6 +33,7 @@ from daq_service.web.routes import (
     health,
     info,
     metrics,
+    notifications,
     orders,
     session,
     set_waveforms,
@@ -72,6 +74,7 @@ RESOURCES = (
     audit,
     tables,
     files,
+    notifications,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -82,12 +85,14 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     context = context_of(app)
     await context.hub.start()
     await context.live.start()
+    context.notifications.start()
     try:
         yield
     finally:
         context.close_streams()
         await context.hub.join()
         await context.live.join()
+        await to_thread(context.notifications.join)
         context.catalogue_access.close()
 
 
@@ -131,8 +136,11 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
-    app.add_middleware(Doorkeeper, doors=app.state.context.doors)
-    app.add_middleware(RequestGuard, names_elsewhere=settings.web.names_elsewhere)
+    doors = app.state.context.doors
+    app.add_middleware(Doorkeeper, doors=doors)
+    app.add_middleware(
+        RequestGuard, tell_refused=doors.tell_refused, names_elsewhere=settings.web.names_elsewhere
+    )
     problem.install(app)
     app.include_router(health.probes)
     app.include_router(metrics.probes)

@@ -18,6 +18,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, with_utc
 from daq_service.web.answers.problem import Problem, no_data_yet, not_found
 from daq_service.web.doors.entry import Doors
+from daq_service.web.notifications.service import Notifications
 from daq_service.web.streams.hub import EventHub
 from daq_service.web.streams.live_pictures import LivePictures
 
@@ -93,6 +94,7 @@ class Context:
         self.hub = EventHub(self.events)
         self.live = LivePictures(data_folder / "live", settings.positions)
         self.doors = Doors(settings.web, data_folder)
+        self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
         self._has_data = False
 
     def catalogue(self) -> Catalogue:
@@ -119,6 +121,7 @@ class Context:
         """End every open stream; called before the server waits for its answers."""
         self.hub.close()
         self.live.close()
+        self.notifications.close()
 
     def known(self, position: str) -> str:
         """Check the name of a position (it becomes part of file names).

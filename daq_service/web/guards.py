@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import uuid
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -20,6 +20,11 @@ from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 LARGEST_BODY_BYTES = 64 * 1024
 BODY_WITHIN_S = 10.0
+FOREIGN = frozenset({"foreign-host", "foreign-origin"})
+"""Refusals that are audited: somebody else's page has tried."""
+Tell = Callable[[Scope, str], Awaitable[None]]
+EVENTS = "/api/v1/stream"
+"""No browser shows a foreign page what it reads there, but it would take one of the streams."""
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -44,8 +49,10 @@ class RequestGuard:
     data folder anyway.
     """
 
-    def __init__(self, app: ASGIApp, *, names_elsewhere: frozenset[str] = frozenset()) -> None:
-        self._app = app
+    def __init__(
+        self, app: ASGIApp, *, names_elsewhere: frozenset[str] = frozenset(), tell_refused: Tell | None = None
+    ) -> None:
+        self._app, self._tell_refused = app, tell_refused
         self._names = names_elsewhere | LOOPBACK.keys()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -78,6 +85,8 @@ class RequestGuard:
                     problem = _too_large(f"more than {LARGEST_BODY_BYTES}")
                 else:
                     receive = _replayed(body, receive)
+        if problem is not None and problem.name in FOREIGN and self._tell_refused is not None:
+            await self._tell_refused(scope, problem.detail)
         answering = self._app if problem is None else problem_response(scope, problem)
         await answering(scope, receive, send_with_headers)
 
@@ -146,14 +155,14 @@ def _refusal(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem |
             f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only.",
             "Open the address that the service printed, or name this one in web.host_names.",
         )
-    writes = scope["type"] == "websocket" or scope["method"] not in SAFE_METHODS
-    if writes and not same_origin(headers):
+    streams = scope["type"] == "websocket" or scope["path"] == EVENTS
+    if (streams or scope["method"] not in SAFE_METHODS) and not same_origin(headers):
         return Problem(
             403,
             "foreign-origin",
             "Request from another origin",
             f"Origin is {headers.get('origin')!r}, but the request went to {host!r}.",
-            "Only the service's own dashboard and programs without a browser may write or follow waveforms.",
+            "Only the service's own dashboard and programs without a browser may write or follow a stream.",
         )
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdigit() or int(size) > LARGEST_BODY_BYTES):

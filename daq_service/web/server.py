@@ -8,6 +8,7 @@ import errno
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import uvicorn
 from fastapi import FastAPI
@@ -19,6 +20,8 @@ from daq_service.web.context import context_of
 
 LONGEST_SHUTDOWN_S = 1
 """Streams close at once; this bounds a request that hangs in a thread."""
+HANDSHAKE_WITHIN_S = 10.0
+"""As headers; by itself asyncio waits for a minute for somebody who connects and never speaks TLS."""
 MOST_CONNECTIONS = 2500
 """Some hundreds more than streams: whoever asks for something else is still served."""
 
@@ -101,6 +104,15 @@ def bind(host: str, port: int, *, locked: bool = False) -> socket.socket:
     return listener
 
 
+def _loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
+    factory = config.get_loop_factory()
+    loop = asyncio.new_event_loop() if factory is None else factory()
+    if config.is_ssl:  # uvicorn cannot be told so
+        create_server = partial(loop.create_server, ssl_handshake_timeout=HANDSHAKE_WITHIN_S)
+        loop.create_server = create_server  # type: ignore[method-assign] # narrower by a default
+    return loop
+
+
 def serve(
     app: FastAPI,
     host: str,
@@ -148,7 +160,7 @@ def serve(
             shown = locks.host_names[0]
         on_bound(f"http{'s' if locks.has_tls else ''}://{shown}:{bound_port}/")
         closing = close_streams or context_of(app).close_streams
-        with asyncio.Runner(loop_factory=config.get_loop_factory()) as runner:
+        with asyncio.Runner(loop_factory=partial(_loop, config)) as runner:
             runner.run(_Server(config, closing, stop).serve(sockets=[listener]))
     finally:
         listener.close()

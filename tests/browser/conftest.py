@@ -22,9 +22,12 @@ def open_page(browser):
     """Opens pages; at the end none of them may have complained."""
     contexts, complaints = [], []
 
-    def open_(url, *, viewport=DESK, forgiven=None):
+    def open_(url, *, viewport=DESK, forgiven=None, name="dashboard"):
+        """None as `name`: this browser has never been here."""
         context = browser.new_context(viewport=viewport)
         contexts.append(context)
+        if name is not None:
+            context.add_init_script(f"localStorage.setItem('solimon-name', {name!r})")
         page = context.new_page()
         page.set_default_timeout(1000 * DEADLINE_S)
 

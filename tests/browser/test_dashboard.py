@@ -215,6 +215,7 @@ def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page)
 def test_finish_now_becomes_an_order(filled, service, open_page):
     page = open_page(service.url)
     page.get_by_role("button", name="Finish now").click()
+    page.get_by_role("button", name="Run to the end").click()
     expect(page.locator("#finish")).to_have_text(SENT)
     assert [row.kind for row in filled.catalogue.open_commands()] == ["finish_now"]
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
@@ -226,6 +227,7 @@ def test_an_order_that_nobody_begins_expires_on_the_page(filled, service, open_p
     page = open_page(service.url)
     monkeypatch.setattr("daq_service.orders.deadline.left_now_s", lambda row: 0.0)
     page.get_by_role("button", name="Finish now").click()
+    page.get_by_role("button", name="Run to the end").click()
     expect(page.locator("#notice")).to_contain_text("finish_now expired: not carried out, and nobody will")
     expect(page.locator("#finish")).to_have_text("Finish now")
 
@@ -245,12 +247,16 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(banner).to_be_hidden()
     page.locator("#hold").click()
     page.get_by_role("button", name="Cancel").click()
-    expect(page.locator("#hold-dialog")).to_be_hidden()
-    assert filled.catalogue.open_commands() == []
+    expect(page.get_by_role("dialog")).to_have_count(0)
     page.locator("#hold").click()
+    page.get_by_label("Reason").fill("  ")
+    page.get_by_role("button", name="Hold now").click()
+    expect(page.get_by_role("dialog", name="Hold the test")).to_be_visible()
+    assert filled.catalogue.open_commands() == []
+    page.get_by_label("Reason").fill("once more")
     page.get_by_role("button", name="Hold now").click()
     expect(page.locator("#hold")).to_have_text(SENT)
-    answer(filled, "hold", {"note": ""}, "refused", "the test is already on hold: held by ann")
+    answer(filled, "hold", {"note": "once more"}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     refreshes = page.evaluate("window.solimonDashboard.refreshes")
     filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
@@ -271,6 +277,8 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     # Whoever opens the page later sees it too.
     expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
+    expect(page.get_by_role("button", name="Cancel")).to_be_focused()
+    page.get_by_role("button", name="Release now").click()
     expect(page.locator("#release")).to_have_text(SENT)
     answer(filled, "release", {"note": ""})
     filled.say("release", at, held="", author="dashboard")
@@ -315,6 +323,11 @@ def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(filled, se
     tile = page.locator('.tile[data-position="C"]')
     expect(tile).to_have_attribute("data-state", "retired")
     page.get_by_role("button", name="Reinstate: position C").click()
+    expect(page.get_by_role("dialog", name="Reinstate position C")).to_contain_text("hands out of the rig")
+    page.keyboard.press("Escape")
+    assert filled.catalogue.open_commands() == []
+    page.get_by_role("button", name="Reinstate: position C").click()
+    page.get_by_role("button", name="Reinstate C").click()
     expect(page.locator("#retired button")).to_have_text(SENT)
     answer(filled, "reinstate", {"position": "C", "note": ""})
     filled.reinstate("C")

@@ -129,6 +129,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         wait_for_missed(2)
         assert counts()["shots"] == shots
         page.get_by_role("button", name="Release").click()
+        page.get_by_role("button", name="Release now").click()
         expect(page.locator("#held")).to_be_hidden()
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
         asked_until(page, lambda: counts()["shots"] > shots, "a shot was taken")
@@ -136,6 +137,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
         assert causes == {"held by dashboard: hands in the rig"}
 
         page.get_by_role("button", name="Finish now").click()
+        page.get_by_role("button", name="Run to the end").click()
         demo.line_with("The test is done")
         trend = api.get("/api/v1/trends/B").json()["columns"]
         assert trend["due_h"][-1] == HOURS

@@ -12,7 +12,7 @@ from daq_service.orders.every import KINDS
 from daq_service.settings.tree import Settings
 from daq_service.web.app import RESOURCES
 from daq_service.web.doors.roles import OPERATIONS, ORDERS, ROLES
-from daq_service.web.doors.tokens import create_token
+from daq_service.web.doors.tokens import create_token, revoke_token
 from daq_service.web.routes.admission import operation_of
 
 DOCUMENT = json.loads(Path(__file__).with_name("openapi.json").read_text(encoding="utf-8"))
@@ -39,15 +39,18 @@ ARGUMENTS = {
 
 @pytest.fixture(scope="module")
 def clients(tmp_path_factory):
-    """One of each role, one with a wrong token, one without any."""
+    """One of each role, one with a wrong token, one with a revoked one, one without any."""
     folder = tmp_path_factory.mktemp("data")
     filled = FilledFolder(folder, Settings())
     filled.add_set(0, stored=False)
-    tokens = {role: create_token(folder / "tokens.json", f"the-{role}", role)[1] for role in ROLES}
+    path = folder / "tokens.json"
+    tokens = {role: create_token(path, f"the-{role}", role)[1] for role in ROLES}
+    revoked = create_token(path, "gone", "admin")[1]
+    revoke_token(path, "gone")
     with served(Settings(), folder) as service:
         made = {
             name: service.client(Authorization=f"Bearer {text}")
-            for name, text in {**tokens, "wrong": "x" * 43}.items()
+            for name, text in {**tokens, "wrong": "x" * 43, "revoked": revoked}.items()
         }
         made["nobody"] = service.client()
         yield made
@@ -86,7 +89,7 @@ def test_an_operation_is_done_for_its_role_and_those_above_and_for_nobody_else(c
         assert {answers[role] for role in ROLES} & {401, 403, 429} == set()
         return
     assert answers["nobody"] == 401
-    assert answers["wrong"] in {401, 429}
+    assert {answers["wrong"], answers["revoked"]} <= {401, 429}
     rank = ROLES.index(needed)
     assert [answers[role] for role in ROLES[:rank]] == [403] * rank
     assert {answers[role] for role in ROLES[rank:]} & {401, 403, 429} == set()
@@ -97,6 +100,7 @@ def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
     order = {"kind": kind, "author": "somebody else", "arguments": ARGUMENTS.get(kind, {})}
     answers = {name: status(client, "post", "/api/v1/commands", order) for name, client in clients.items()}
     assert answers["nobody"] == 401
+    assert {answers["wrong"], answers["revoked"]} <= {401, 429}
     rank = ROLES.index(ORDERS[kind])
     assert [answers[role] for role in ROLES[:rank]] == [403] * rank
     assert {answers[role] for role in ROLES[rank:]} <= {202, 404, 409}

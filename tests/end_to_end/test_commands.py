@@ -239,6 +239,9 @@ def test_orders_come_from_another_terminal(watched: Demo) -> None:
     assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
     code, said = order("hold")
     assert code == 2
+    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in said
+    code, said = order("hold", "--reason", "door still open")
+    assert code == 2
     assert "already on hold: held by ann: door open" in said
     assert order("retire", "--position", "C", "--note", "coil is hot") == (0, "C strikes no more\n")
     assert order("retire", "--position", "Z")[0] == 2
@@ -308,7 +311,7 @@ def test_an_order_that_nobody_hears_is_refused(two_hours: tuple[Path, dict[str, 
     before = beat.read_text(encoding="utf-8")
     beat.unlink()
     try:
-        done = solimon_here("hold", "--data-dir", str(folder), env=QUICK)
+        done = solimon_here("hold", "--reason", "why", "--data-dir", str(folder), env=QUICK)
     finally:
         beat.write_text(before, encoding="utf-8")
     assert done.returncode == 5

@@ -5,7 +5,9 @@ import io
 import json
 import re
 import shlex
+import time
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
@@ -15,6 +17,7 @@ from support.stored_files import set_files
 
 from daq_service.cli.main import cli
 from daq_service.settings.file import load_settings
+from daq_service.web.notifications.webhook import signature
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
@@ -84,6 +87,20 @@ def test_the_toml_of_the_configuration_page_is_accepted(text: str, tmp_path: Pat
     path = tmp_path / "example.toml"
     path.write_text(text, encoding="utf-8")
     load_settings(path)
+
+
+def test_the_receiver_s_check_of_get_notified_checks_what_is_sent(tmp_path: Path) -> None:
+    page = ROOT / "docs/how-to/get-notified.md"
+    (text,), given = blocks(page, "toml"), tmp_path / "example.toml"
+    given.write_text(text, encoding="utf-8")
+    assert set(load_settings(given).notifications.receivers) == {"duty", "mail"}
+    (check,), names, now_s = blocks(page, "python"), dict[str, Any](), int(time.time())
+    exec(check, names)
+    sent = signature(b"a secret of the duty", now_s, b"{}")
+    assert names["is_genuine"]("a secret of the duty", sent, b"{}")
+    assert not names["is_genuine"]("a secret of the duty", sent, b"[]")
+    old = signature(b"a secret of the duty", now_s - 400, b"{}")
+    assert not names["is_genuine"]("a secret of the duty", old, b"{}")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

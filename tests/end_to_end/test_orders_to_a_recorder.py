@@ -55,7 +55,7 @@ def test_a_running_test_is_held_and_released_and_a_transducer_retired(
         # Whoever got the answer may open the door: at most the set being stored then came after it.
         assert len(sorted(set_files(folder))) <= len(stored) + 1
         with pytest.raises(UsageError, match="already on hold: held by ann: door open"):
-            order(folder, "hold")
+            order(folder, "hold", "again")
         assert order(folder, "retire", position="D") == 0
         assert order(folder, "release") == 0
         until(lambda: states(folder)["retired"] >= 2, "two sets without D")

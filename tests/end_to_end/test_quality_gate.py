@@ -555,7 +555,7 @@ def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> Non
     """B has one shot in each of four sets: too few, but nobody let it strike."""
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
-        orders += [(hour + 4 / 3600, "hold", {}), (hour + 0.4, "release", {})]
+        orders += [(hour + 4 / 3600, "hold", {"note": "why"}), (hour + 0.4, "release", {})]
     settings = only("B", small_settings(schedule={"end_h": 2.5}, quality=SILENT))
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.n_taken for row in sets_of(tmp_path, "B")] == [1, 1, 1, 1, 3]
@@ -687,7 +687,7 @@ def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(t
 def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
-    rig = ordering_rig(tmp_path, [(1.5, "hold", {})], disturb, late=late)
+    rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)
     assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
     assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"

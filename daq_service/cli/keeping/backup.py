@@ -55,11 +55,14 @@ LEFT_OUT = {
     LOCK_FILE,
     DRIVE_LOCK,
     "audit.lock",
+    "notifications.jsonl",
+    "notifications.lock",
+    "notifier.lock",
     "tokens.json",
     "tokens.lock",
 }
-"""Copied in their own way, or signs of a running test, which a copy is not; who may enter is for each copy
-to say."""
+"""Copied in their own way, or signs of a running test, which a copy is not; who may enter, and who is told of
+alarms from when on, is for each copy to say."""
 NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
 """Columns of the experiment that tell one test from another."""
 

@@ -210,6 +210,7 @@ class Guidance(Answer):
     says: str = Field(description="What has been found")
     does_not_say: str = Field(description="What that does not prove")
     look_first: list[str] = Field(description="Likely causes, in the order in which to look")
+    short: str = Field(description="The same in a sentence or two")
     call: str = Field(description="Who decides")
 
 
@@ -391,6 +392,18 @@ class AskedInfo(Answer):
     left_s: float = Field(description="Until the recorder waits no longer, at the moment of this answer")
 
 
+class SupplyInfo(Answer):
+    """What an order to the corrosion drive may ask for, and what ends it."""
+
+    voltage_v: float = Field(description="Configured: an order without a voltage sets it")
+    current_limit_a: float = Field(description="Configured, likewise")
+    voltage_cap_v: float = Field(description="No order beyond it is carried out")
+    current_cap_a: float = Field(description="Likewise, of the limit")
+    interlock_current_a: float = Field(description="Measured current at which it is switched off")
+    off_at_end: bool = Field(description="Whether the end of the test, and a stop, switch it off")
+    unwatched_s: float = Field(description="Without a recorder for so long it is switched off")
+
+
 class Info(Answer):
     """Which experiment this is."""
 
@@ -405,6 +418,7 @@ class Info(Answer):
     schedule: ScheduleInfo
     limits: LimitInfo
     initial_thickness_m: float
+    supply: SupplyInfo | None = Field(description="null: this test has no corrosion drive")
     positions: list[PositionInfo]
     held: str | None = Field(description="Who holds the test and why: nothing strikes; null: nobody does")
     asked: AskedInfo | None = Field(description="What a person shall do now; null: nothing")
@@ -578,3 +592,88 @@ class AuditPage(Answer):
 
     next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
     items: list[AuditEntry]
+
+
+class HeartbeatState(Answer):
+    """Signs of life to a receiver."""
+
+    every_s: float
+    state: Literal["off", "ok", "failing", "withheld"] = Field(
+        description="`withheld`: no recorder answers, so none is sent; `off`: none was due yet"
+    )
+    told: str = Field(description="What became of the last one")
+    last_utc: str | None = Field(description="Of the last one that was taken")
+    next_utc: str | None
+
+
+class ReceiverState(Answer):
+    """How a receiver of notifications stands; counts are since the service began."""
+
+    name: str
+    kind: Literal["webhook", "apprise"]
+    address: str = Field(description="Its host, or where its address is read: it may be secret")
+    rules: list[int] = Field(description="Numbers of the rules that concern it, from 1")
+    state: Literal["idle", "waiting", "failing", "dead"] = Field(
+        description="`dead`: it has taken nothing for ten minutes, though it was tried"
+    )
+    began: str = Field(description="From which event on it is told, and why")
+    sent: int = Field(description="Messages that it took")
+    failed: int = Field(description="Attempts that failed")
+    gave_up: int = Field(description="Messages that were given up")
+    waiting: int = Field(description="Changes that wait for their delay, their group or the receiver")
+    last_sent_utc: str | None
+    last_sent_age_s: float | None
+    last_failure_utc: str | None
+    last_failure: str
+    failing_since_utc: str | None
+    next_attempt_utc: str | None
+    heartbeat: HeartbeatState | None = Field(description="null: none is asked for")
+
+
+class NotificationsState(Answer):
+    """Who is told of alarms elsewhere; times are of the computer's clock."""
+
+    sending: bool = Field(description="True: this service tells the receivers")
+    why_silent: str = Field(description="Why it does not")
+    receivers: list[ReceiverState]
+
+
+class TrialResult(Answer):
+    """What became of a trial message."""
+
+    receiver: str
+    ok: bool
+    status: int | None = Field(description="Of HTTP; null: none came, or the receiver is no webhook")
+    told: str
+    took_s: float
+
+
+class DeliveryEntry(Answer):
+    """A line of the log of deliveries."""
+
+    id: int = Field(description="Running number; one that is missing was damaged or taken away")
+    utc: str
+    receiver: str
+    what: Literal[
+        "began",
+        "passed",
+        "held_back",
+        "sending",
+        "sent",
+        "failing",
+        "gave_up",
+        "heartbeat",
+        "tested",
+        "test_failed",
+    ] = Field(description="`sending` without `sent` behind it: it is under way, or a crash came in between")
+    told: str
+    event_ids: list[int]
+    key: str = Field(description="The message's Idempotency-Key; the same again is the same message")
+    attempts: int
+
+
+class DeliveryPage(Answer):
+    """The newest first."""
+
+    next_cursor: str | None = Field(description="Pass it as `cursor` for what was before; null: nothing was")
+    items: list[DeliveryEntry]

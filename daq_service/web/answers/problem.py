@@ -22,6 +22,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 from starlette.types import Scope
 
 from daq_service.errors import SolimonError, StorageError
@@ -29,6 +30,7 @@ from daq_service.errors import SolimonError, StorageError
 MEDIA_TYPE = "application/problem+json"
 RETRY_AFTER_S = {429: "6", 503: "1"}
 TYPE_PREFIX = "urn:solimon:problem:"
+METHODS = ("DELETE", "GET", "HEAD", "PATCH", "POST", "PUT")
 log = logging.getLogger(__name__)
 
 
@@ -128,6 +130,18 @@ def json_pointer(parts: Sequence[str | int]) -> str:
     return "".join("/" + str(part).replace("~", "~0").replace("/", "~1") for part in parts)
 
 
+def _methods_at(app: FastAPI, path: str) -> list[str]:
+    """Methods of all routes that share a path; Starlette names those of one of them."""
+    scopes = [
+        {"type": "http", "path": path, "root_path": "", "method": method, "headers": []} for method in METHODS
+    ]
+    return [
+        str(scope["method"])
+        for scope in scopes
+        if any(route.matches(scope)[0] == Match.FULL for route in app.router.routes)
+    ]
+
+
 def install(app: FastAPI) -> None:
     """Answer every error of the application as problem details."""
 
@@ -163,6 +177,8 @@ def install(app: FastAPI) -> None:
         )
         response = problem_response(request.scope, problem)
         response.headers.update(error.headers or {})
+        if error.status_code == 405:
+            response.headers["Allow"] = ", ".join(_methods_at(app, request.url.path))
         return response
 
     async def on_storage(request: Request, error: Exception) -> Response:

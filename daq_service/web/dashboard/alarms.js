@@ -2,6 +2,7 @@
 
 import { AlarmFilter } from "./alarm-filter.js";
 import { get, post } from "./api.js";
+import { author } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
@@ -218,10 +219,11 @@ export class SolimonAlarms extends HTMLElement {
       this.orders.set(id, word);
       this.render();
     };
-    say("Sending");
     try {
+      const name = await author();
+      say("Sending");
       // The recorder's event brings the new state.
-      await follow(await post(`/alarms/${id}/acknowledge`, { author: "dashboard" }), say);
+      await follow(await post(`/alarms/${id}/acknowledge`, { author: name }), say);
     } catch (error) {
       this.orders.delete(id);
       this.render();

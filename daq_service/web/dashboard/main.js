@@ -5,6 +5,10 @@ import { Asked } from "./asked.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
 import { Toolbar } from "./charts/toolbar.js";
+import { Audit } from "./control/audit.js";
+import { confirmed } from "./control/confirm.js";
+import { Control } from "./control/panel.js";
+import { may } from "./control/who.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
@@ -14,7 +18,8 @@ import { Hold } from "./hold.js";
 import { chip } from "./icons.js";
 import { admitted } from "./login.js";
 import { SolimonNotes } from "./notes.js";
-import { order } from "./orders.js";
+import { Notifications } from "./notifications.js";
+import { giveBy } from "./orders.js";
 import { Reading } from "./reading.js";
 import { Retired } from "./retired.js";
 import { SolimonSet } from "./set/panel.js";
@@ -62,6 +67,7 @@ const toolbar = new Toolbar((part) => address.go(part));
 const tiles = new Tiles(byId("tiles"), select);
 const asked = new Asked();
 const hold = new Hold((text) => notice(text, "alarm"));
+const control = new Control((text) => notice(text, "alarm"));
 const retired = new Retired(byId("retired"), (text) => notice(text, "alarm"));
 const waves = new WaveformStream((record) => waveform.show(record));
 const events = new EventStream({ onEvent, onGap: () => reading.everything(), onState });
@@ -174,6 +180,7 @@ function onRead({ alarms, notes: noted, transducers, environment, info }) {
   if (transducers) {
     tiles.update(transducers);
     retired.update(transducers);
+    control.update(reading.info, transducers.items, transducers.as_of.recorder);
     showClock(transducers.as_of);
   }
   if (environment) {
@@ -204,7 +211,7 @@ function showInfo() {
   setText(byId("approval"), `${info.clock.kind} clock${info.clock.pace_h_per_s ? `, ${significant(info.clock.pace_h_per_s)} h a second` : ""}`);
   setText(byId("hour-total"), ` of ${hour(info.schedule.end_h)} h`);
   setText(byId("version"), `solimon ${info.version}`);
-  byId("finish").hidden = !info.clock.can_finish_now;
+  byId("finish").hidden = !info.clock.can_finish_now || !may("finish_now");
   tiles.lossLimit = info.limits.thickness_loss_fraction;
   showClock(info.as_of);
 }
@@ -266,14 +273,11 @@ function redraw() {
 const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
 byId("finish").addEventListener("click", async () => {
   const button = /** @type {HTMLButtonElement} */ (byId("finish"));
-  button.disabled = true;
-  try {
-    await order("finish_now", {}, (word) => setText(button, word));
+  const says = ["The rest of the simulated test runs as fast as it goes. It cannot be slowed down again."];
+  if ((await confirmed({ title: "Finish the test now", says, word: "Run to the end" })) === null) return;
+  if (await giveBy(button, "finish_now", {}, (text) => notice(text, "alarm"))) {
+    button.disabled = true;
     setText(button, "Finishing");
-  } catch (error) {
-    button.disabled = false;
-    setText(button, "Finish now");
-    notice(/** @type {Error} */ (error).message, "alarm");
   }
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
@@ -322,4 +326,7 @@ Object.defineProperty(window, "solimonDashboard", {
 });
 
 await admitted();
+new Audit();
 reading.begin((after) => events.open(after));
+const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));
+notifications.begin().catch((error) => failing.fail(error, reading.readAt));

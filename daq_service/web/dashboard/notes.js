@@ -1,6 +1,7 @@
 // What people noted of hours of the test: the list, and the dialog that adds to it.
 
 import { post } from "./api.js";
+import { author } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
 import { follow } from "./orders.js";
@@ -113,9 +114,9 @@ export class SolimonNotes extends HTMLElement {
   }
 
   async save() {
-    const body = { author: "dashboard", text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
+    const body = { text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
     try {
-      await follow(await post("/annotations", body), (word) => setText(this.trouble, word));
+      await follow(await post("/annotations", { ...body, author: await author() }), (word) => setText(this.trouble, word));
       this.dialog.close();
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);
@@ -126,7 +127,7 @@ export class SolimonNotes extends HTMLElement {
   async withdraw(id, button) {
     button.disabled = true;
     try {
-      await follow(await post(`/annotations/${id}/withdraw`, { author: "dashboard" }), (word) => setText(button, word));
+      await follow(await post(`/annotations/${id}/withdraw`, { author: await author() }), (word) => setText(button, word));
     } catch (error) {
       button.disabled = false;
       setText(button, "Withdraw");

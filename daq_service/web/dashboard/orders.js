@@ -1,6 +1,8 @@
 // Orders to the recorder: written over REST, then followed until they are answered or have expired.
 
 import { get, post } from "./api.js";
+import { author } from "./control/who.js";
+import { setText } from "./dom.js";
 
 const LOOK_MS = 300;
 const LOOKS = 600;
@@ -12,8 +14,30 @@ const LOOKS = 600;
  * @param {(word: string) => void} say what has become of it so far
  */
 export async function order(kind, args, say) {
+  const name = await author();
   say("Sending");
-  await follow(await post("/commands", { kind, author: "dashboard", arguments: args }), say);
+  await follow(await post("/commands", { kind, author: name, arguments: args }), say);
+}
+
+/**
+ * Give an order by a button, which tells what has become of it so far.
+ *
+ * @param {HTMLButtonElement} button @param {string} kind @param {object} args @param {(text: string) => void} onTrouble
+ * @returns {Promise<boolean>} it was carried out
+ */
+export async function giveBy(button, kind, args, onTrouble) {
+  const word = button.textContent ?? "";
+  button.disabled = true;
+  try {
+    await order(kind, args, (text) => setText(button, text));
+    return true;
+  } catch (error) {
+    onTrouble(/** @type {Error} */ (error).message);
+    return false;
+  } finally {
+    button.disabled = false;
+    setText(button, word);
+  }
 }
 
 /**

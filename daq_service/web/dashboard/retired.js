@@ -1,5 +1,7 @@
 // Transducers that strike no more: why, and a button for when that is put right.
 
+import { confirmed } from "./control/confirm.js";
+import { may } from "./control/who.js";
 import { el } from "./dom.js";
 import { STATES, chip } from "./icons.js";
 import { order } from "./orders.js";
@@ -37,7 +39,7 @@ export class Retired {
   /** @param {any} item @returns {HTMLElement} */
   row(item) {
     const row = el("div", { class: "banner", "data-tone": "alarm" }, chip(STATES.retired), el("p", {}, el("strong", { text: `Position ${item.position}: ` }), item.retired_because));
-    if (this.listens) {
+    if (this.listens && may("reinstate")) {
       const word = this.orders.get(item.position);
       const button = el("button", { class: "button small", type: "button", "data-reinstate": item.position, disabled: word !== undefined, text: word ?? "Reinstate", "aria-label": `${word ?? "Reinstate"}: position ${item.position}` });
       button.addEventListener("click", () => this.reinstate(item.position));
@@ -48,6 +50,9 @@ export class Retired {
 
   /** @param {string} position */
   async reinstate(position) {
+    const says = [`Position ${position} strikes again from the next set on: hands out of the rig. The alarm that retired it is reset.`, "To take it back, retire it again."];
+    const given = await confirmed({ title: `Reinstate position ${position}`, says, word: `Reinstate ${position}` });
+    if (given === null) return;
     const say = (/** @type {string} */ text) => {
       this.orders.set(position, text);
       this.render();

@@ -1,6 +1,7 @@
 // Shelving: for how long, and why. An alarm is told again when the time is over, or when a person says so.
 
 import { post } from "./api.js";
+import { author } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { utc } from "./format.js";
 import { follow } from "./orders.js";
@@ -22,7 +23,7 @@ export function suppressedText(alarm) {
 
 /** @param {any} alarm @param {(word: string) => void} say */
 export async function tellAgain(alarm, say) {
-  await follow(await post(`/alarms/${alarm.id}/${alarm.suppressed === "shelved" ? "unshelve" : "return-to-service"}`, { author: "dashboard" }), say);
+  await follow(await post(`/alarms/${alarm.id}/${alarm.suppressed === "shelved" ? "unshelve" : "return-to-service"}`, { author: await author() }), say);
 }
 
 export class ShelfDialog {
@@ -65,9 +66,9 @@ export class ShelfDialog {
   }
 
   async save() {
-    const given = { author: "dashboard", reason: this.reason.value };
     const hours = this.length.value;
     try {
+      const given = { author: await author(), reason: this.reason.value };
       const row = await post(`/alarms/${this.id}/${hours ? "shelve" : "out-of-service"}`, hours ? { ...given, for_h: Number(hours) } : given);
       await follow(row, (word) => setText(this.trouble, word));
       this.dialog.close();

@@ -18,7 +18,7 @@ from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
 from starlette.requests import HTTPConnection
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from daq_service.errors import UsageError
 from daq_service.orders.audit import Allowance, Audit
@@ -33,6 +33,8 @@ MOST_WRONG, WRONG_EVERY_S = 10, 6.0
 """Wrong tokens of one address that are answered 401: so many at once, then one each six seconds."""
 MOST_ADDRESSES = 1000
 LONGEST_TOKEN = 200
+LONGEST_WHY = 400
+"""Of a line of the audit: a foreign host's name is as long as its sender likes."""
 
 
 class Doors:
@@ -105,6 +107,20 @@ class Doors:
             return self.is_open
         return self.tokens.still_opens(person.name, person.role)
 
+    async def tell_refused(self, scope: Scope, why: str, *, what: str = "enter") -> None:
+        """Audit a refusal by its cause and the request's name alone: what was asked for may hold a token."""
+        person: Person | None = scope.get("state", {}).get("person")
+        await asyncio.to_thread(
+            self.audit.tell,
+            who=person.name if person else "",
+            role=person.role if person else "",
+            source=address_of(scope),
+            what=what,
+            arguments={"request_id": request_id(scope)},
+            result="refused",
+            why=why[:LONGEST_WHY],
+        )
+
     def _token_text(self, scope: Scope, headers: Headers) -> str | None:
         scheme, _, text = headers.get("authorization", "").partition(" ")
         if scheme:
@@ -161,26 +177,31 @@ class Doorkeeper:
             problem = no_token()
         scope.setdefault("state", {})["person"] = person
         if problem is None:
-            await self._app(scope, receive, send)
+            await self._passed(scope, receive, send)
             return
-        await self._tell(scope, problem)
-        await problem_response(scope, problem)(scope, receive, send)
-
-    async def _tell(self, scope: Scope, problem: Problem) -> None:
-        """Audit wrong tokens, and writes without one; what is asked for is not told: it may hold a token."""
         if problem.status == 429:
             self._doors.audit.leave_out()
-        elif problem.name != "no-token" or scope.get("method", "GET") not in {"GET", "HEAD", "OPTIONS"}:
-            await asyncio.to_thread(
-                self._doors.audit.tell,
-                who="",
-                role="",
-                source=address_of(scope),
-                what="enter",
-                arguments={"request_id": request_id(scope)},
-                result="refused",
-                why=problem.detail,
-            )
+        elif problem.name != "no-token" or _writes(scope):
+            await self._doors.tell_refused(scope, problem.detail)
+        await problem_response(scope, problem)(scope, receive, send)
+
+    async def _passed(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass a request on; a write that turns out to be invalid is audited, as other refusals are."""
+        statuses: list[int] = []
+
+        async def heard(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                statuses.append(message["status"])
+            await send(message)
+
+        await self._app(scope, receive, heard if _writes(scope) else send)
+        if 422 in statuses:
+            what = getattr(scope.get("route"), "operation_id", None) or "enter"
+            await self._doors.tell_refused(scope, "the request was not valid", what=what)
+
+
+def _writes(scope: Scope) -> bool:
+    return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
 def no_token() -> Problem:

@@ -53,6 +53,8 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_table": "viewer",
     "get_file": "viewer",
     "get_metrics": "viewer",
+    "get_notifications": "viewer",
+    "list_deliveries": "viewer",
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
@@ -62,6 +64,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "return_alarm_to_service": "engineer",
     "create_annotation": "operator",
     "withdraw_annotation": "operator",
+    "test_receiver": "engineer",
     # Who may do all this, and who did.
     "list_tokens": "admin",
     "create_token": "admin",

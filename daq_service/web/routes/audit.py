@@ -2,33 +2,107 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict
-from typing import Any
+from datetime import UTC, datetime, timedelta
+from typing import Annotated, Any
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Query
+from pydantic import AwareDatetime, BeforeValidator
 
 from daq_service.errors import SolimonError, StorageUnavailableError
-from daq_service.orders.audit import AUDIT_FILE, Deed, read_audit
+from daq_service.orders.audit import AUDIT_FILE, Deed, Result, read_audit
 from daq_service.orders.deadline import look_at_order
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import AuditPage, problems
+from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import CursorText, Limit
+from daq_service.web.doors.roles import OPERATIONS, ORDERS
+from daq_service.web.routes.listing import CursorText, Limit, listing_name
 
 router = APIRouter(tags=["audit"])
+DEEDS = sorted({*OPERATIONS, *ORDERS, "enter"})
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
+What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: hold,release")]
+WithResult = Annotated[Result | None, Query(description="Only with this result")]
+RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
+
+
+def _written_out(text: str) -> str:
+    """Pydantic by itself takes a number for seconds since 1970, too."""
+    if not RFC_3339.fullmatch(text):
+        raise ValueError("give a time with its offset, such as 2024-01-01T00:00:00Z")
+    return text
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(_written_out)]
+FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
+ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
 
 @router.get("/audit", operation_id="list_audit", response_model=AuditPage, responses=problems(422, 503))
-def list_audit(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
-    """List orders, refusals, logins and changes of tokens, the newest first."""
+def list_audit(
+    context: ContextOf,
+    who: Who = None,
+    what: What = None,
+    result: WithResult = None,
+    from_utc: FromUtc = None,
+    to_utc: ToUtc = None,
+    cursor: CursorText = None,
+    limit: Limit = 100,
+) -> JsonAnswer:
+    """List orders, refusals, logins and changes of tokens, the newest first.
+
+    One answer looks at a bounded part of the file: with filters it may hold few items, or none, and a
+    cursor for what was before.
+    """
+    kinds = _kinds(what)
+    first_ns, end_ns = _utc_ns(from_utc), _utc_ns(to_utc)
+    _check_range(first_ns, end_ns)
+
+    def wanted(deed: Deed) -> bool:
+        return (
+            who in (None, deed.who)
+            and (kinds is None or deed.what in kinds)
+            and result in (None, deed.result)
+            and (first_ns is None or deed.utc_ns >= first_ns)
+            and (end_ns is None or deed.utc_ns < end_ns)
+        )
+
+    name = listing_name("audit", who=who, what=what, result=result, first=first_ns, end=end_ns)
     try:
-        found, before = read_audit(context.data_folder, limit=limit, end=cursors.decode("audit", cursor))
+        found, before = read_audit(
+            context.data_folder, limit=limit, end=cursors.decode(name, cursor), wanted=wanted
+        )
     except OSError as error:
         raise StorageUnavailableError(f"{AUDIT_FILE} cannot be read: {error.strerror}") from error
     items = [_item(context, number, deed) for number, deed in found]
-    following = None if before is None else cursors.encode("audit", before)
+    following = None if before is None else cursors.encode(name, before)
     return JsonAnswer({"next_cursor": following, "items": items})
+
+
+def _kinds(what: str | None) -> frozenset[str] | None:
+    kinds = None if what is None else frozenset(what.split(","))
+    if kinds is not None and not kinds <= set(DEEDS):
+        unknown = ", ".join(sorted(kinds - set(DEEDS)))
+        raise _invalid(f"what names {unknown[:200]!r}.", f"It takes {', '.join(DEEDS)}.")
+    return kinds
+
+
+def _check_range(first_ns: int | None, end_ns: int | None) -> None:
+    if first_ns is not None and end_ns is not None and end_ns < first_ns:
+        raise _invalid("to_utc lies before from_utc.", "The range includes from_utc and excludes to_utc.")
+
+
+def _invalid(detail: str, hint: str) -> Problem:
+    return Problem(422, "invalid-request", "No such deeds", detail, hint)
+
+
+def _utc_ns(moment: datetime | None) -> int | None:
+    """Subtracted, not converted to UTC: in year 1 east of Greenwich it would be in none."""
+    return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _item(context: Context, number: int, deed: Deed) -> dict[str, Any]:

@@ -41,7 +41,8 @@ def get_file(
     """Send the file of a set; it never changes, so a range of it can be asked for at any time."""
     row = _row_of(context, name)
     path = None if row is None or row.file is None else context.data_folder / row.file
-    if row is None or path is None or not path.is_file():
+    # A link may lead out of the data folder: it is not followed.
+    if row is None or path is None or path.is_symlink() or not path.is_file():
         raise not_found(
             f"There is no finished file {name!r}.",
             "/api/v1/sets names the files; the newest sets get theirs a moment later.",

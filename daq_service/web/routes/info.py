@@ -9,9 +9,10 @@ from fastapi import APIRouter
 from daq_service.acquisition import schedule
 from daq_service.catalogue import Catalogue
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
-from daq_service.web.answers.models import Info, problems
+from daq_service.web.answers.models import Info, SupplyInfo, problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import ContextOf, Freshness
+from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.nanoseconds import NS_PER_S
 
 router = APIRouter(tags=["info"])
@@ -64,6 +65,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "n": settings.alarms.n,
                 "thickness_loss_fraction": settings.alarms.thickness_loss_fraction,
             },
+            "supply": _supply(settings.rig.driven),
             "initial_thickness_m": settings.ultrasound.initial_thickness_m,
             "positions": [
                 {
@@ -81,6 +83,10 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "as_of": fresh.as_of(),
         }
     )
+
+
+def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:
+    return None if drive is None else {name: getattr(drive, name) for name in SupplyInfo.model_fields}
 
 
 def _asked(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:

@@ -61,12 +61,26 @@ class _Present(Collector):
         yield InfoMetricFamily("solimon", "Version of solimon", {"version": distribution_version()})
         yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
         yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
+        yield from _of_notifications(context)
         has_data = context.has_data()
         yield _gauge("has_data", "1: something is stored", [((), has_data)])
         if has_data:
             yield from _of_test(context, context.freshness())
         else:
             yield _recorder(look_at_recorder(context.data_folder, []).word)
+
+
+def _of_notifications(context: Context) -> Iterator[Metric]:
+    lines = context.notifications.lines.values()
+    sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
+    failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
+    for line in lines:
+        sent.add_metric((line.name,), line.state.sent)
+        failed.add_metric((line.name,), line.state.failed)
+    yield sent
+    yield failed
+    waiting = [((line.name,), line.state.waiting) for line in lines]
+    yield _gauge("notifications_waiting", "Changes of alarms not told yet", waiting, ("receiver",))
 
 
 def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:

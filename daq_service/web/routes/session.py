@@ -34,7 +34,9 @@ async def get_session(request: Request) -> JsonAnswer:
     return JsonAnswer(_told(request.state.person))
 
 
-@router.post("/session", operation_id="log_in", response_model=Session, responses=problems(403, 422))
+@router.post(
+    "/session", operation_id="log_in", response_model=Session, responses=problems(400, 403, 413, 422)
+)
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure)."""
     try:

@@ -57,7 +57,8 @@ function lineOptions(line, series) {
   const gaps = (/** @type {any} */ u, /** @type {number} */ index, /** @type {number} */ from, /** @type {number} */ to, /** @type {[number, number][]} */ found) => {
     const { x, lines } = series();
     const its = lines[index - 1];
-    if (!its.firsts) return found;
+    // A plot that was replaced by one of fewer lines may still draw what it had queued.
+    if (!its?.firsts) return found;
     const all = [...found];
     for (let k = from + 1; k <= to; k++) if (missing(its, k - 1, k)) all.push([u.valToPos(x[k - 1], "x", true), u.valToPos(x[k], "x", true)]);
     return all.sort((a, b) => a[0] - b[0]);

@@ -35,4 +35,5 @@ def test_every_kind_that_the_code_raises_is_in_it() -> None:
 def test_each_says_where_to_look_and_who_decides(kind: str) -> None:
     one = GUIDANCE[kind]
     assert all([one.says, one.does_not_say, one.call])
+    assert one.short.endswith(".")
     assert len(one.look_first) == 3

@@ -29,6 +29,7 @@ from daq_service.cli.keeping.backup import back_up
 from daq_service.cli.keeping.verify import KINDS, verify_folder
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.judgement.results import results_in
+from daq_service.orders.audit import Audit
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 
@@ -172,6 +173,30 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
         ("metadata", stranger.file, None),
         ("set_touched", FILES[1], None),
     ]
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        (lambda lines: [lines[0], lines[1].replace(b"ben", b"bob"), lines[2]], "damaged at line 2"),
+        (lambda lines: [lines[0], lines[2]], "lacks its lines 2 to 2"),
+        (lambda lines: [*lines[:2], lines[2][:40] + b"\n"], "damaged at line 3"),
+    ],
+    ids=["changed", "taken away", "torn"],
+)
+def test_a_changed_or_missing_line_of_the_audit_is_damage(folder, harm, told):
+    audit = Audit(folder)
+    for who in ("ann", "ben", "cleo"):
+        audit.tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+    assert kinds(folder) == []
+    path = folder / "audit.jsonl"
+    path.write_bytes(b"".join(harm(path.read_bytes().splitlines(keepends=True))))
+    code, said = solimon("verify", "--data-dir", folder)
+    assert code == 4
+    (damage,) = said["damage"]
+    assert (damage["kind"], damage["file"]) == ("audit", "audit.jsonl")
+    assert told in damage["told"]
+    assert "keep it, and look at a backup" in damage["told"]
 
 
 def test_files_that_are_not_ours_are_noted_and_no_damage(folder):

@@ -67,7 +67,7 @@ def test_a_disk_that_refuses_ends_a_start_by_hand_and_has_one_by_the_supervisor_
     [
         "status",
         "serve",
-        "hold",
+        "hold --reason why",
         "release",
         "trust-clock",
         "retire --position B",
@@ -83,8 +83,29 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, words: str) -
     assert not folder.exists()
 
 
+@pytest.mark.parametrize(
+    ("words", "asked"), [("hold", True), ("hold --reason door", False), ("release", False)]
+)
+def test_at_a_terminal_a_hold_asks_for_its_reason(
+    monkeypatch: pytest.MonkeyPatch, words: str, asked: bool
+) -> None:
+    given: list[str] = []
+
+    def give_order(kind: str, *, note: str, **options: object) -> int:
+        given.append(note)
+        return 0
+
+    monkeypatch.setattr("daq_service.orders.give.give_order", give_order)
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    questions: list[str] = []
+    monkeypatch.setattr("click.prompt", lambda text, **options: questions.append(text) or "hands in the rig")
+    assert solimon_here(*words.split(), env={}).returncode == 0
+    assert questions == (["Why is the test held"] if asked else [])
+    assert given == (["hands in the rig"] if asked else ["door"] if "door" in words else [""])
+
+
 def test_an_order_is_refused_where_nothing_is_recorded_yet(tmp_path: Path) -> None:
-    done = solimon_here("hold", "--data-dir", str(tmp_path), env={})
+    done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 

@@ -110,6 +110,7 @@ def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder
     ) as silence:
         recorder.given(
             "hold",
+            note="why",
             carried_out_within_s=0.0,
             wait=lambda seconds: recorder.catalogue.start_command(1),
         )
@@ -119,7 +120,7 @@ def test_an_order_that_was_begun_is_waited_for_and_then_told_as_unknown(recorder
 def test_an_order_that_its_recorder_died_over_is_told_as_failed(recorder: Recorder) -> None:
     recorder.answer = ("failed", "the recorder ended while carrying it out")
     with pytest.raises(BusyError, match=r"order 1 \(hold\) failed: the recorder ended"):
-        recorder.given("hold")
+        recorder.given("hold", note="why")
 
 
 def killed(recorder: Recorder) -> None:
@@ -162,23 +163,23 @@ def _change(recorder: Recorder, mono_ns: Callable[[dict[str, Any]], int]) -> Non
 def test_without_a_recorder_nothing_is_written(recorder: Recorder, end: Callable[[Recorder], None]) -> None:
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
-        recorder.given("hold")
+        recorder.given("hold", note="why")
     assert recorder.catalogue.open_commands() == []
 
 
 @pytest.mark.parametrize("told", [["schedule_done"], ["recorder_stopped", "recorder_started"]])
 def test_a_recorder_that_lingers_or_was_started_again_listens(recorder: Recorder, told: list[str]) -> None:
     tell(recorder.catalogue, *told)
-    assert recorder.given("hold") == 0
+    assert recorder.given("hold", note="why") == 0
     assert len(recorder.seen) == 1
 
 
 def test_a_folder_without_data_has_nobody_to_order(tmp_path: Path) -> None:
     with pytest.raises(NoDataYetError, match="no data yet"):
-        give_order("hold", config=None, data_dir=tmp_path, note="", author=None, as_json=False)
+        give_order("hold", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
 
 
 def test_the_author_is_this_user_unless_named(recorder: Recorder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("getpass.getuser", lambda: "u" * 100)
-    recorder.given("hold", author=None)
+    recorder.given("hold", note="why", author=None)
     assert recorder.seen[0][1] == "u" * 80

@@ -41,6 +41,7 @@ def order(kind: str, **arguments: object) -> Order:
 
 ARGUMENTS: dict[str, dict[str, object]] = {
     "acknowledge_alarm": {"alarm_id": 7},
+    "hold": {"note": "hands in the rig"},
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
     "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
@@ -190,7 +191,9 @@ def test_nobody_s_order_switches_the_supply_on() -> None:
     [
         ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
         ("retire", {}, "arguments.position: Field required"),
-        ("hold", {"position": "B"}, "arguments.position: Extra inputs are not permitted"),
+        ("hold", {}, "arguments.note: Field required"),
+        ("hold", {"note": " \t"}, "arguments.note: Value error, say why, for whoever finds the test on hold"),
+        ("hold", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
         ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
     ],
 )

@@ -227,7 +227,7 @@ def test_without_its_mark_only_what_is_harmless_twice_is_carried_out(
 
 
 def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
-    order_id = bench.write("hold")
+    order_id = bench.write("hold", note="why")
     bench.listener.close("the recorder has ended")
     state, words = bench.answer(order_id)
     assert (state, "the recorder has ended" in words) == ("expired", True)
@@ -257,7 +257,7 @@ def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     assert bench.obey("hold", note="door open") == ("done", done)
     assert bench.listener.held == "held by ann: door open"
     already = "the test is already on hold: held by ann: door open"
-    assert bench.obey("hold") == ("refused", already)
+    assert bench.obey("hold", note="why") == ("refused", already)
     bench.restart()
     assert bench.listener.held == "held by ann: door open"
     assert bench.obey("release", note="shut") == ("done", "released: the next due set is taken")
@@ -268,7 +268,10 @@ def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
 
 
 def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench: Bench) -> None:
-    orders = [bench.write("hold"), bench.write("hold"), bench.write("release"), bench.write("release")]
+    orders = [
+        *(bench.write("hold", note="why") for _ in range(2)),
+        *(bench.write("release") for _ in range(2)),
+    ]
     bench.listener.listen()
     assert [bench.answer(order)[0] for order in orders] == ["done", "refused", "done", "refused"]
     assert bench.listener.held == ""
@@ -331,12 +334,12 @@ def test_an_unknown_or_misspelt_order_is_answered_and_the_next_one_obeyed(bench:
     assert state == "refused"
     assert "arguments.position" in words
     assert "arguments.positon" in words
-    assert bench.obey("hold")[0] == "done"
+    assert bench.obey("hold", note="why")[0] == "done"
 
 
 def test_it_looks_no_oftener_than_its_interval(bench: Bench) -> None:
     bench.listener.listen()
-    order_id = bench.write("hold")
+    order_id = bench.write("hold", note="why")
     bench.now_ns += 200 * NS_PER_MS - 1
     bench.listener.listen()
     assert bench.answer(order_id)[0] == "pending"

@@ -32,6 +32,17 @@ def test_a_key_that_came_later_counts_with_its_default() -> None:
     ]
 
 
+def test_who_is_told_of_alarms_may_change_from_start_to_start() -> None:
+    duty = {"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET"}
+    told = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
+    other = Settings(notifications={"receivers": {"night": duty}, "rules": [{"receivers": ["night"]}]})
+    before = kept()
+    del before["notifications"]
+    for stored_, given in ((kept(), told), (before, told), (told.model_dump(mode="json"), other)):
+        assert differences(stored_, given) == []
+    assert differences(told.model_dump(mode="json"), NOW) == []
+
+
 def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
     given = Settings(positions={"B": {"method": "solitary_wave", "chain": {"drop_height_m": 5.1e-3}}})
     before = given.model_dump(mode="json")

@@ -5,6 +5,8 @@ import os
 import socket
 import ssl
 import sys
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import httpx
@@ -17,10 +19,11 @@ from websockets.sync.client import connect
 
 from daq_service.errors import StorageError, UsageError
 from daq_service.orders.audit import Audit, read_audit
+from daq_service.processes.line_file import newest_lines
 from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
-from daq_service.web.doors.entry import MOST_WRONG, refuse_open_doors
+from daq_service.web.doors.entry import LONGEST_WHY, MOST_WRONG, refuse_open_doors
 from daq_service.web.doors.tokens import KnownTokens, create_token, read_tokens, revoke_token
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
@@ -224,7 +227,19 @@ def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "path", ["../tokens.json", "%2e%2e/tokens.json", "..%2f..%2ftokens.json", "/etc/passwd"]
+    "path",
+    [
+        "../tokens.json",
+        "%2e%2e/tokens.json",
+        "..%2f..%2ftokens.json",
+        "..%5c..%5ctokens.json",
+        "/etc/passwd",
+        "%2fetc%2fpasswd",
+        "main.js%00.css",
+        "NUL",
+        "con.js",
+        "C:%5ctokens.json",
+    ],
 )
 def test_no_path_leads_out_of_the_page_s_files(filled, tokens, path):
     create_token(tokens, "ann", "viewer")
@@ -317,6 +332,20 @@ def test_plain_http_at_the_tls_port_gets_nothing_and_hurts_nobody(far, caplog):
     assert [record for record in caplog.records if record.levelno >= logging.ERROR] == []
 
 
+def test_a_handshake_that_never_ends_is_ended(filled, tokens, monkeypatch):
+    create_token(tokens, "ann", "viewer")
+    monkeypatch.setattr("daq_service.web.server.HANDSHAKE_WITHIN_S", 0.2)
+    web = {"host_names": ["lab.example.org"], **ENCRYPTED}
+    with served(Settings(web=web), filled.folder) as service:
+        port = int(service.netloc.rpartition(":")[2])
+        # Less than the minute that asyncio would wait by itself; a reset is an end, too.
+        with (
+            socket.create_connection(("127.0.0.1", port), timeout=DEADLINE_S / 2) as silent,
+            suppress(ConnectionResetError),
+        ):
+            assert silent.recv(1) == b""
+
+
 def test_behind_a_proxy_only_what_it_says_was_encrypted_is_served(filled, tokens):
     _, text = create_token(tokens, "ann", "viewer")
     web = {"host_names": ["lab.example.org"], "proxy": "127.0.0.1"}
@@ -394,11 +423,87 @@ def test_pages_of_the_audit_are_the_whole_of_it(tmp_path):
     assert seen == list(range(25, 0, -1))
 
 
+@pytest.fixture
+def audited(tmp_path):
+    """25 deeds at one second each, from 2024-01-01T00:00:00Z: a hold and a stop in turns, of two people."""
+    audit = Audit(tmp_path)
+    for number in range(25):
+        audit.tell(
+            who=("ann", "ben")[number % 3 == 0],
+            role="admin",
+            source="terminal",
+            what=("hold", "stop")[number % 2],
+            result="accepted",
+            utc_ns=1_704_067_200_000_000_000 + number * 1_000_000_000,
+        )
+    with served(Settings(), tmp_path) as service, service.client() as api:
+        yield api
+
+
+@pytest.mark.parametrize(
+    ("query", "found"),
+    [
+        ({"who": "ben"}, range(0, 25, 3)),
+        ({"what": "hold"}, range(0, 25, 2)),
+        ({"what": "hold,stop", "who": "ann"}, [n for n in range(25) if n % 3]),
+        ({"result": "refused"}, []),
+        ({"from_utc": "2024-01-01T00:00:03Z", "to_utc": "2024-01-01T01:00:07+01:00"}, range(3, 7)),
+        ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
+    ],
+)
+def test_the_audit_is_filtered_and_its_pages_are_the_whole_of_it(audited, monkeypatch, query, found):
+    monkeypatch.setattr("daq_service.orders.audit.newest_lines", partial(newest_lines, most_lines=7))
+    seen, cursor = [], {}
+    while True:
+        page = audited.get("/api/v1/audit", params={**query, "limit": 4, **cursor}).json()
+        seen += [item["id"] - 1 for item in page["items"]]
+        assert len(page["items"]) <= 4
+        if page["next_cursor"] is None:
+            break
+        cursor = {"cursor": page["next_cursor"]}
+    assert seen == sorted(found, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("query", "words"),
+    [
+        ({"what": "hold,explode"}, "what names 'explode'"),
+        ({"result": "maybe"}, "query /result"),
+        ({"from_utc": "2024-01-01T00:00:00"}, "query /from_utc"),
+        ({"to_utc": "1704067200"}, "give a time with its offset, such as 2024-01-01T00:00:00Z"),
+        ({"from_utc": "2024-01-02T00:00:00Z", "to_utc": "2024-01-01T00:00:00Z"}, "before from_utc"),
+    ],
+)
+def test_a_filter_of_the_audit_that_means_nothing_is_refused(audited, query, words):
+    answer = audited.get("/api/v1/audit", params=query)
+    assert answer.status_code == 422
+    assert words in answer.json()["detail"]
+
+
+def test_what_is_invalid_or_foreign_is_audited_without_what_it_held(filled, tokens):
+    _, text = create_token(tokens, "ann", "operator")
+    bearer = {"Authorization": f"Bearer {text}"}
+    foreign = {"Host": f"{'evil.' * 200}example"}
+    with served(filled.settings, filled.folder) as service, service.client(**bearer) as api:
+        assert api.post("/api/v1/commands", json={"kind": text}).status_code == 422
+        assert api.get("/api/v1/sets?limit=0").status_code == 422, "only writes are audited"
+        assert api.get(DUE, headers=foreign).status_code == 400
+        assert api.post("/api/v1/commands", json=HOLD, headers={"Origin": "http://x"}).status_code == 403
+        with pytest.raises(InvalidStatus):
+            connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin="http://x").close()
+    invalid, host, *origins = deeds(filled.folder)
+    assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
+    assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
+    assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_WHY)
+    assert ["Origin is 'http://x'" in deed.why for deed in origins] == [True, True]
+    assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
+
+
 def test_a_disk_that_takes_no_line_keeps_nobody_from_a_hold(filled, monkeypatch, caplog):
     def refuse(*_):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("daq_service.orders.audit.append_durably", refuse)
+    monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.post("/api/v1/commands", json=HOLD).status_code == 202
     assert "not in audit.jsonl: hold accepted mallory" in caplog.text

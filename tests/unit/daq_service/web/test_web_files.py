@@ -91,9 +91,42 @@ def test_what_a_client_has_is_not_sent_again(api, file):
         "set_000000_..%2f..%2fcatalogue.h5",
         "set_999999999999999999_x.h5",
         "set_%D9%A3_x.h5",
+        "%2fetc%2fpasswd",
+        "/etc/passwd",
+        "%00",
+        "set_000000_20240101T000000Z.h5%00.txt",
+        "NUL",
+        "CON.h5",
+        "C:%5cWindows%5cwin.ini",
+        "set_000000_20240101T000000Z.h5:stream",
     ],
 )
 def test_only_names_of_the_catalogue_lead_to_files(api, name):
     answer = api.get(f"/api/v1/files/{name}")
     assert answer.status_code == 404
     assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize(
+    "position", ["..%2fcatalogue.sqlite", "..%5cB", "%2fetc", "%00", "NUL", "B%2f..%2fC", "C:"]
+)
+def test_no_position_leads_out_of_the_folder(api, position):
+    for path in (f"sets/{position}/0/waveforms", f"waveforms/{position}/0/0", f"waveforms/live/{position}"):
+        answer = api.get(f"/api/v1/{path}")
+        assert answer.status_code in {404, 422}, "422: what lies between the slashes is no number"
+        assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_link_out_of_the_folder_is_not_followed(filled, api, file, tmp_path):
+    elsewhere = tmp_path / "elsewhere.h5"
+    file.rename(elsewhere)
+    try:
+        try:
+            file.symlink_to(elsewhere)
+        except OSError as error:
+            pytest.skip(f"no links here: {error}")
+        assert api.get(f"/api/v1/files/{file.name}").status_code == 404
+    finally:
+        file.unlink(missing_ok=True)
+        elsewhere.rename(file)
+    assert api.get(f"/api/v1/files/{file.name}").status_code == 200

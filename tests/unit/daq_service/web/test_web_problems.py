@@ -154,7 +154,8 @@ def test_pointer_escapes():
 def test_unknown_method_is_405(api):
     answer = api.delete("/api/v1/sets")
     problem(answer, 405, "method-not-allowed")
-    assert "GET" in answer.headers["allow"]
+    assert answer.headers["allow"] == "GET"
+    assert api.put("/api/v1/session").headers["allow"] == "DELETE, GET, POST"
 
 
 def test_before_the_first_record_there_is_no_data(tmp_path):
@@ -200,7 +201,8 @@ def test_fault_of_the_service_hides_its_inside(tmp_path, caplog):
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example", "evil.example:80", "[::2]", ""])
 def test_foreign_host_is_refused(api, host):
-    problem(api.get("/api/v1/info", headers={"Host": host}), 400, "foreign-host")
+    for path in ("info", "stream"):
+        problem(api.get(f"/api/v1/{path}", headers={"Host": host}), 400, "foreign-host")
 
 
 @pytest.mark.parametrize("host", ["localhost", "127.0.0.1", "[::1]", "localhost:8750"])
@@ -218,10 +220,11 @@ def test_own_names_are_served(api, host):
         {"Sec-Fetch-Site": "same-site"},
     ],
 )
-def test_orders_of_other_origins_are_refused_and_not_written(api, filled, headers):
+def test_orders_and_streams_of_other_origins_are_refused_and_nothing_is_written(api, filled, headers):
     before = n_commands(filled)
     for path, body in (("commands", {"kind": "stop"}), ("alarms/1/acknowledge", {})):
         problem(api.post(f"/api/v1/{path}", json=body, headers=headers), 403, "foreign-origin")
+    problem(api.get("/api/v1/stream", headers=headers), 403, "foreign-origin")
     assert n_commands(filled) == before
 
 
@@ -297,7 +300,10 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ({"kind": "stop", "arguments": {"now": True}}, "/stop/arguments/now"),
         ({"kind": "stop", "author": ""}, "/stop/author"),
         ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
-        ({"kind": "hold", "arguments": {"position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "hold", "arguments": {"note": "why", "position": "B"}}, "/hold/arguments/position"),
+        ({"kind": "hold"}, "/hold/arguments"),
+        ({"kind": "hold", "arguments": {}}, "/hold/arguments/note"),
+        ({"kind": "hold", "arguments": {"note": "  "}}, "/hold/arguments/note"),
         ({"kind": "release", "arguments": {"note": "x" * 2001}}, "/release/arguments/note"),
         ({"kind": "retire"}, "/retire/arguments"),
         ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
@@ -343,7 +349,7 @@ def test_hold_and_release_become_rows_and_are_refused_where_they_cannot_be(lab):
     (row,) = filled.catalogue.open_commands()
     assert (row.kind, row.author, row.arguments) == ("hold", "Ada", {"note": "door open"})
     filled.say("hold", held="held by Ada: door open", author="Ada")
-    refusal = problem(ordered(api, "hold"), 409, "conflict")
+    refusal = problem(ordered(api, "hold", note="again"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
     assert ordered(api, "release").status_code == 202
     kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
@@ -391,7 +397,12 @@ def test_the_supply_is_ordered_by_a_named_person_where_there_is_one(tmp_path, la
 
 @pytest.mark.parametrize(
     ("kind", "arguments"),
-    [("hold", {}), ("release", {}), ("retire", {"position": "B"}), ("reinstate", {"position": "B"})],
+    [
+        ("hold", {"note": "why"}),
+        ("release", {}),
+        ("retire", {"position": "B"}),
+        ("reinstate", {"position": "B"}),
+    ],
 )
 def test_a_recorder_that_has_stopped_takes_no_such_order(lab, kind, arguments):
     filled, api = lab

@@ -1,0 +1,48 @@
+"""``notify test``: whether receivers are reached, from this computer and as this user."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import click
+
+from daq_service.errors import EXIT_NOT_MET, UsageError
+from daq_service.orders.give import user_name
+from daq_service.processes.data_folder import settings_and_folder
+from daq_service.web.notifications.addresses import address_of
+from daq_service.web.notifications.by_apprise import notify
+from daq_service.web.notifications.messages import Test, trial_message
+from daq_service.web.notifications.webhook import Outcome, post
+
+
+def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> None:
+    """Send a trial message to one receiver, or to all, and print what became of each.
+
+    Raises
+    ------
+    UsageError
+        There is no such receiver, or its address or secret is missing.
+    """
+    settings, _ = settings_and_folder(config, None)
+    receivers = settings.notifications.receivers
+    if not receivers or (receiver is not None and receiver not in receivers):
+        wanted = "receivers are configured" if receiver is None else f"receiver {receiver!r} is configured"
+        names = ", ".join(receivers) or "none"
+        raise UsageError(f"no {wanted}; there are: {names} (see [notifications.receivers.NAME])")
+    results: dict[str, Outcome] = {}
+    for name in receivers if receiver is None else [receiver]:
+        own, test = receivers[name], Test(name=settings.name, mark="terminal")
+        address = address_of(name, own)
+        message = trial_message(test, name, user_name(), now_ns=time.time_ns())
+        results[name] = notify(address, message) if own.kind == "apprise" else post(address, message)
+        if not as_json:
+            click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].told}")
+    if as_json:
+        keys = ("ok", "told", "status")
+        told = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}
+        click.echo(json.dumps({"receivers": told}))
+    if not all(result.ok for result in results.values()):
+        sys.exit(EXIT_NOT_MET)

@@ -1,0 +1,157 @@
+"""The table of notifications: who is told of alarms outside of the page, of which ones, and how soon.
+
+An address that holds a password, and every secret, stands in a file or in a variable of the environment:
+settings only name the place, so that no log, answer or copy of the configuration can tell it.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal, Self
+from urllib.parse import urlsplit
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from daq_service.settings.web import LOOPBACK
+
+Severity = Literal["low", "medium", "high", "critical"]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
+MOST_RECEIVERS = 16
+"""Each has a thread of its own."""
+_VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def refused_address(url: str, *, plain_http: bool) -> str:
+    """Say what is wrong with a webhook's address, without the address itself; empty: nothing."""
+    try:
+        parts = urlsplit(url)
+        _ = parts.port
+    except ValueError:
+        return "it is no address; give one like https://alarms.example.org/solimon"
+    if parts.scheme not in {"http", "https"} or not parts.hostname:
+        return "it is no address of the web; give one like https://alarms.example.org/solimon"
+    if not url.isascii() or not url.isprintable() or " " in url:
+        return "it has characters that an address cannot have; write them as %XX, and a host's name in ASCII"
+    if parts.username is not None or parts.password is not None:
+        return "it holds a name or a password; take them out: messages are signed with the secret"
+    if parts.scheme == "http" and parts.hostname not in LOOPBACK and not plain_http:
+        return (
+            f"it is http:// to {parts.hostname}, so anybody on the way could read and change alarms; use "
+            "https://, or say plain_http = true for this receiver"
+        )
+    return ""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ReceiverSettings(_Table):
+    """Who is told."""
+
+    kind: Literal["webhook", "apprise"] = "webhook"
+    """`webhook`: a signed POST of JSON; `apprise`: e-mail, chat and others, by the extra `notify`."""
+    url: str = Field(default="", max_length=2000)
+    """Address of a webhook that is no secret itself."""
+    url_file: str = ""
+    """File whose only line is the address, relative to the configuration file; apprise's addresses hold
+    passwords."""
+    url_env: str = ""
+    """Variable of the environment that holds the address."""
+    secret_file: str = ""
+    """File whose only line is the webhook's secret (16 characters or more), relative to the configuration
+    file."""
+    secret_env: str = ""
+    """Variable of the environment that holds the secret."""
+    plain_http: bool = False
+    """Allows http:// to another computer: what is told travels unencrypted."""
+    heartbeat_s: float | None = Field(default=None, ge=10.0, le=86_400.0)
+    """Webhook only: a sign of life so often, with the recorder's state and the age of the last set. None is
+    sent while no recorder answers: a receiver that misses it must raise the alarm."""
+
+    @model_validator(mode="after")
+    def _has_what_it_needs(self) -> Self:
+        places = ["url", "url_file", "url_env"] if self.kind == "webhook" else ["url_file", "url_env"]
+        if self.kind == "apprise" and self.url:
+            raise ValueError("an address of apprise holds a password; put it into url_file or url_env")
+        self._exactly_one(places)
+        if self.kind == "webhook":
+            self._exactly_one(["secret_file", "secret_env"])
+        elif self.secret_file or self.secret_env or self.plain_http or self.heartbeat_s is not None:
+            raise ValueError(
+                "secret_file, secret_env, plain_http, heartbeat_s are a webhook's; take them out for apprise"
+            )
+        if self.url and (refusal := refused_address(self.url, plain_http=self.plain_http)):
+            raise ValueError(f"url: {refusal}")
+        return self
+
+    def _exactly_one(self, places: list[str]) -> None:
+        given = [name for name in places if getattr(self, name)]
+        if len(given) != 1:
+            found = " and ".join(given) or "none"
+            raise ValueError(f"{found} of {', '.join(places)} is given; give exactly one")
+
+    @field_validator("url_env", "secret_env")
+    @classmethod
+    def _is_a_variable(cls, name: str) -> str:
+        if name and not _VARIABLE.fullmatch(name):
+            raise ValueError("give the name of a variable, not what it holds: letters, digits and _")
+        if name.upper().startswith("SOLIMON_"):
+            raise ValueError("variables that begin with SOLIMON_ are the configuration's; choose another")
+        return name
+
+
+class RuleSettings(_Table):
+    """Which alarms are told to whom; the first rule that fits an alarm and a receiver counts."""
+
+    receivers: tuple[Name, ...] = ()
+    """Their names; empty: all."""
+    severity: Severity = "medium"
+    """The lowest that is told."""
+    positions: tuple[str, ...] = ()
+    """Alarms of these positions; empty: of all, and those of the rig, the disk and the clock."""
+    kinds: tuple[str, ...] = ()
+    """Kinds of alarm, for example wall_change; empty: all (docs/how-to/my-alarm-what-now.md lists them)."""
+    delay_s: float = Field(default=0.0, ge=0.0, le=3600.0)
+    """An alarm that is over again within this time is not told."""
+    group_s: float = Field(default=10.0, ge=0.0, le=3600.0)
+    """What comes within this time goes out as one message."""
+    returned: bool = True
+    """Tell, too, when an alarm is over."""
+
+
+class NotificationSettings(_Table):
+    """Notifications by the web service."""
+
+    receivers: dict[Name, ReceiverSettings] = Field(default_factory=dict, max_length=MOST_RECEIVERS)
+    """Receivers by name; without any nothing is sent."""
+    rules: tuple[RuleSettings, ...] = Field(default=(RuleSettings(),), min_length=1, max_length=100)
+    """Absent: every alarm of severity medium or more to all receivers."""
+    give_up_h: float = Field(default=24.0, gt=0.0, le=720.0)
+    """What could not be delivered for so long is given up, which the log of deliveries tells."""
+
+    @model_validator(mode="after")
+    def _rules_name_receivers(self) -> Self:
+        for number, rule in enumerate(self.rules, start=1):
+            if unknown := sorted(set(rule.receivers) - set(self.receivers)):
+                raise ValueError(
+                    f"rule {number} names the receiver {unknown[0]!r}; there are "
+                    f"{', '.join(self.receivers) or 'none'}: add [notifications.receivers.{unknown[0]}], or "
+                    "correct the name"
+                )
+        return self
+
+    def require_positions(self, positions: list[str]) -> None:
+        """Check that rules name positions that there are.
+
+        Raises
+        ------
+        ValueError
+            One that there is not.
+        """
+        for number, rule in enumerate(self.rules, start=1):
+            if unknown := sorted(set(rule.positions) - set(positions)):
+                raise ValueError(
+                    f"notifications.rules, rule {number}: there is no position {unknown[0]!r}; the positions "
+                    f"are {', '.join(positions)}"
+                )

@@ -1,0 +1,104 @@
+"""Where a receiver is reached, and its secret: read where settings say, and told to nobody."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from daq_service.alarms.guidance import GUIDANCE
+from daq_service.errors import UsageError
+from daq_service.settings.notifications import NotificationSettings, ReceiverSettings, refused_address
+from daq_service.shared_file import read_shared
+
+SHORTEST_SECRET = 16
+_SCHEME = re.compile(r"[a-z0-9.+-]{1,40}(?=://)")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Address:
+    """Where, and with which secret; it has no text form, so that no log can hold it."""
+
+    url: str
+    secret: bytes
+
+
+def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, str] = os.environ) -> Address:
+    """Read a receiver's address and secret; each time anew, so that a changed one counts at once.
+
+    Raises
+    ------
+    UsageError
+        One is missing or cannot work; what it holds is not repeated.
+    """
+    url = receiver.url or _held(name, "url", receiver.url_file, receiver.url_env, environment)
+    if receiver.kind == "apprise":
+        if find_spec("apprise") is None:
+            raise UsageError(_of(name, 'e-mail and chat need the extra: pip install "solimon[notify]"'))
+        if not _SCHEME.match(url.lower()):
+            raise UsageError(_of(name, "the address is none of apprise; give one like mailtos://..."))
+        return Address(url, b"")
+    if refusal := refused_address(url, plain_http=receiver.plain_http):
+        raise UsageError(_of(name, f"the address is refused: {refusal}"))
+    secret = _held(name, "secret", receiver.secret_file, receiver.secret_env, environment)
+    if len(secret) < SHORTEST_SECRET:
+        raise UsageError(
+            _of(name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more")
+        )
+    return Address(url, secret.encode())
+
+
+def shown_address(receiver: ReceiverSettings) -> str:
+    """Say where a receiver is, without what may be secret: of an address only the host."""
+    if receiver.url:
+        parts = urlsplit(receiver.url)
+        return f"{parts.scheme}://{parts.netloc}"
+    return (
+        f"from the variable {receiver.url_env}"
+        if receiver.url_env
+        else f"from {Path(receiver.url_file).name}"
+    )
+
+
+def refuse_unusable(settings: NotificationSettings) -> None:
+    """Check before a start that every receiver could be told, and that rules name kinds that there are.
+
+    Raises
+    ------
+    UsageError
+        What is missing.
+    """
+    for name, receiver in settings.receivers.items():
+        address_of(name, receiver)
+    for number, rule in enumerate(settings.rules, start=1):
+        if unknown := sorted(set(rule.kinds) - GUIDANCE.keys()):
+            raise UsageError(
+                f"notifications.rules, rule {number}: there is no kind of alarm {unknown[0]!r}; there are "
+                f"{', '.join(sorted(GUIDANCE))}"
+            )
+
+
+def _held(name: str, what: str, file: str, variable: str, environment: Mapping[str, str]) -> str:
+    if variable:
+        text = environment.get(variable, "").strip()
+        if not text:
+            told = f"the variable {variable} of {what}_env is not set; set it for the web service"
+            raise UsageError(_of(name, told))
+        return text
+    try:
+        text = read_shared(Path(file)).decode().strip()
+    except OSError as error:
+        raise UsageError(_of(name, f"{what}_file {file} cannot be read: {error.strerror}")) from error
+    except UnicodeDecodeError:
+        raise UsageError(_of(name, f"{what}_file {file} is not UTF-8 text; save it as such")) from None
+    if not text or len(text.splitlines()) != 1:
+        raise UsageError(_of(name, f"{what}_file {file} must hold exactly one line"))
+    return text
+
+
+def _of(name: str, told: str) -> str:
+    return f"notifications.receivers.{name}: {told}"

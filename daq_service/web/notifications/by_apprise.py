@@ -1,0 +1,27 @@
+"""E-mail, chat and what else the package apprise reaches; imported only where a receiver asks for it."""
+
+from __future__ import annotations
+
+import logging
+
+from daq_service.web.notifications.addresses import Address
+from daq_service.web.notifications.messages import Message
+from daq_service.web.notifications.webhook import Outcome
+
+
+def notify(address: Address, message: Message) -> Outcome:
+    """Try once to deliver a message; apprise bounds its own connections in time.
+
+    Its own log may repeat parts of an address and is kept silent, so a failure is told without its cause.
+    """
+    import apprise
+
+    logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)
+    # In this thread, which is the receiver's own.
+    door = apprise.Apprise(asset=apprise.AppriseAsset(async_mode=False))
+    if not door.add(address.url):
+        return Outcome(ok=False, told="apprise does not know this kind of address; see its list of services")
+    kind = apprise.NotifyType.INFO if message.kind == "test" else apprise.NotifyType.WARNING
+    if door.notify(title=message.title, body=f"{message.text}\n\n{message.key}", notify_type=kind):
+        return Outcome(ok=True, told="handed over")
+    return Outcome(ok=False, told="apprise could not deliver it: see host, name and password in the address")

@@ -1,0 +1,44 @@
+"""Notifications on the page: how a receiver stands, a trial by keyboard, the log; read by everybody."""
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from support.browser_pages import expect
+from support.filled_folder import FilledFolder
+from support.receivers import http_receiver
+from support.served_web import served
+from support.told_alarms import notifying
+
+pytestmark = pytest.mark.browser
+
+
+def test_a_receiver_is_tried_by_keyboard_and_a_dead_one_is_a_warning(tmp_path, open_page, monkeypatch):
+    monkeypatch.setenv("DUTY_SECRET", "correct-horse-battery-staple")
+    with http_receiver() as receiver:
+        settings = notifying({"duty": {"url": receiver.url, "secret_env": "DUTY_SECRET"}})
+        filled = FilledFolder(tmp_path, settings)
+        filled.add_set(0, stored=False, shown=True)
+        with served(settings, tmp_path) as service:
+            page = open_page(service.url)
+            card = page.locator("#notifications")
+            expect(card).to_contain_text("Ready")
+            button = card.get_by_role("button", name="Send a trial to duty")
+            button.focus()
+            page.keyboard.press("Enter")
+            expect(card).to_contain_text("The trial arrived after")
+            assert receiver.next().message["title"].startswith("TEST, no alarm")
+            expect(button).to_be_focused()
+            card.locator("summary").press("Enter")
+            expect(card.locator("tbody tr").first).to_contain_text("tested")
+            state = service.app.state.context.notifications.lines["duty"].state
+            state.failing_since_utc_ns = 1_700_000_000 * 10**9
+            state.last_failure = "no answer within 15 s"
+            page.reload()
+            expect(card).to_contain_text("Not reached for long")
+            expect(card).to_contain_text("no answer within 15 s. Nothing is lost")
+            for theme in ("light", "dark"):
+                page.goto(f"{service.url}?theme={theme}")
+                expect(card).to_contain_text("Not reached for long")
+                found = Axe().run(page, "#notifications")
+                assert found.violations_count == 0, found.generate_report()
+            page.close()  # it would miss the service
+        filled.close()

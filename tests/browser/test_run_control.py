@@ -1,0 +1,208 @@
+"""What changes a test, given on the page: each order names its consequence, and is never a single click."""
+
+from datetime import datetime, timedelta
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from support.browser_pages import expect
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.orders.audit import Audit
+from daq_service.settings.tree import Settings
+from daq_service.web.doors.tokens import create_token
+
+pytestmark = pytest.mark.browser
+
+SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL", "voltage_v": 9.0, "voltage_cap_v": 11.0}
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(rig={"supply": SUPPLY}))
+    for index in range(3):
+        folder.add_set(index, stored=False, shown=index == 2)
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running
+
+
+def answered(filled, author="ann"):
+    """Take the one waiting order as the recorder does; its kind and arguments."""
+    (command,) = filled.catalogue.open_commands()
+    assert command.author == author
+    filled.catalogue.finish_command(command.id, "done", "done")
+    return command.kind, command.arguments
+
+
+@pytest.mark.parametrize(
+    ("button", "consequences", "confirm", "order"),
+    [
+        (
+            "Stop the test",
+            ["nothing is recorded", "supply is switched off", "This page cannot take it back"],
+            "Stop the test",
+            ("stop", {}),
+        ),
+        (
+            "Retire C",
+            ["Position C strikes no more", "No sets will come from it", "press Reinstate beside its notice"],
+            "Retire C",
+            ("retire", {"position": "C", "note": ""}),
+        ),
+        (
+            "Supply on, or its limits",
+            ["The wall corrodes", "never goes on again by itself", "At most 11 V and 2 A are allowed"],
+            "Switch on: 9 V, at most 1 A",
+            ("supply_on", {"voltage_v": 9.0, "current_limit_a": 1.0, "note": ""}),
+        ),
+        ("Supply off", ["Corrosion ends"], "Switch off", ("supply_off", {"note": ""})),
+    ],
+)
+def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
+    filled, service, open_page, button, consequences, confirm, order
+):
+    page = open_page(service.url, name="ann")
+    page.get_by_text("Run control").click()
+    control = page.locator("#control")
+    asked, dialog = control.get_by_role("button", name=button, exact=True), page.get_by_role("dialog")
+    asked.click()
+    for text in consequences:
+        expect(dialog).to_contain_text(text)
+    expect(dialog.get_by_role("button", name="Cancel")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(dialog).to_have_count(0)
+    expect(asked).to_be_focused()
+    page.keyboard.press("Enter")
+    page.keyboard.press("Enter")  # on what has the focus: the safe choice
+    expect(dialog).to_have_count(0)
+    assert filled.catalogue.open_commands() == []
+    asked.click()
+    dialog.get_by_role("button", name=confirm).click()
+    expect(control.get_by_role("button", name="Sent, expires")).to_be_visible()
+    assert answered(filled) == order
+    expect(asked).to_be_enabled()
+
+
+def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, service, open_page):
+    page = open_page(service.url, name="ann")
+    page.get_by_text("Run control").click()
+    page.get_by_role("button", name="Supply on, or its limits").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Voltage in V").fill("12")
+    dialog.get_by_role("button", name="Switch on: 12 V, at most 1 A").click()
+    expect(dialog).to_be_visible()
+    assert filled.catalogue.open_commands() == []
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        found = Axe().run(page)
+        assert found.violations_count == 0, found.generate_report()
+    dialog.get_by_label("Voltage in V").fill("5.5")
+    dialog.get_by_label("Current limit in A").fill("0.25")
+    dialog.get_by_role("button", name="Switch on: 5.5 V, at most 0.25 A").click()
+    expect(page.get_by_role("button", name="Sent, expires")).to_be_visible()
+    assert answered(filled) == ("supply_on", {"voltage_v": 5.5, "current_limit_a": 0.25, "note": ""})
+
+
+def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
+    page = open_page(service.url, name=None)
+    hold, dialog = page.get_by_role("button", name="Hold", exact=True), page.get_by_role("dialog")
+    for name in (None, "Ben B"):
+        hold.click()
+        dialog.get_by_label("Reason").fill("hands in the rig")
+        page.keyboard.press("Enter")
+        expect(dialog).to_contain_text("marked as claimed")
+        if name is None:
+            page.keyboard.press("Escape")
+            expect(page.locator("#notice")).to_contain_text("an order bears the name of whoever gives it")
+            assert filled.catalogue.open_commands() == []
+        else:
+            page.keyboard.type(name)
+            page.keyboard.press("Enter")
+    expect(page.locator("#hold")).to_contain_text("Sent")
+    assert answered(filled, "Ben B") == ("hold", {"note": "hands in the rig"})
+    expect(page.get_by_role("button", name="Ben B (claimed)")).to_be_visible()
+    page.reload()
+    page.get_by_role("button", name="Hold", exact=True).click()
+    dialog.get_by_label("Reason").fill("again")
+    page.keyboard.press("Enter")
+    expect(page.locator("#hold")).to_contain_text("Sent")
+    assert answered(filled, "Ben B") == ("hold", {"note": "again"})
+    page.get_by_role("button", name="Ben B (claimed)").click()
+    dialog.get_by_label("Name").fill("Cleo")
+    page.keyboard.press("Enter")
+    expect(page.get_by_role("button", name="Cleo (claimed)")).to_be_visible()
+
+
+def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page, tmp_path):
+    audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
+    yesterday = now.replace(hour=12) - timedelta(days=1)
+    deeds = [
+        ("old", "hold", yesterday - timedelta(days=1)),
+        ("cleo", "hold", yesterday),
+        ("ben", "log_in", yesterday),
+    ]
+    for who, what, moment in deeds:
+        told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+        audit.tell(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+    for _ in range(60):
+        audit.tell(
+            who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
+        )
+    page = open_page(service.url)
+    rows = page.locator("#audit tbody tr")
+    clicks = [
+        page.get_by_text("Audit", exact=True),
+        page.get_by_role("button", name="Holds"),
+        page.get_by_role("button", name="Yesterday"),
+    ]
+    for one in clicks:
+        one.click()
+    expect(rows).to_have_count(1)
+    expect(rows).to_contain_text("cleo")
+    expect(rows).to_contain_text("note: changing a sensor")
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    page.get_by_role("button", name="Any time").click()
+    expect(rows).to_have_count(50)
+    page.get_by_role("button", name="Older").click()
+    expect(rows.nth(50)).to_be_visible()
+    page.get_by_label("Who").fill("old")
+    page.keyboard.press("Enter")
+    expect(rows).to_have_count(1)
+    page.get_by_label("Result").select_option("refused")
+    expect(rows).to_have_count(0)
+    expect(page.locator("#audit [role=status]")).to_contain_text("Nothing found")
+
+
+@pytest.mark.parametrize(
+    ("role", "held", "control"),
+    [("viewer", False, False), ("operator", True, False), ("engineer", True, True)],
+)
+def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
+    filled, open_page, tmp_path, role, held, control
+):
+    tokens = tmp_path / "tokens.json"
+    _, text = create_token(tokens, "ann", role)
+    settings = filled.settings.model_copy(
+        update={"web": filled.settings.web.model_copy(update={"tokens_file": str(tokens)})}
+    )
+    with served(settings, filled.folder) as service:
+        page = open_page(service.url, forgiven="401", name=None)
+        page.get_by_label("Token").fill(text)
+        page.keyboard.press("Enter")
+        page.get_by_text("Run control").click()
+        buttons = page.locator("#control button:visible")
+        expect(buttons).to_have_count(6)
+        expect(page.locator("#hold")).to_be_visible(visible=held)
+        assert [buttons.nth(n).is_enabled() for n in range(6)] == [control] * 6
+        why = "" if control else f"ann is {role}: this role does not allow it."
+        expect(page.locator("#control-why")).to_have_text(why)
+        expect(page.locator("#name")).to_be_hidden()
+        expect(page.locator("#audit")).to_be_hidden()
+        page.close()

@@ -1,0 +1,63 @@
+"""`notify test` and what `check-config` and a start say of receivers."""
+
+import json
+
+import pytest
+from support.receivers import http_receiver
+
+from daq_service.cli.inspection import print_configuration
+from daq_service.cli.run import serve_alone
+from daq_service.cli.set_up.notify import run_test
+from daq_service.errors import EXIT_NOT_MET, UsageError
+
+SECRET = "correct-horse-battery-staple"
+
+
+@pytest.fixture
+def receiver():
+    with http_receiver() as running:
+        yield running
+
+
+@pytest.fixture
+def config(tmp_path, receiver):
+    path = tmp_path / "test.toml"
+    path.write_text(
+        f'[notifications.receivers.duty]\nurl = "{receiver.url}/T0K3N"\nsecret_file = "duty.secret"\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "duty.secret").write_text(f"{SECRET}\n", encoding="utf-8")
+    return path
+
+
+def test_a_trial_is_sent_and_its_result_told(config, receiver, capsys):
+    run_test(config=config, receiver=None, as_json=False)
+    assert capsys.readouterr().out == f"{'duty':<24} ok      taken (204)\n"
+    assert receiver.next().message["kind"] == "test"
+    receiver.answers.put((503, {}))
+    with pytest.raises(SystemExit) as end:
+        run_test(config=config, receiver="duty", as_json=True)
+    assert end.value.code == EXIT_NOT_MET
+    told = json.loads(capsys.readouterr().out)["receivers"]["duty"]
+    assert told == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
+
+
+def test_a_receiver_that_there_is_not_is_refused(config):
+    with pytest.raises(UsageError, match="no receiver 'night' is configured; there are: duty"):
+        run_test(config=config, receiver="night", as_json=False)
+    with pytest.raises(UsageError, match="no receivers are configured; there are: none"):
+        run_test(config=None, receiver=None, as_json=False)
+
+
+def test_a_configuration_is_checked_without_telling_secrets(config, receiver, tmp_path, capsys):
+    print_configuration(config=config, data_dir=tmp_path, schema=False, as_json=False)
+    told = capsys.readouterr()
+    assert f"receiver   duty: webhook, {receiver.url.removesuffix('/hook')}\n" in told.out
+    assert "T0K3N" not in told.out
+    assert SECRET not in told.out
+    (tmp_path / "duty.secret").unlink()
+    print_configuration(config=config, data_dir=tmp_path, schema=False, as_json=False)
+    assert "duty.secret cannot be read" in capsys.readouterr().err
+    (tmp_path / "data").mkdir()
+    with pytest.raises(UsageError, match=r"duty\.secret cannot be read"):
+        serve_alone(config=config, data_dir=tmp_path / "data", port=0, restarted_because="", supervised=False)

@@ -1,0 +1,155 @@
+"""`solimon token`, and a service for others that is refused at its start until it has its locks."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from support.command_line import solimon_here
+
+from daq_service.orders.audit import read_audit
+from daq_service.web.doors.tokens import create_token, read_tokens, revoke_token
+
+TLS = Path(__file__).parents[3] / "fixtures" / "tls"
+TEXT_LENGTH = 43  # 256 bits as base64
+
+
+@pytest.fixture
+def token(tmp_path):
+    """Run `solimon token` over a folder: exit code, standard output, standard error."""
+
+    def run(*words):
+        done = solimon_here("token", *words, "--data-dir", str(tmp_path), env={})
+        return done.returncode, done.stdout, done.stderr
+
+    return run
+
+
+def test_a_token_is_made_told_once_listed_and_revoked(token, tmp_path):
+    code, out, err = token("create", "ann", "--role", "operator", "--days", "2")
+    text = out.strip()
+    assert (code, len(text)) == (0, TEXT_LENGTH)
+    assert "operator token of ann" in err
+    assert text not in err
+    code, listed, _ = token("list")
+    assert (code, listed.split()[:3]) == (0, ["ann", "operator", "valid"])
+    assert text not in listed
+    assert token("revoke", "ann")[:2] == (0, "the token of ann opens nothing any more\n")
+    assert token("list")[1].split()[2] == "revoked"
+    told = [
+        (deed.what, deed.source, deed.result, deed.arguments) for _, deed in read_audit(tmp_path, limit=9)[0]
+    ]
+    assert told == [
+        ("revoke_token", "terminal", "done", {"name": "ann"}),
+        ("create_token", "terminal", "done", {"name": "ann", "role": "operator", "days": 2.0}),
+    ]
+
+
+def test_json_is_one_object_and_holds_no_hash(token, tmp_path):
+    assert json.loads(token("list", "--json")[1]) == {"file": str(tmp_path / "tokens.json"), "tokens": []}
+    made = json.loads(token("create", "ann", "--role", "admin", "--json")[1])
+    text = made.pop("token")
+    assert len(text) == TEXT_LENGTH
+    (listed,) = json.loads(token("list", "--json")[1])["tokens"]
+    assert listed == made
+    assert (listed["name"], listed["role"], listed["state"], listed["expires_utc"]) == (
+        "ann",
+        "admin",
+        "valid",
+        None,
+    )
+    revoked = json.loads(token("revoke", "ann", "--json")[1])
+    assert revoked == listed | {"state": "revoked", "revoked_utc": revoked["revoked_utc"]}
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            ("create", "ann", "--role", "admin"),
+            "ann has a token; revoke it first with `solimon token revoke ann`",
+        ),
+        (("create", "b/n", "--role", "admin"), "'b/n' is no name of a token; use up to 40 letters"),
+        (
+            ("create", "ben", "--role", "boss"),
+            "'boss' is not one of 'viewer', 'operator', 'engineer', 'admin'",
+        ),
+        (("create", "ben", "--role", "admin", "--days", "0"), "0.0 is not in the range x>0"),
+        (("revoke", "ben"), "there is no token 'ben' to revoke; there are: ann"),
+    ],
+)
+def test_what_cannot_be_is_refused_and_changes_nothing(token, tmp_path, words, told):
+    create_token(tmp_path / "tokens.json", "ann", "viewer")
+    before = (tmp_path / "tokens.json").read_bytes()
+    code, out, err = token(*words)
+    assert (code, out) == (2, "")
+    assert told in err
+    assert (tmp_path / "tokens.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("words", [("create", "ann", "--role", "admin"), ("list",), ("revoke", "ann")])
+@pytest.mark.parametrize("damage", ["unreadable", "foreign"])
+def test_a_file_that_cannot_be_read_is_told_and_left_as_it_is(token, tmp_path, words, damage):
+    path = tmp_path / "tokens.json"
+    if damage == "unreadable":
+        path.mkdir()
+    else:
+        path.write_text('{"tokens": 1}', encoding="utf-8")
+    code, out, err = token(*words)
+    assert (code, out) == (4, "")
+    assert ("cannot be read" if damage == "unreadable" else "is no file of access tokens") in err
+    assert path.is_dir() if damage == "unreadable" else path.read_text(encoding="utf-8") == '{"tokens": 1}'
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such mode")
+def test_a_change_makes_the_file_its_owner_s_alone(token, tmp_path):
+    token("create", "ann", "--role", "admin")
+    path = tmp_path / "tokens.json"
+    path.chmod(0o666)
+    token("revoke", "ann")
+    assert path.stat().st_mode & 0o777 == 0o600
+
+
+# Started for others
+
+
+@pytest.mark.parametrize("command", ["serve", "run"])
+@pytest.mark.parametrize(
+    ("web", "tokens", "told"),
+    [
+        (
+            'host = "0.0.0.0"',
+            "valid",
+            ["web.host is '0.0.0.0'", "web.tls_certificate", "web.proxy", "127.0.0.1"],
+        ),
+        ('host = "0.0.0.0"\nproxy = "10.0.0.2"', "valid", ["no name is given", "web.host_names"]),
+        ("{tls}", "none", ["web.host is '0.0.0.0'", "no valid access token", "solimon token create NAME"]),
+        ("{tls}", "revoked", ["no valid access token", "solimon token create NAME", "keep to 127.0.0.1"]),
+        ("{tls_swapped}", "valid", ["cannot be used", "give readable PEM files"]),
+    ],
+)
+def test_a_service_for_others_starts_with_its_locks_or_not_at_all(
+    tmp_path, monkeypatch, command, web, tokens, told
+):
+    def started(*arguments, **options):
+        raise AssertionError("it was started without its locks")
+
+    for started_by in ("daq_service.web.server.serve", "daq_service.cli.run.Supervisor"):
+        monkeypatch.setattr(started_by, started)
+    folder = tmp_path / "data"
+    folder.mkdir()
+    if tokens != "none":
+        create_token(folder / "tokens.json", "ann", "viewer")
+    if tokens == "revoked":
+        revoke_token(folder / "tokens.json", "ann")
+    open_ = 'host = "0.0.0.0"\nhost_names = ["lab.example.org"]\n'
+    certificate, key = json.dumps(str(TLS / "certificate.pem")), json.dumps(str(TLS / "key.pem"))
+    web = web.replace("{tls}", f"{open_}tls_certificate = {certificate}\ntls_key = {key}")
+    web = web.replace("{tls_swapped}", f"{open_}tls_certificate = {key}\ntls_key = {certificate}")
+    config = tmp_path / "lab.toml"
+    config.write_text(f"[web]\n{web}\n", encoding="utf-8")
+    done = solimon_here(command, str(config), "--data-dir", str(folder), env={})
+    assert (done.returncode, done.stdout) == (2, "")
+    for words in told:
+        assert words in done.stderr
+    assert all(token.name == "ann" for token in read_tokens(folder / "tokens.json"))

@@ -1,0 +1,74 @@
+"""Receivers and rules in the configuration: what is refused, and what no refusal ever repeats."""
+
+from pathlib import Path
+from typing import Any, get_args
+
+import pytest
+
+from daq_service.alarms.states import SEVERITIES
+from daq_service.errors import UsageError
+from daq_service.settings.file import checked_settings
+from daq_service.settings.notifications import Severity
+from daq_service.settings.tree import Settings
+
+DUTY = {"url": "https://alarms.example.org/hook", "secret_file": "duty.secret"}
+HIDDEN = "correct-horse-battery-staple"
+
+
+def settings(path: Path, receiver: dict[str, Any], **beside: Any) -> Settings:
+    values = {"notifications": {"receivers": {"duty": receiver}, **beside}}
+    return checked_settings(values, path / "test.toml")
+
+
+def test_files_count_from_the_configuration_and_severities_are_those_of_alarms(tmp_path):
+    (duty,) = settings(tmp_path, DUTY).notifications.receivers.values()
+    assert duty.secret_file == str(tmp_path / "duty.secret")
+    assert duty.url == DUTY["url"]
+    assert get_args(Severity) == SEVERITIES
+
+
+def test_who_is_told_changes_no_test(tmp_path):
+    assert settings(tmp_path, DUTY).configuration_hash() == Settings().configuration_hash()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"url": "http://alarms.example.org/hook"}, "http:// to alarms.example.org.*plain_http = true"),
+        ({"url": f"https://ann:{HIDDEN}@alarms.example.org/"}, "holds a name or a password; take them out"),
+        ({"url": "ftp://alarms.example.org/"}, "no address of the web"),
+        ({"url": "https://alarms.example.org:99999/"}, "it is no address"),
+        ({"url": f"https://alarms.example.org/a\n{HIDDEN}"}, "characters that an address cannot have"),
+        ({"url_env": "HOOK"}, "url and url_env of url, url_file, url_env is given; give exactly one"),
+        ({"secret_file": ""}, "none of secret_file, secret_env is given"),
+        ({"secret_file": "", "secret_env": HIDDEN}, "give the name of a variable, not what it holds"),
+        ({"secret_file": "", "secret_env": "SOLIMON_SECRET"}, "begin with SOLIMON_"),
+        ({"secret": HIDDEN}, "unknown key; did you mean secret_"),
+        ({"kind": "apprise"}, "an address of apprise holds a password"),
+        ({"kind": "apprise", "url": "", "url_env": "MAIL"}, "are a webhook.s; take them out"),
+        ({"heartbeat_s": 1.0}, "greater than or equal to 10"),
+    ],
+)
+def test_a_receiver_that_cannot_work_is_refused_without_repeating_what_it_holds(changed, told, tmp_path):
+    with pytest.raises(UsageError, match=told) as refusal:
+        settings(tmp_path, DUTY | changed)
+    assert HIDDEN not in str(refusal.value)
+
+
+def test_plain_http_is_for_this_machine_or_asked_for_by_name(tmp_path):
+    for url, allowed in (("http://127.0.0.1:8000/", False), ("http://alarms.example.org/", True)):
+        made = settings(tmp_path, DUTY | {"url": url, "plain_http": allowed})
+        assert made.notifications.receivers["duty"].url == url
+
+
+@pytest.mark.parametrize(
+    ("rule", "told"),
+    [
+        ({"receivers": ["night"]}, "rule 1 names the receiver 'night'; there are duty"),
+        ({"positions": ["Z"]}, "there is no position 'Z'; the positions are A, B, C, D"),
+        ({"severity": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
+    ],
+)
+def test_a_rule_names_what_there_is(rule, told, tmp_path):
+    with pytest.raises(UsageError, match=told):
+        settings(tmp_path, DUTY, rules=[rule])

@@ -1,0 +1,382 @@
+"""Who is told of which alarm and when; what a restart knows; what a dead receiver costs."""
+
+import logging
+
+import pytest
+from support.told_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
+
+from daq_service.errors import StorageUnavailableError
+from daq_service.web.notifications.messages import MOST_TOLD
+from daq_service.web.notifications.receiver import MOST_REFUSALS, is_dead
+from daq_service.web.notifications.webhook import Outcome
+from hardware_drivers.nanoseconds import NS_PER_S
+
+AT_ONCE = {"group_s": 0.0}
+
+
+@pytest.fixture
+def made(tmp_path):
+    """Benches, closed at the end."""
+    benches = []
+
+    def make(**rule):
+        receivers = {"duty": DUTY | rule.pop("receiver", {}), "night": DUTY}
+        rules = rule.pop("rules", [AT_ONCE | rule])
+        bench = Bench(tmp_path, notifying(receivers, rules=rules))
+        benches.append(bench)
+        bench.run()
+        return bench
+
+    yield make
+    for bench in benches:
+        bench.alarms.catalogue.close()
+
+
+def changes(message):
+    return [(item["kind"], item["change"]) for item in message.facts["alarms"]]
+
+
+# Rules
+
+
+def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
+    bench = made()
+    event_id = bench.alarms.change(message="D is 41.2, limit 24.3 (3 of 5)")
+    bench.mono_s += 240.0
+    (message,) = bench.run()
+    assert message.title == "HIGH wall_change at B has come - test"
+    assert message.text == (
+        "HIGH wall_change at B has come: D is 41.2, limit 24.3 (3 of 5). First raised at hour 36.00 of the "
+        "test, set 72, quality unknown. This change is of 1970-01-02T12:00:00Z and was stored 4.0 min ago. "
+        "Look first: Does the control position move, too? Then which feature contributes; temperature."
+    )
+    assert message.key.endswith(f".duty.{event_id}")
+    assert message.facts["severity"] == "high"
+    assert message.facts["alarms"][0]["age_s"] == 240.0
+
+
+@pytest.mark.parametrize(
+    ("rule", "is_told"),
+    [
+        ({"severity": "critical"}, False),
+        ({"severity": "high"}, True),
+        ({"positions": ["C"]}, False),
+        ({"positions": ["B", "C"]}, True),
+        ({"kinds": ["hole"]}, False),
+        ({"kinds": ["hole", "wall_change"]}, True),
+        ({"receivers": ["night"]}, False),
+        ({"rules": [AT_ONCE | {"kinds": ["hole"]}, AT_ONCE]}, True),
+    ],
+)
+def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_told, made):
+    bench = made(**rule)
+    bench.alarms.change()
+    assert bool(bench.run()) == is_told
+    assert [line.what for _, line in bench.log.read(limit=1)[0]] == ["sent" if is_told else "passed"]
+
+
+def test_each_step_of_an_alarm_s_life_is_told_but_what_a_person_did(made):
+    bench = made()
+    for severity, present in (("medium", True), ("high", True), ("high", False), ("high", True)):
+        bench.alarms.change(severity=severity, present=present)
+    bench.alarms.change("hole", latched=True)
+    bench.alarms.reset("hole")
+    told = [change for message in bench.run(1.0) for _, change in changes(message)]
+    assert told == ["raised", "worse", "over", "back", "raised", "over"]
+
+
+def test_the_end_is_not_told_where_nobody_wants_it(made):
+    bench = made(returned=False)
+    bench.alarms.change()
+    bench.run()
+    bench.alarms.change(present=False)
+    assert bench.run(5.0) == []
+
+
+def test_what_is_over_within_its_delay_is_not_told(made):
+    bench = made(delay_s=60.0)
+    bench.alarms.change()
+    assert bench.run(50.0) == []
+    bench.alarms.change(present=False)
+    assert bench.run(300.0) == []
+    (line,) = bench.told("held_back")
+    assert line.event_ids == [1, 2]
+    bench.alarms.change()  # it is back, and stays
+    assert bench.run(59.0) == []
+    assert [changes(message) for message in bench.run(2.0)] == [[("wall_change", "back")]]
+
+
+def test_a_worse_alarm_within_a_delay_loses_no_end_of_one_that_was_told(made):
+    bench = made(delay_s=60.0)
+    bench.alarms.change(severity="medium")
+    assert len(bench.run(61.0)) == 1
+    bench.alarms.change(severity="high")
+    bench.alarms.change(severity="high", present=False)
+    told = [change for message in bench.run(120.0) for _, change in changes(message)]
+    assert told == ["over", "worse"]
+
+
+def test_a_storm_is_one_message_with_its_counts(made):
+    bench = made(group_s=10.0)
+    for number in range(MOST_TOLD + 5):
+        bench.alarms.change(position=f"P{number}", severity="critical" if number == 3 else "medium")
+    bench.alarms.change(position="P0", severity="medium", present=False)
+    assert bench.run(9.0) == []
+    (message,) = bench.run(2.0)
+    assert message.title == "26 changes of alarms: 1 critical raised, 24 medium raised, 1 medium over - test"
+    assert message.facts["counts"] == {"critical raised": 1, "medium raised": 24, "medium over": 1}
+    assert len(message.facts["alarms"]) == MOST_TOLD
+    assert message.facts["not_shown"] == 6
+    assert message.text.endswith("And 6 more: 5 medium raised, 1 medium over.")
+
+
+# A restart
+
+
+def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(made, tmp_path):
+    bench = made()
+    bench.alarms.change()
+    bench.log.path.unlink()
+    bench.restarted()
+    assert bench.run(60.0) == []
+    assert bench.line.state.began == (
+        "begins at the present, behind event 1: these notifications are new to the test; "
+        "1 alarms that stand already are not sent"
+    )
+    bench.alarms.change("hole")
+    assert [changes(message) for message in bench.run()] == [[("hole", "raised")]]
+
+
+def test_a_restart_neither_loses_nor_repeats(made):
+    bench = made(rules=[{"kinds": ["hole"], "delay_s": 100.0, "group_s": 0.0}, AT_ONCE])
+    waits, goes = bench.alarms.change("hole"), bench.alarms.change("no_data")
+    bench.run(40.0)
+    bench.restarted()
+    while_away = bench.alarms.change("thickness")
+    bench.run(50.0)
+    bench.restarted()
+    bench.run(200.0)
+    told = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
+    assert told == [goes, while_away, waits]
+    assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
+
+
+def test_what_was_over_within_its_delay_while_the_service_was_away_is_not_told(made):
+    bench = made(delay_s=60.0)
+    bench.alarms.change()
+    bench.run(10.0)
+    bench.mono_s += 40.0
+    bench.alarms.change(present=False)
+    bench.mono_s += 600.0
+    bench.restarted()
+    assert bench.run(100.0) == []
+
+
+class Crash(BaseException):
+    """Not an error that anything handles: the process is gone."""
+
+
+def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_path):
+    """Before and after each line of the log and each message, one point after the other."""
+    at, is_over = 0, False
+    while not is_over:
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        bench = Bench(folder, notifying(rules=[{"kinds": ["hole"], "delay_s": 5.0, "group_s": 3.0}, AT_ONCE]))
+        bench.run()
+        left = [at]
+
+        def crashing(act, left=left):
+            def acted(one):
+                for do in (None, act):
+                    done = do(one) if do else None
+                    left[0] -= 1
+                    if left[0] == -1:
+                        raise Crash
+                return done
+
+            return acted
+
+        bench.log.tell = crashing(bench.log.tell)
+        bench._send = crashing(bench._send)
+        bench.restarted()
+        wanted = [bench.alarms.change(kind) for kind in ("hole", "no_data", "thickness")]
+        try:
+            bench.run(4.0, at_least_s=2.0)
+            wanted.append(bench.alarms.change("hole", position="C"))
+            bench.run(20.0, at_least_s=3.0)
+            is_over = True
+        except Crash:
+            bench.restarted()
+            bench.run(4.0, at_least_s=2.0)
+            if len(wanted) == 3:
+                wanted.append(bench.alarms.change("hole", position="C"))
+            bench.run(20.0, at_least_s=3.0)
+        by_key = {
+            message.key: [item["event_id"] for item in message.facts["alarms"]] for message in bench.sent
+        }
+        assert sorted(event_id for told in by_key.values() for event_id in told) == wanted
+        assert len(bench.sent) - len(by_key) <= 1
+        bench.alarms.catalogue.close()
+        at += 1
+    assert at > 12
+
+
+def test_what_a_crash_cuts_off_behind_the_receiver_s_answer_is_repeated_with_the_same_key(made, monkeypatch):
+    bench = made(group_s=10.0)
+    bench.alarms.change("hole")
+    bench.alarms.change("no_data")
+    monkeypatch.setattr(bench.line, "_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        bench.run(10.0)
+    bench.restarted()
+    bench.alarms.change("thickness")  # must not get into the message that may have been delivered
+    first, again, other = [*bench.sent, *bench.run(20.0)]
+    assert first.key == again.key != other.key
+    assert changes(first) == changes(again) == [("hole", "raised"), ("no_data", "raised")]
+    assert changes(other) == [("thickness", "raised")]
+
+
+def test_a_cursor_of_another_catalogue_begins_at_the_present_and_says_so(made):
+    bench = made()
+    bench.alarms.change()
+    bench.run()
+    bench.alarms.catalogue.close()
+    ahead = Bench(bench.folder, bench.settings)  # a new catalogue under the same log
+    ahead.run()
+    assert "the catalogue does not have event 1 as it was told" in ahead.line.state.began
+    ahead.mono_s += 7.0  # its event 1 is written at another time
+    ahead.alarms.change("hole")
+    assert [changes(message) for message in ahead.run()] == [[("hole", "raised")]]
+    ahead.alarms.catalogue.close()
+
+
+def test_a_full_disk_keeps_nobody_from_being_told(made, monkeypatch, caplog):
+    bench = made()
+    monkeypatch.setattr(
+        "daq_service.web.notifications.delivery_log.append_line",
+        lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
+    )
+    bench.alarms.change("disk_space", position=None, family="device")
+    assert [changes(message) for message in bench.run(60.0)] == [[("disk_space", "raised")]]
+    assert caplog.text.count("a crash would repeat messages") == 1
+
+
+# A receiver that does not take it
+
+
+def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(made, caplog):
+    bench = made()
+    bench.outcomes += [DEAD] * 5
+    first = bench.alarms.change()
+    times_s = []
+    while len(bench.sent) < 6:
+        count = len(bench.sent)
+        pause_s = bench.line.step()
+        times_s += [bench.mono_s] if len(bench.sent) > count else []
+        bench.mono_s += pause_s
+    assert times_s == [0.0, 2.0, 6.0, 14.0, 30.0, 62.0]
+    assert len({message.key for message in bench.sent}) == 1
+    assert [line.event_ids for line in bench.told("sent")] == [[first]]
+    assert [line.told for line in bench.told("failing")] == ["no answer within 15 s"]
+    assert [record.levelno for record in caplog.records].count(logging.WARNING) == 1
+
+
+def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(made):
+    bench = made()
+    bench.outcomes.append(Outcome(ok=False, told="the receiver answers 429", status=429, retry_after_s=120.0))
+    bench.alarms.change()
+    assert len(bench.run(119.0)) == 1
+    assert len(bench.run(2.0)) == 1
+
+
+def test_a_message_that_is_refused_makes_way_for_the_others(made):
+    bench = made()
+    refusal = Outcome(ok=False, told="the receiver answers 422", status=422, refused=True)
+    bench.outcomes += [refusal] * MOST_REFUSALS
+    bench.alarms.change()
+    bench.run()
+    bench.alarms.change("hole")
+    bench.run(100.0)
+    assert [changes(message)[0][0] for message in bench.sent] == ["wall_change"] * 5 + ["hole"]
+    (line,) = bench.told("gave_up")
+    assert line.told == "refused 5 times: the receiver answers 422"
+
+
+def test_what_is_not_delivered_within_a_day_is_given_up_and_told(made):
+    bench = made()
+    bench.outcomes += [DEAD] * 400
+    bench.alarms.change()
+    bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
+    (line,) = bench.told("gave_up")
+    assert line.told == "not delivered within 24 h: no answer within 15 s"
+    assert is_dead(bench.line.state, bench.now_ns())
+    bench.outcomes.clear()
+    bench.alarms.change("hole")
+    bench.run(1.0)
+    assert not is_dead(bench.line.state, bench.now_ns())
+
+
+def test_what_waits_behind_a_dead_receiver_is_bounded_and_none_of_it_is_lost(made, monkeypatch):
+    monkeypatch.setattr("daq_service.web.notifications.receiver.MOST_WAITING", 20)
+    monkeypatch.setattr("daq_service.web.notifications.receiver.PAGE_EVENTS", 10)
+    bench = made(group_s=1.0)
+    bench.outcomes += [DEAD] * 8
+    bench.alarms.change()
+    bench.run(5.0)
+    for number in range(49):
+        bench.alarms.change(position=f"P{number}")
+    bench.run(100.0)
+    assert bench.line.state.waiting == 21
+    bench.run(900.0, at_least_s=1.0)
+    told = [event_id for line in bench.told("sent") for event_id in line.event_ids]
+    assert sorted(told) == list(range(1, 51))
+
+
+# Signs of life
+
+
+def test_a_heartbeat_tells_recorder_and_age_and_stops_with_the_recorder(made, monkeypatch):
+    bench = made(receiver={"heartbeat_s": 30.0})
+    facts = {
+        "recorder": "running",
+        "doing": "running, waiting",
+        "last_set_age_h": 0.25,
+        "last_write_age_s": 9.0,
+    }
+    monkeypatch.setattr(bench.line._source, "signs_of_life", lambda: facts)
+    (beat,) = bench.run(30.0)
+    assert beat.kind == "heartbeat"
+    assert beat.text == (
+        "The recorder is running (running, waiting); the last set is 15.0 min old on the test's clock."
+    )
+    assert len(bench.run(60.0)) == 2
+    facts["recorder"] = "silent"
+    assert bench.run(300.0) == []
+    assert bench.line.state.heartbeat == "withheld"
+    assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
+
+
+def test_a_catalogue_that_cannot_be_read_now_stops_nothing_for_good(made, monkeypatch):
+    bench = made()
+    bench.alarms.change()
+    with monkeypatch.context() as patch:
+        patch.setattr(bench.line._source, "alarm_events", _raise)
+        with pytest.raises(StorageUnavailableError):
+            bench.line.step()
+    assert len(bench.run()) == 1
+
+
+def _raise(*_):
+    raise StorageUnavailableError("the disk is gone")
+
+
+def test_a_trial_says_so_and_moves_no_cursor(made):
+    bench = made()
+    bench.alarms.change()
+    assert bench.line.test("ann") == TAKEN
+    (message,) = bench.sent
+    assert message.kind == "test"
+    assert message.title.startswith("TEST, no alarm")
+    assert message.text.startswith("ann tries whether duty is reached")
+    assert len(bench.run()) == 1

@@ -1,0 +1,237 @@
+"""Notifications of a running service: beside its requests, through its end, a crash and a second service."""
+
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.receivers import http_receiver
+from support.served_web import served
+from support.told_alarms import notifying
+from support.waiting import WAIT_S, ended, until
+
+from daq_service.alarms.states import Change, Condition, Moment, update
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import EventRow
+from daq_service.judgement.transaction import payload_of
+from daq_service.processes.data_folder import BACKUP_FILE
+from daq_service.settings.file import load_settings
+from daq_service.web.notifications.delivery_log import LOG_FILE, DeliveryLog
+from daq_service.web.notifications.webhook import Bounds
+
+SECRET = "correct-horse-battery-staple"
+STATE = "/api/v1/notifications"
+
+
+@pytest.fixture
+def receiver(monkeypatch):
+    monkeypatch.setenv("DUTY_SECRET", SECRET)
+    with http_receiver() as running:
+        yield running
+
+
+def told_at_once(receiver, **beside):
+    duty = {"url": f"{receiver.url}/T0K3N", "secret_env": "DUTY_SECRET", **beside}
+    return notifying({"duty": duty}, rules=[{"group_s": 0.0}])
+
+
+@pytest.fixture
+def filled(tmp_path, receiver):
+    folder = FilledFolder(tmp_path, told_at_once(receiver))
+    folder.add_set(0, stored=False)
+    yield folder
+    folder.close()
+
+
+def raise_alarm(folder, kind):
+    condition = Condition(
+        position="B", kind=kind, family="damage", severity="high", present=True, message=f"{kind} is there"
+    )
+    change = update(None, condition, Moment(utc_ns=folder.due[0].due_utc_ns, due_h=0.5, set_index=0))
+    assert isinstance(change, Change)
+    event = EventRow(
+        utc_ns=change.row.raised_utc_ns,
+        topic="alarms",
+        kind=change.event_kind,
+        position="B",
+        payload=payload_of(change.row, last="id"),
+    )
+    commit = SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0})
+    return folder.catalogue.commit_set(commit).event_ids[0]
+
+
+def duty(client):
+    (found,) = client.get(STATE).json()["receivers"]
+    return found
+
+
+def begun(client):
+    return until(lambda: duty(client)["began"], "the receiver's line")
+
+
+def events_of(message):
+    return [item["event_id"] for item in message["alarms"]]
+
+
+def test_an_alarm_is_told_with_the_quality_of_its_set_and_the_api_tells_what_became_of_it(filled, receiver):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        assert "begins at the present" in begun(client)
+        event_id = raise_alarm(filled, "wall_change")
+        message = receiver.next().message
+        assert (events_of(message), message["alarms"][0]["quality"]) == ([event_id], "good")
+        found = until(lambda: duty(client) if duty(client)["sent"] else None, "the note of it")
+        assert (found["state"], found["waiting"], found["failed"], found["rules"]) == ("idle", 0, 0, [1])
+        assert found["last_sent_age_s"] >= 0.0
+        first = client.get(f"{STATE}/log", params={"limit": 1}).json()
+        assert [(row["what"], row["event_ids"]) for row in first["items"]] == [("sent", [event_id])]
+        before = client.get(f"{STATE}/log", params={"limit": 1, "cursor": first["next_cursor"]}).json()
+        assert [row["what"] for row in before["items"]] == ["sending"]
+        assert before["items"][0]["key"] == first["items"][0]["key"] == message["key"]
+        metrics = client.get("/metrics").text
+        assert 'solimon_notifications_sent_total{receiver="duty"} 1.0' in metrics
+        assert 'solimon_notifications_waiting{receiver="duty"} 0.0' in metrics
+
+
+def test_neither_secret_nor_path_is_told_anywhere(filled, receiver, caplog):
+    caplog.set_level("DEBUG", logger="daq_service")
+    receiver.answers.put((500, {}))
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        begun(client)
+        raise_alarm(filled, "hole")
+        until(lambda: duty(client)["failed"], "a failure")
+        told = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
+        told.append(client.post(f"{STATE}/duty/test", json={}).text)
+        told.append(client.get("/api/v1/audit").text)
+    told += [caplog.text, (filled.folder / LOG_FILE).read_text(encoding="utf-8")]
+    assert [text for text in told if SECRET in text or "T0K3N" in text] == []
+    assert duty_address(told[0]) == receiver.url.removesuffix("/hook")
+
+
+def duty_address(text):
+    return text.partition('"address":"')[2].partition('"')[0]
+
+
+def test_a_trial_says_what_became_of_it_and_one_runs_at_a_time(filled, receiver):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        answer = client.post(f"{STATE}/duty/test", json={}).json()
+        assert (answer["ok"], answer["status"], answer["told"]) == (True, 204, "taken (204)")
+        assert receiver.next().message["kind"] == "test"
+        receiver.answers.put((410, {}))
+        assert client.post(f"{STATE}/duty/test", json={}).json()["told"] == "the receiver answers 410 Gone"
+        assert client.post(f"{STATE}/night/test", json={}).json()["hint"] == "The receivers are: duty."
+        line = service.app.state.context.notifications.lines["duty"]
+        with line._trying:
+            refused = client.post(f"{STATE}/duty/test", json={})
+        assert (refused.status_code, refused.json()["status"]) == (409, 409)
+
+
+def test_a_backup_tells_nobody(filled, receiver):
+    """Its signs of life would hide that the test's own service is gone."""
+    (filled.folder / BACKUP_FILE).write_bytes(b"{}")
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        told = client.get(STATE).json()
+        assert (told["sending"], told["receivers"][0]["began"]) == (False, "")
+        assert told["why_silent"] == "this is a backup; the test's own folder tells"
+    assert not (filled.folder / LOG_FILE).exists()
+
+
+def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
+    """It is waited for longer than this test waits for anything: what it held would fail the test."""
+    patient = Bounds(read_s=10.0 * WAIT_S, whole_s=10.0 * WAIT_S)
+    monkeypatch.setattr("daq_service.web.notifications.service.Bounds", lambda: patient)
+    with http_receiver() as deaf, ExitStack() as stack:
+        deaf.silent.set()
+        named = {
+            name: {"url": one.url, "secret_env": "DUTY_SECRET"}
+            for name, one in (("deaf", deaf), ("duty", receiver))
+        }
+        filled = FilledFolder(tmp_path, notifying(named, rules=[{"group_s": 0.0}]))
+        stack.callback(filled.close)
+        filled.add_set(0, stored=False)
+        service = stack.enter_context(served(filled.settings, tmp_path))
+        client = stack.enter_context(service.client())
+        until(lambda: all(one["began"] for one in client.get(STATE).json()["receivers"]), "the lines")
+        raise_alarm(filled, "hole")
+        deaf.next()
+        raise_alarm(filled, "no_data")
+        assert [receiver.next().message["alarms"][0]["kind"] for _ in range(2)] == ["hole", "no_data"]
+        quick = [client.get("/healthz").status_code for _ in range(20)]
+        assert quick == [200] * 20
+        service.stop.set()
+        ended(service.thread, "the service's end")
+        assert not deaf.ended.is_set()
+
+
+def test_a_second_service_of_a_test_sends_nothing_until_the_first_has_ended(filled, receiver, monkeypatch):
+    monkeypatch.setattr("daq_service.web.notifications.service.TROUBLE_PAUSE_S", 0.05)
+    with ExitStack() as stack:
+        first = stack.enter_context(served(filled.settings, filled.folder))
+        begun(stack.enter_context(first.client()))
+        second = stack.enter_context(served(filled.settings, filled.folder))
+        client = stack.enter_context(second.client())
+        waits = until(
+            lambda: "another" in (told := client.get(STATE).json())["why_silent"] and told, "its look"
+        )
+        assert waits["sending"] is False
+        raise_alarm(filled, "hole")
+        receiver.next()
+        first.stop.set()
+        ended(first.thread, "the first service")
+        begun(client)
+        event_id = raise_alarm(filled, "no_data")
+        assert events_of(receiver.next().message) == [event_id]
+    assert receiver.got.empty()
+
+
+CHILD = """
+import sys
+from pathlib import Path
+from daq_service.settings.file import load_settings
+from daq_service.web.app import create_app
+from daq_service.web.server import serve
+config, folder = map(Path, sys.argv[1:])
+serve(create_app(load_settings(config), folder), "127.0.0.1", 0, on_bound=lambda url: print(url, flush=True))
+"""
+
+
+def test_a_service_that_is_killed_while_it_sends_repeats_that_message_alone(tmp_path, receiver):
+    """Killed between the receiver's taking a message and the note of it: the worst moment."""
+    config, folder = tmp_path / "test.toml", tmp_path / "data"
+    config.write_text(
+        f'[notifications.receivers.duty]\nurl = "{receiver.url}"\nsecret_env = "DUTY_SECRET"\n'
+        "[[notifications.rules]]\ngroup_s = 0.0\n",
+        encoding="utf-8",
+    )
+    folder.mkdir()
+    filled = FilledFolder(folder, load_settings(config))
+    filled.add_set(0, stored=False)
+    command = [sys.executable, "-c", CHILD, str(config), str(folder)]
+    log = DeliveryLog(folder)
+    with ExitStack() as stack:
+        stack.callback(filled.close)
+
+        def started():
+            child = stack.enter_context(subprocess.Popen(command, stdout=subprocess.PIPE))
+            stack.callback(child.kill)
+            return child
+
+        child = started()
+        until(lambda: log.places(["duty"]), "the receiver's line")
+        first = raise_alarm(filled, "hole")
+        assert events_of(receiver.next().message) == [first]
+        until(lambda: any(line.what == "sent" for _, line in log.read(limit=10)[0]), "the note of it")
+        receiver.silent.set()  # has taken the next one, and says nothing before the kill
+        second = raise_alarm(filled, "no_data")
+        cut = receiver.next()
+        child.kill()
+        ended(child, "the killed service")
+        receiver.silent.clear()
+        while_dead = raise_alarm(filled, "thickness")
+        child = started()
+        again, last = receiver.next(), receiver.next()
+        assert (events_of(cut.message), events_of(again.message)) == ([second], [second])
+        assert cut.headers["Idempotency-Key"] == again.headers["Idempotency-Key"]
+        assert events_of(last.message) == [while_dead]
+        until(lambda: log.places(["duty"])["duty"].cursor == while_dead, "the last note")
+    assert receiver.got.empty()

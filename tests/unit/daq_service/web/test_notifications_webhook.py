@@ -1,0 +1,236 @@
+"""The webhook against real HTTP servers: what is signed, what is refused, how long anything may take."""
+
+import hashlib
+import hmac
+import json
+import logging
+import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from email.utils import formatdate
+from pathlib import Path
+
+import pytest
+from support.receivers import http_receiver
+from support.told_alarms import notifying
+from support.waiting import happened
+
+from daq_service.errors import UsageError
+from daq_service.settings.notifications import ReceiverSettings
+from daq_service.web.notifications.addresses import Address, address_of, refuse_unusable, shown_address
+from daq_service.web.notifications.by_apprise import notify
+from daq_service.web.notifications.messages import Message
+from daq_service.web.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
+
+TLS = Path(__file__).parents[3] / "fixtures" / "tls"
+SECRET = "correct-horse-battery-staple"
+MESSAGE = Message(
+    key="abc.duty.7", kind="test", title="Prüfung", text="Nothing is wrong.", facts={"test": "t"}
+)
+SOON = Bounds(connect_s=5.0, read_s=30.0, whole_s=0.2)
+"""Only the whole time may run out."""
+
+
+@pytest.fixture
+def receiver():
+    with http_receiver() as running:
+        yield running
+
+
+def sent(receiver, **beside):
+    return post(Address(receiver.url, SECRET.encode()), MESSAGE, **beside)
+
+
+def is_genuine(secret: str, header: str, body: bytes) -> bool:
+    """Check as docs/how-to/get-notified.md tells a receiver to."""
+    parts = dict(part.split("=", 1) for part in header.split(","))
+    wanted = hmac.new(secret.encode(), parts["t"].encode() + b"." + body, hashlib.sha256).hexdigest()
+    return hmac.compare_digest(wanted, parts["v1"])
+
+
+def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
+    outcome = sent(receiver, now_s=lambda: 1_700_000_000.9)
+    got = receiver.next()
+    assert (outcome.ok, outcome.status) == (True, 204)
+    header = got.headers["Solimon-Signature"]
+    assert header.startswith("t=1700000000,v1=")
+    assert is_genuine(SECRET, header, got.body)
+    assert not is_genuine(SECRET, header.replace("t=1700000000", "t=1700000001"), got.body)
+    assert not is_genuine(SECRET, header, got.body + b" ")
+    assert not is_genuine(SECRET + "r", header, got.body)
+    assert got.headers["Idempotency-Key"] == got.message["key"] == "abc.duty.7"
+    assert (got.message["title"], got.message["kind"], got.path) == ("Prüfung", "test", "/hook")
+
+
+@pytest.mark.parametrize(
+    ("status", "headers", "told", "refused", "retry_after_s"),
+    [
+        (200, {}, "taken (200)", False, 0.0),
+        (500, {}, "the receiver answers 500 Internal Server Error", False, 0.0),
+        (422, {}, "the receiver answers 422 Unprocessable Entity", True, 0.0),
+        (503, {"Retry-After": "120"}, "the receiver answers 503 Service Unavailable", False, 120.0),
+        (429, {"Retry-After": formatdate(1_000_060.0, usegmt=True)}, "429 Too Many Requests", False, 60.0),
+        (429, {"Retry-After": "999999"}, "429 Too Many Requests", False, LONGEST_RETRY_AFTER_S),
+        (429, {"Retry-After": "soon"}, "429 Too Many Requests", False, 0.0),
+    ],
+)
+def test_an_answer_says_what_became_of_it(status, headers, told, refused, retry_after_s, receiver):
+    receiver.answers.put((status, headers))
+    outcome = sent(receiver, now_s=lambda: 1_000_000.0)
+    assert told in outcome.told
+    assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
+
+
+def test_nothing_is_sent_where_an_answer_points(receiver):
+    with http_receiver() as elsewhere:
+        for status in (301, 302, 307, 308):
+            receiver.answers.put((status, {"Location": elsewhere.url}))
+            outcome = sent(receiver)
+            assert not outcome.ok
+            assert "it points elsewhere, where nothing is sent" in outcome.told
+        assert elsewhere.got.empty()
+
+
+def test_a_receiver_that_never_answers_is_left_after_the_whole_time(receiver):
+    receiver.silent.set()
+    assert sent(receiver, bounds=SOON).told == "no answer within 0.2 s"
+
+
+def test_one_that_answers_a_byte_at_a_time_is_left_as_well():
+    """Each byte comes in time; only the whole time ends it."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        left = threading.Event()
+
+        def drip():
+            connection, _ = listener.accept()
+            with connection:
+                while not left.wait(0.01):
+                    try:
+                        connection.sendall(b"H")
+                    except OSError:
+                        return
+
+        thread = threading.Thread(target=drip)
+        thread.start()
+        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE, bounds=SOON)
+        left.set()
+        thread.join()
+    assert outcome.told == "no answer within 0.2 s"
+
+
+def test_the_service_s_end_cuts_an_attempt(receiver):
+    receiver.silent.set()
+    cut, outcomes = Cut(), []
+    thread = threading.Thread(target=lambda: outcomes.append(sent(receiver, cut=cut)))
+    thread.start()
+    receiver.next()
+    cut.close()
+    thread.join()
+    assert [outcome.ok for outcome in outcomes] == [False]
+
+
+def test_a_certificate_that_nobody_vouches_for_is_refused(monkeypatch):
+    with http_receiver(tls=TLS) as receiver:
+        outcome = sent(receiver)
+        assert not outcome.ok
+        assert outcome.told.startswith("its certificate is refused:")
+        assert receiver.got.empty()
+        monkeypatch.setenv("SSL_CERT_FILE", str(TLS / "certificate.pem"))
+        assert post(Address(receiver.url.replace("127.0.0.1", "localhost"), b"s"), MESSAGE).ok
+
+
+def test_nobody_there_and_nonsense_are_outcomes():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+    assert post(Address(f"http://127.0.0.1:{port}/", b"s"), MESSAGE).told == "Connection refused"
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        answered = threading.Event()
+
+        def nonsense():
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(100)
+                connection.sendall(b"SSH-2.0-OpenSSH\r\n")
+                happened(answered.wait, "the client's outcome")
+
+        thread = threading.Thread(target=nonsense)
+        thread.start()
+        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
+        answered.set()
+        thread.join()
+    assert outcome.told == "no answer of HTTP (BadStatusLine)"
+
+
+# Where addresses and secrets stand
+
+
+def webhook(**given):
+    return ReceiverSettings(**{"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET", **given})
+
+
+def test_addresses_and_secrets_are_read_where_settings_say(tmp_path):
+    (tmp_path / "url").write_text("http://127.0.0.1:8/hook/T0K3N\n", encoding="utf-8")
+    receiver = webhook(url="", url_file=str(tmp_path / "url"))
+    address = address_of("duty", receiver, {"DUTY_SECRET": SECRET})
+    assert (address.url, address.secret) == ("http://127.0.0.1:8/hook/T0K3N", SECRET.encode())
+    assert SECRET not in repr(address)
+    assert "T0K3N" not in str(address)
+    assert shown_address(receiver) == "from url"
+    assert shown_address(webhook(url="http://127.0.0.1:8/hook/T0K3N")) == "http://127.0.0.1:8"
+
+
+@pytest.mark.parametrize(
+    ("given", "held", "told"),
+    [
+        ({}, {}, "the variable DUTY_SECRET of secret_env is not set"),
+        ({}, {"DUTY_SECRET": "hush"}, "the secret has 4 characters; give one of 16 or more"),
+        ({"secret_env": "", "secret_file": "/nowhere/s"}, {}, "secret_file /nowhere/s cannot be read"),
+        (
+            {"url": "", "url_env": "HOOK"},
+            {"HOOK": f"http://alarms.example.org/{SECRET}"},
+            "http:// to alarms.example.org",
+        ),
+        (
+            {"url": "", "url_env": "HOOK"},
+            {"HOOK": f"https://ann:{SECRET}@example.org/"},
+            "a name or a password",
+        ),
+        (
+            {"kind": "apprise", "url": "", "url_env": "HOOK", "secret_env": ""},
+            {"HOOK": SECRET},
+            "the address is none of apprise",
+        ),
+    ],
+)
+def test_what_cannot_work_is_told_without_what_it_holds(given, held, told):
+    with pytest.raises(UsageError, match=told) as refusal:
+        address_of("duty", webhook(**given), held)
+    assert SECRET not in str(refusal.value)
+    assert str(refusal.value).startswith("notifications.receivers.duty: ")
+
+
+def test_a_start_refuses_what_could_not_be_told(monkeypatch):
+    mail = {"kind": "apprise", "url_env": "NO_SUCH_VARIABLE"}
+    with pytest.raises(UsageError, match="NO_SUCH_VARIABLE of url_env is not set"):
+        refuse_unusable(notifying({"mail": mail}).notifications)
+    monkeypatch.setenv("DUTY_SECRET", SECRET)
+    with pytest.raises(UsageError, match=r"rule 1: there is no kind of alarm 'wall_chance'; there are clock"):
+        refuse_unusable(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
+
+
+@pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
+def test_apprise_carries_a_message_and_its_log_tells_no_address(receiver, monkeypatch, caplog):
+    pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
+    for own in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+        monkeypatch.setattr(f"apprise.{own}", pool)
+    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    host = receiver.url.removeprefix("http://").removesuffix("/hook")
+    address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
+    with caplog.at_level(logging.DEBUG):
+        assert notify(address, MESSAGE).ok
+        receiver.answers.put((500, {}))
+        assert not notify(address, MESSAGE).ok
+        assert "does not know this kind" in notify(Address("nonsense://x", b""), MESSAGE).told
+    pool.shutdown()
+    assert json.loads(receiver.next().body)["title"] == "Prüfung"
+    assert SECRET not in caplog.text
