@@ -1,10 +1,14 @@
-"""An exported table as an HDF5 file: a column a dataset with its unit, plotted over the hour by viewers."""
+"""Exported tables and records as HDF5 files: a column a dataset with its unit, plotted by viewers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from h5py.h5d import DatasetID
+from h5py.h5f import FileID
+from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
 from daq_service.archive.nexus import (
@@ -35,14 +39,55 @@ def table_image(
         Column over which the signal is drawn.
     """
     with image_file() as file:
-        set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
-        entry = add_group(file, "entry", "NXentry", {"default": name})
-        add_field(entry, "facts", facts_text)
+        entry = _begun(file, name, facts_text)
         plot: dict[str, Attribute] = {} if signal is None else {"signal": signal, "axes": [axis]}
         group = add_group(entry, name, "NXcollection" if signal is None else "NXdata", plot)
-        along = add_field(group, axis, columns[axis], is_axis=True, units=unit_of(axis))
-        for key, values in columns.items():
-            if key != axis:
-                column = add_field(group, key, values, axes=[along])
-                set_attributes(column, {"units": unit_of(key)} if unit_of(key) else {})
+        _add_columns(group, columns, axis)
         return image_of(file)
+
+
+def records_image(
+    name: str,
+    columns: Mapping[str, NDArray[Any] | list[str]],
+    time_s: NDArray[np.float64],
+    voltage_v: NDArray[np.float64],
+    *,
+    axis: str,
+    facts_text: str,
+) -> bytes:
+    """Return the bytes of a file of records: ``entry/<name>``, the NXdata ``voltage_v[axis, time_s]``.
+
+    Parameters
+    ----------
+    columns
+        A value a record of each.
+    voltage_v
+        Shape (records, samples); ``time_s`` has shape (samples,).
+    axis
+        Column that counts the records.
+    """
+    with image_file() as file:
+        plot: dict[str, Attribute] = {"signal": "voltage_v", "axes": [axis, "time_s"]}
+        group = add_group(_begun(file, name, facts_text), name, "NXdata", plot)
+        along = _add_columns(group, columns, axis)
+        time = add_field(group, "time_s", time_s, is_axis=True, units="s", description="from the trigger")
+        add_field(group, "voltage_v", voltage_v, chunk=(1, voltage_v.shape[1]), axes=[along, time], units="V")
+        return image_of(file)
+
+
+def _begun(file: FileID, name: str, facts_text: str) -> GroupID:
+    """Add root and entry, whose default leads to the group of that name."""
+    set_attributes(open_root(file), {"NX_class": "NXroot", "default": "entry", "creator": "solimon"})
+    entry = add_group(file, "entry", "NXentry", {"default": name})
+    add_field(entry, "facts", facts_text)
+    return entry
+
+
+def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
+    along = add_field(group, axis, columns[axis], is_axis=True)
+    others = {
+        key: add_field(group, key, values, axes=[along]) for key, values in columns.items() if key != axis
+    }
+    for key, field in {axis: along, **others}.items():
+        set_attributes(field, {"units": unit_of(key)} if unit_of(key) else {})
+    return along

@@ -352,6 +352,11 @@ class Catalogue:
         """Newest baseline of a position."""
         return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
 
+    def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
+        """Id of the newest row, 0 before the first: these count from 1, and none is ever taken away."""
+        with self.reading() as connection:
+            return int(connection.execute(select(func.max(table_of(kind).c.id))).scalar_one() or 0)
+
     def alarm(self, alarm_id: int) -> AlarmRow | None:
         """One alarm, None where there is no such id."""
         return self._newest_row(AlarmRow, alarms.c.id == alarm_id)

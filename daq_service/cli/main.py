@@ -503,6 +503,7 @@ def backup(**options: Any) -> None:
 @FOLDER_ALONE
 @click.option("--hdf5", type=FILE, help="One HDF5 file of the whole test; records stay in the sets' files.")
 @click.option("--table", metavar="NAME", help="Instead: a table, such as features, verdicts or alarms.")
+@click.option("--waveforms", metavar="POSITION", help="Instead: records of a position, in volts.")
 @click.option(
     "--out",
     "targets",
@@ -511,13 +512,15 @@ def backup(**options: Any) -> None:
     help="Its file: .csv, .parquet, .arrow, .npz, .mat or .h5; may be given several times.",
 )
 @click.option("--position", help="Of the table: this position only.")
-@click.option("--from-h", type=float, help="Of the table: from this hour on.")
-@click.option("--to-h", type=float, help="Of the table: before this hour.")
+@click.option("--from-h", type=float, help="Of table or records: from this hour on.")
+@click.option("--to-h", type=float, help="Of table or records: before this hour.")
+@click.option("--first-set", type=click.IntRange(min=0), help="Of the records: from this set on.")
+@click.option("--last-set", type=click.IntRange(min=0), help="Of the records: up to this set.")
 @click.option("--fields", metavar="NAMES", help="Of the table: these columns only, for example tof_pp_s.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @JSON
 def export(**options: Any) -> None:
-    """Write a test, also one that runs, for other programs: all of it as HDF5, or a table."""
+    """Write a test, also one that runs, for other programs: all of it as HDF5, a table, or records."""
     from daq_service.cli.keeping.command import run_export
 
     sys.exit(run_export(**options))
@@ -548,6 +551,20 @@ def certify(**options: Any) -> None:
     from daq_service.cli.keeping.command import run_certify
 
     sys.exit(run_certify(**options))
+
+
+@cli.command()
+@click.argument("where", metavar="CONFIG_OR_DATA", type=click.Path(exists=True, path_type=Path))
+@click.option("--from-h", type=float, help="From this hour on.")
+@click.option("--to-h", type=float, help="Before this hour.")
+@click.option("--out", type=FILE, help="Its file; default: report_FOLDER.html here.")
+@click.option("--overwrite", is_flag=True, help="Replace a file that exists.")
+@JSON
+def report(**options: Any) -> None:
+    """Write a test, also one that runs, or some hours of it as one HTML page that prints on paper."""
+    from daq_service.cli.keeping.report import write_report
+
+    write_report(**options)
 
 
 def main() -> None:

@@ -35,6 +35,8 @@ from daq_service.web.routes import (
     metrics,
     notifications,
     orders,
+    record_files,
+    report,
     session,
     set_waveforms,
     sets,
@@ -73,8 +75,10 @@ RESOURCES = (
     tokens,
     audit,
     tables,
+    record_files,
     files,
     notifications,
+    report,
 )
 SMALL_BYTES = 2048
 """Two packets: less is sent as it is."""
@@ -109,13 +113,15 @@ class Service(FastAPI):
         return self.openapi_schema
 
 
-def create_app(settings: Settings, data_folder: Path) -> FastAPI:
+def create_app(settings: Settings, data_folder: Path, *, asks_nobody: bool = False) -> FastAPI:
     """Build the service of one data folder; it reads, and writes only operator commands.
 
     Parameters
     ----------
     data_folder
         May still be empty: answers are 503 "no data yet" until the recorder has stored something.
+    asks_nobody
+        No token is asked for: never of an application that listens on a port.
     """
     app = Service(
         title="solimon",
@@ -132,7 +138,7 @@ def create_app(settings: Settings, data_folder: Path) -> FastAPI:
         default_response_class=JsonAnswer,
         lifespan=_lifespan,
     )
-    app.state.context = Context(settings, data_folder)
+    app.state.context = Context(settings, data_folder, asks_nobody=asks_nobody)
     app.state.answer_times = AnswerTimes()
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)

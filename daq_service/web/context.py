@@ -85,7 +85,7 @@ class CatalogueEvents:
 class Context:
     """One application's shared parts; built by `app.create_app`, reached by `ContextOf`."""
 
-    def __init__(self, settings: Settings, data_folder: Path) -> None:
+    def __init__(self, settings: Settings, data_folder: Path, *, asks_nobody: bool = False) -> None:
         self.settings = settings
         self.data_folder = data_folder
         self.archive = FolderSetReader(data_folder)
@@ -93,7 +93,7 @@ class Context:
         self.events = CatalogueEvents(self.catalogue_access)
         self.hub = EventHub(self.events)
         self.live = LivePictures(data_folder / "live", settings.positions)
-        self.doors = Doors(settings.web, data_folder)
+        self.doors = Doors(settings.web, data_folder, asks_nobody=asks_nobody)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
         self._has_data = False
 

@@ -1,27 +1,29 @@
 """The how-tos for a laboratory: cells run, names are in the files, tables leave nothing out."""
 
 import ast
+import base64
 import contextlib
 import io
 import re
 import shlex
 from pathlib import Path
+from typing import Any
 
 import h5py
 import pytest
+from support import notebooks
 from support.command_line import solimon_here
 from support.served_web import served
-from support.small_experiment import run, small_settings
+from support.small_experiment import run
 from support.stored_files import set_files
 from test_docs import ROOT, blocks
 
 from daq_service.corrosion_drive.watch import SEVERITIES
 
 HOW_TO = ROOT / "docs/how-to"
-# The smallest baseline that gives a limit, and two sets behind it.
 SETS = 17
 COARSE = {"SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16"}
-SETTINGS = small_settings(schedule={"end_h": 8.5}, baseline={"hours": 7.5})
+SETTINGS = notebooks.example_settings()
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +68,30 @@ def test_the_cells_of_jupyter_read_a_test_and_draw_it(folder: Path, monkeypatch:
     # The incident wave of some 150 N fills half of the 5 V range; a shot scatters by some ten per cent.
     assert 1.7 < float(known["mean_wave"].max()) < 3.3  # type: ignore[attr-defined]
     assert known["trend"]["tof_pp_s"].notna().sum() == SETS  # type: ignore[index]
+
+
+def test_the_example_notebook_gives_its_committed_outputs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Texts to the letter; pictures differ with the version of matplotlib, so those are only there."""
+    monkeypatch.chdir(folder.parent)
+    committed = notebooks.read()
+    done = notebooks.executed(committed, {})
+
+    def of_cells(notebook: dict[str, Any]) -> list[list[dict[str, Any]]]:
+        cells = [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
+        for output in (output for outputs in cells for output in outputs):
+            if "image/png" in output.get("data", {}):
+                (picture,) = output["data"]["image/png"]
+                assert base64.b64decode(picture).startswith(b"\x89PNG")
+                output["data"]["image/png"] = "a picture"
+        return cells
+
+    expected = of_cells(committed)
+    assert of_cells(done) == expected
+    kinds = [output["output_type"] for outputs in expected for output in outputs]
+    assert kinds.count("display_data") == 3
+    assert "error" not in kinds
 
 
 def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exported: Path) -> None:

@@ -26,7 +26,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
-from daq_service.judgement.transaction import Transaction, shot_row
+from daq_service.judgement.transaction import Transaction, payload_of, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
@@ -353,7 +353,7 @@ class FilledFolder:
             topic="alarms",
             kind=change.event_kind,
             position=change.row.position,
-            payload={},
+            payload=payload_of(change.row, last="id"),
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 

@@ -6,11 +6,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,9 @@ from daq_service.cli.keeping.repair import carry_out, planned
 from daq_service.cli.keeping.verify import Finding, verify_folder
 from daq_service.errors import EXIT_OK, StorageError, UsageError
 from daq_service.processes.data_folder import is_owned, own_data_folder
+
+if TYPE_CHECKING:
+    from daq_service.cli.keeping.export_table import ExportedTable
 
 TOLD_EVERY_S = 10.0
 """Where nobody sees a line that is rewritten."""
@@ -90,18 +93,36 @@ def run_export(
     data_dir: Path,
     hdf5: Path | None,
     table: str | None,
+    waveforms: str | None,
     targets: Sequence[Path],
     overwrite: bool,
     as_json: bool,
     **asked: Any,
 ) -> int:
-    """Write one file of a test, or a table; 4 where a set's file cannot be read."""
-    if (hdf5 is None) == (table is None):
-        raise UsageError("say --hdf5 FILE, or --table NAME with --out FILE")
+    """Write one file of a test, a table or records; 4 where a set's file cannot be read."""
+    if [hdf5, table, waveforms].count(None) != 2:
+        raise UsageError(
+            "say --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
+        )
+    given = {name: value for name, value in asked.items() if value is not None}
+    known = _OF_HDF5 if hdf5 is not None else _OF_TABLE if table is not None else _OF_WAVEFORMS
+    if foreign := [name for name in given if name not in known] or (["out"] if hdf5 and targets else []):
+        told = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
+        raise UsageError(f"{told} does not belong to --{_word(hdf5, table)}; leave it out")
+    if hdf5 is None and not targets:
+        raise UsageError(f"--{_word(hdf5, table)} wants --out FILE")
     if table is not None:
-        return _export_table(data_dir, table, targets, overwrite=overwrite, as_json=as_json, **asked)
-    if targets or any(value is not None for value in asked.values()):
-        raise UsageError("--out, --position, --from-h, --to-h and --fields belong to --table")
+        from daq_service.cli.keeping.export_table import export_table
+        from daq_service.web.tables.choice import chosen
+
+        choice = chosen(table, **given)
+        return _tell_files(export_table(data_dir, choice, targets, overwrite=overwrite), as_json=as_json)
+    if waveforms is not None:
+        from daq_service.cli.keeping.export_table import export_records
+        from daq_service.web.tables.records import RecordChoice
+
+        records = RecordChoice(position=waveforms, **given)
+        return _tell_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
     assert hdf5 is not None, "one of the two is given"
     made = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
     if as_json:
@@ -115,15 +136,16 @@ def run_export(
     return StorageError.exit_code if made.left_out else EXIT_OK
 
 
-def _export_table(
-    data_dir: Path, table: str, targets: Sequence[Path], *, overwrite: bool, as_json: bool, **asked: Any
-) -> int:
-    from daq_service.cli.keeping.export_table import export_table
-    from daq_service.web.tables.choice import chosen
+_OF_HDF5: Collection[str] = ()
+_OF_TABLE = ("position", "from_h", "to_h", "fields")
+_OF_WAVEFORMS = ("from_h", "to_h", "first_set", "last_set")
 
-    if not targets:
-        raise UsageError("--table wants --out FILE")
-    made = export_table(data_dir, chosen(table, **asked), targets, overwrite=overwrite)
+
+def _word(hdf5: Path | None, table: str | None) -> str:
+    return "hdf5" if hdf5 is not None else "table" if table is not None else "waveforms"
+
+
+def _tell_files(made: Sequence[ExportedTable], *, as_json: bool) -> int:
     if as_json:
         click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in made]}))
     else:

@@ -13,7 +13,7 @@ from prometheus_client.registry import Collector
 from starlette.responses import Response
 
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, Quality
+from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import Word, look_at_recorder
@@ -99,6 +99,8 @@ def _of_test(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _counter("partial_sets", "Due times with a record that lack something", counts["partial_sets"])
     yield _counter("shots", "Stored solitary-wave shots", counts["shots"])
     yield _counter("pulse_echo_records", "Stored pulse-echo records", counts["pulse_echo_records"])
+    yield _counter("alarms", "Alarms ever raised", catalogue.newest_id(AlarmRow))
+    yield _counter("orders", "Orders ever given", catalogue.newest_id(CommandRow))
     disk = outlook(context.data_folder, context.settings, catalogue)
     yield _gauge("disk_free_bytes", "Free on the volume of the data folder", [((), disk.free_bytes)])
     yield _gauge("disk_size_bytes", "Size of that volume", [((), disk.total_bytes)])

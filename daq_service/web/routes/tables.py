@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Annotated, Literal
 
 from fastapi import APIRouter, Query, Request
@@ -26,7 +26,8 @@ MOST_ROWS = 100_000
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
-_CONTENT = {kind.media_type: _BINARY for kind in FORMATS.values()}
+FILES = {kind.media_type: _BINARY for kind in FORMATS.values()}
+"""What an exported file can be, as OpenAPI says it."""
 
 
 @router.get("/tables", operation_id="list_tables", response_model=TableList)
@@ -47,7 +48,7 @@ def list_tables() -> JsonAnswer:
     "/tables/{table}",
     operation_id="get_table",
     response_class=Response,
-    responses={200: {"content": _CONTENT}, **problems(404, 422, 503)},
+    responses={200: {"content": FILES}, **problems(404, 422, 503)},
 )
 def get_table(
     request: Request,
@@ -78,7 +79,9 @@ def get_table(
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
         parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:
-            return Response(_alone(parts), media_type=FORMATS[name].media_type, headers=headers)
+            return Response(
+                alone(lambda: b"".join(parts)), media_type=FORMATS[name].media_type, headers=headers
+            )
         first = next(parts, b"")  # what is wrong shows before the answer begins
     except UsageError as error:
         raise Problem(
@@ -102,17 +105,23 @@ def accepted(accept: str) -> str:
     return best[1] if best[0] > 0.0 else "csv"
 
 
-def _alone(parts: Iterator[bytes]) -> bytes:
-    """Make a file of all rows, beside one other at most: each holds all its rows."""
+def alone(make: Callable[[], bytes]) -> bytes:
+    """Make a file as a whole, beside one other at most: each holds all its rows.
+
+    Raises
+    ------
+    Problem
+        503: so many are being made already.
+    """
     if not _making.acquire(blocking=False):
         raise Problem(
             503,
             "too-many-exports",
             "Other exports are being made",
             f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
-            "Ask again in a moment, or take csv.",
+            "Ask again in a moment, or take a table as csv.",
         )
     try:
-        return b"".join(parts)
+        return make()
     finally:
         _making.release()

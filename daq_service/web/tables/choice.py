@@ -126,7 +126,7 @@ def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
     asked: Filters = {**kind.fixed, "position": choice.position}
     by_set = kind.row is not AlarmRow
     if by_set:
-        asked |= {"first_h": choice.from_h, "last_h": _last(choice.to_h)}
+        asked |= {"first_h": choice.from_h, "last_h": last_inside(choice.to_h)}
     is_first = True
     while True:
         rows = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
@@ -146,7 +146,8 @@ def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
         is_first = False
 
 
-def _last(to_h: float | None) -> float | None:
+def last_inside(to_h: float | None) -> float | None:
+    """Greatest hour before the end of a range, as the catalogue wants it."""
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 

@@ -35,7 +35,14 @@ def exported(
     read = pages(catalogue, choice)
     if kind.whole and most_rows is not None:
         read = _bounded(read, form, most_rows)
-    return kind.write(choice, _facts(catalogue.experiment_row(), fresh, choice), read)
+    about = {
+        "table": choice.table,
+        "position": choice.position,
+        "from_h": choice.from_h,
+        "to_h": choice.to_h,
+        "units": {column.name: column.unit for column in choice.columns if column.unit},
+    }
+    return kind.write(choice, facts_of(catalogue.experiment_row(), fresh, about), read)
 
 
 def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
@@ -50,14 +57,11 @@ def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Col
         yield page
 
 
-def _facts(experiment: ExperimentRow, fresh: Freshness, choice: Choice) -> Facts:
+def facts_of(experiment: ExperimentRow, fresh: Freshness, about: Facts) -> Facts:
+    """Tell of which test and moment a file is, beside what it is about."""
     return {
+        **about,
         "test": experiment.name,
-        "table": choice.table,
-        "position": choice.position,
-        "from_h": choice.from_h,
-        "to_h": choice.to_h,
-        "units": {column.name: column.unit for column in choice.columns if column.unit},
         "epoch_utc": format_utc(experiment.epoch_utc_ns),
         "now_utc": format_utc(fresh.now_utc_ns),
         "now_h": fresh.now_h,

@@ -19,7 +19,7 @@ import io
 import json
 import re
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -106,7 +106,7 @@ def _arrow_like(kind: str) -> Write:
     def write(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
         arrow = pyarrow()
         schema = arrow.schema(
-            [_arrow_field(arrow, column) for column in choice.columns],
+            [arrow_field(arrow, column) for column in choice.columns],
             metadata={"solimon": facts_text(facts)},
         )
         drain = _Drain()
@@ -118,7 +118,7 @@ def _arrow_like(kind: str) -> Write:
             writing = arrow.ipc.new_stream(drain, schema)
         with writing as writer:
             for page in pages:
-                arrays = [_arrow_array(arrow, field.type, page[field.name]) for field in schema]
+                arrays = [arrow_array(arrow, field.type, page[field.name]) for field in schema]
                 writer.write(arrow.record_batch(arrays, schema=schema))
                 yield drain.taken()
         yield drain.taken()
@@ -126,13 +126,15 @@ def _arrow_like(kind: str) -> Write:
     return write
 
 
-def _arrow_field(arrow: Any, column: ToldColumn) -> Any:
+def arrow_field(arrow: Any, column: ToldColumn) -> Any:
+    """Field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
-def _arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
+def arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
+    """Values of a column; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
@@ -156,14 +158,15 @@ def pyarrow() -> Any:
     return arrow
 
 
-def _arrays(choice: Choice, pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
+def _arrays(columns: Sequence[ToldColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
     """All rows as an array a column."""
-    parts = [[_array(column, page[column.name]) for column in choice.columns] for page in pages]
+    parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
-    return dict(zip([column.name for column in choice.columns], joined, strict=True))
+    return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def _array(column: ToldColumn, values: list[Any]) -> NDArray[Any]:
+def as_array(column: ToldColumn, values: list[Any]) -> NDArray[Any]:
+    """Give values of a column as an array that has a value for "not available"."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
     if column.form in ("integer", "truth"):
@@ -173,34 +176,43 @@ def _array(column: ToldColumn, values: list[Any]) -> NDArray[Any]:
 
 
 def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    yield npz_image(_arrays(choice.columns, pages), facts)
+
+
+def npz_image(arrays: Mapping[str, NDArray[Any]], facts: Facts) -> bytes:
+    """Return the bytes of a NumPy file: an array a name, and ``solimon``."""
     content = io.BytesIO()
-    arrays = {**_arrays(choice, pages), "solimon": np.array(facts_text(facts))}
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as members:
-        for name, array in arrays.items():
+        for name, array in {**arrays, "solimon": np.array(facts_text(facts))}.items():
             with members.open(f"{name}.npy", "w") as member:
                 np.lib.format.write_array(member, array, allow_pickle=False)
-    yield content.getvalue()
+    return content.getvalue()
 
 
 def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    units = {column.name: column.unit for column in choice.columns if column.unit}
+    yield mat_image(choice.table, _arrays(choice.columns, pages), units, facts)
+
+
+def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str], facts: Facts) -> bytes:
+    """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
     # Brings SciPy along, half a second that a starting service does not need.
     from scipy.io import savemat
 
     content = io.BytesIO()
     columns = {
         # Texts become cells: MATLAB would pad the rows of a matrix of letters with blanks.
-        name: array.astype(object) if array.dtype.kind == "U" else array
-        for name, array in _arrays(choice, pages).items()
+        key: array.astype(object) if array.dtype.kind == "U" else array
+        for key, array in arrays.items()
     }
-    units = {column.name: column.unit for column in choice.columns if column.unit}
-    stored = {choice.table: columns, "units": units, "facts": facts_text(facts)}
+    stored = {name: columns, "units": units, "facts": facts_text(facts)}
     savemat(content, stored, long_field_names=True, oned_as="column", do_compression=True)
-    yield content.getvalue()
+    return content.getvalue()
 
 
 def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
-    arrays = _arrays(choice, pages)
+    arrays = _arrays(choice.columns, pages)
     names = choice.fields or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)

@@ -18,6 +18,7 @@ from daq_service import client
 from daq_service.client.connection import Connection, parsed
 from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
+from daq_service.web.doors.tokens import create_token
 
 N_SETS = 60
 TABLES = {
@@ -198,6 +199,36 @@ def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
     client.open("https://rig.example", token="abc")
     sent = [options["headers"]["Authorization"] for options in given]
     assert sent == ["Bearer abc", "Bearer def", "Bearer abc"]
+
+
+@pytest.mark.parametrize("of_its_own", [False, True])
+def test_a_folder_is_read_without_a_token_also_where_its_service_asks_for_one(tmp_path, of_its_own):
+    """Whoever may read the files needs nobody's leave."""
+    (data := tmp_path / "data").mkdir()
+    tokens = tmp_path / "rig-tokens.json" if of_its_own else data / "tokens.json"
+    web = {"tokens_file": str(tokens)} if of_its_own else {}
+    create_token(tokens, "ann", "admin")
+    filled = FilledFolder(data, Settings(web=web))
+    filled.add_set(0, stored=False)
+    with client.open(data) as test:
+        assert test.info()["name"] == filled.settings.name
+        assert len(test.features("B")) == 1
+    with (
+        served(filled.settings, data) as running,
+        client.open(running.url) as test,
+        pytest.raises(client.RefusedError, match="access token"),
+    ):
+        test.info()
+    filled.close()
+
+
+def test_a_folder_is_read_though_its_service_is_reachable_from_elsewhere(tmp_path):
+    web = {"host_names": ["rig.example"], "proxy": "127.0.0.1"}
+    filled = FilledFolder(tmp_path, Settings(web=web))
+    filled.add_set(0, stored=False)
+    with client.open(tmp_path) as test:
+        assert len(test.features("B")) == 1
+    filled.close()
 
 
 def test_the_stream_s_heartbeats_and_goodbye_are_no_events():

@@ -143,7 +143,8 @@ export class Board {
     const baseline = { from_h: 0, to_h: info.schedule.baseline_h, word: "baseline", tone: "good" };
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
-    return { ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
+    const of = { method: this.reading.place(position).method, positions };
+    return { of, ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).join(", ")}` : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
@@ -156,7 +157,7 @@ export class Board {
   /** @param {SolimonChart} chart @param {View} view @param {string[]} positions @param {string} field @param {string} key @param {string} short */
   draw(chart, view, positions, field, key, short) {
     const { lines, x, scales, relative, unit, digits, factor } = this.lines(view, positions, field, key, short);
-    const { at, ...about } = this.about(view, positions);
+    const { at, of, ...about } = this.about(view, positions);
     const fit = this.reading.fits.get(`${positions[0]} ${field}`);
     if (fit && (!relative || lines[0].y.some((value) => value !== null))) lines.push({ key: "fit", label: positions.length > 1 ? `2nd-order fit ${positions[0]}` : "2nd-order fit", short: "fit", color: "--fit", points: false, dash: [7, 4], y: fitLine(fit, x, /** @type {any} */ (scales.get(positions[0]))) });
     // Beside the axis there is no room for more.
@@ -165,14 +166,14 @@ export class Board {
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
     const says = relative ? "relative to each position's own baseline" : fit ? equation(fit, factor, unit) : "";
-    chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, says].filter(Boolean).join(" · "), ...about });
+    chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, says].filter(Boolean).join(" · "), taken: { fields: [field], ...of }, ...about });
   }
 
   /** @param {View} view @param {string[]} positions */
   distance(view, positions) {
     const { lines, x, rows, unit } = this.lines(view, positions, "distance_squared", "distance_squared", "D²");
     lines.forEach((line) => (line.outlier = onAxis(this.reading.trend(/** @type {string} */ (line.position)).columns.outlier, rows[lines.indexOf(line)])));
-    const { at, ...about } = this.about(view, positions);
+    const { at, of: places, ...about } = this.about(view, positions);
     const { columns } = this.reading.trend(positions[0]);
     const { limits } = this.reading.info;
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
@@ -181,6 +182,6 @@ export class Board {
       { key: "limit_paper", label: `paper's mean + 3 SD limit${of}`, short: "paper's limit", color: "--limit-other", points: false, dash: [2, 4], y: onAxis(columns.limit_paper, rows[0]) },
     );
     const deciding = limits.deciding === "f_predictive" ? `the F limit decides (${significant(100 * limits.false_alarm_rate)} % false alarms)` : "the paper's limit decides";
-    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · alarm at ${limits.k} of ${limits.n}`, ...about });
+    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · alarm at ${limits.k} of ${limits.n}`, taken: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...places }, ...about });
   }
 }

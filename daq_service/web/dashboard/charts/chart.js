@@ -2,6 +2,7 @@
 // it, keys for those without a pointer; each point leads to its set.
 
 import { el, setText } from "../dom.js";
+import { chartOffer, exportMenu } from "../export.js";
 import { NONE, fixed } from "../format.js";
 import { onZoomKey, within } from "./gestures.js";
 import { swatch } from "./legend.js";
@@ -24,6 +25,7 @@ import { dataOf, makePlot, wholeOf } from "./plot.js";
  * @property {number | null} opened hour of the opened set
  * @property {string} subtitle
  * @property {number} endHour of the schedule
+ * @property {{fields: string[], method: string, positions: string[]} | null} taken what of the API it shows
  *
  * @typedef {object} Host what all charts of the page share
  * @property {() => import("./gestures.js").Span | null} span null: the whole test
@@ -36,7 +38,7 @@ import { dataOf, makePlot, wholeOf } from "./plot.js";
 
 const LONGEST_TABLE = 500;
 /** @type {Series} */
-const NOTHING = { x: [], lines: [], name: "", unit: "", digits: 0, ranges: [], alarms: [], opened: null, subtitle: "", endHour: 1 };
+const NOTHING = { x: [], lines: [], name: "", unit: "", digits: 0, ranges: [], alarms: [], opened: null, subtitle: "", endHour: 1, taken: null };
 
 export class SolimonChart extends HTMLElement {
   constructor() {
@@ -75,6 +77,7 @@ export class SolimonChart extends HTMLElement {
     this.heading.id = `${this.id}-title`;
     setText(this.heading, options.title);
     this.toggle.setAttribute("aria-label", `Table of: ${options.title}`);
+    this.actions.append(exportMenu(options.title, () => this.series.taken && chartOffer(this.series.taken, host.span())));
     this.tableBox.setAttribute("aria-label", `${options.title}, table`);
     this.canvasBox.setAttribute("aria-label", `${options.title}. ${this.emptyText.textContent}`);
     this.setAttribute("role", "group");
@@ -210,7 +213,7 @@ export class SolimonChart extends HTMLElement {
     if (first?.quality) head.append(el("th", { scope: "col", text: "Quality" }));
     const body = el("tbody");
     const [from, to] = this.host.span() ?? [-Infinity, Infinity];
-    const rows = [...x.keys()].filter((k) => x[k] >= from && x[k] <= to).reverse();
+    const rows = [...x.keys()].filter((k) => x[k] >= from && x[k] < to).reverse();
     for (const k of rows.slice(0, LONGEST_TABLE)) {
       const opens = el("button", { class: "link", type: "button", text: fixed(x[k], 1), "aria-label": `Open the set of hour ${fixed(x[k], 1)}` });
       opens.addEventListener("click", () => this.open(first, k));

@@ -1,6 +1,7 @@
 // What is drawn over what, against what, over which hours: one row for all charts.
 
 import { byId, el, setText } from "../dom.js";
+import { exportMenu, testOffer } from "../export.js";
 import { fixed } from "../format.js";
 
 /** @typedef {import("../view.js").View} View */
@@ -18,7 +19,9 @@ export class Toolbar {
     this.whole = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "Whole test" }));
     this.whole.addEventListener("click", () => go({ from_h: null, to_h: null }));
     this.axis.addEventListener("change", () => go({ axis: /** @type {any} */ (this.axis.value) }));
-    this.root.append(this.over, this.relative, this.axis, this.whole, this.span);
+    this.root.append(this.over, this.relative, this.axis, this.whole, this.span, exportMenu("the test", () => testOffer(this.shown)));
+    /** @type {[number, number] | null} */
+    this.shown = null;
     this.made = "";
   }
 
@@ -42,6 +45,7 @@ export class Toolbar {
     this.relative.onclick = () => this.go({ relative: !view.relative });
     this.axis.value = view.axis;
     this.whole.disabled = view.from_h === null;
+    this.shown = view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h];
     const text = view.from_h === null || view.to_h === null ? "" : `hour ${fixed(view.from_h, 1)} to ${fixed(view.to_h, 1)}${timeline.axis === "hours" ? "" : ` · ${timeline.text(view.from_h)} to ${timeline.text(view.to_h)}`}`;
     setText(this.span, text);
     this.root.hidden = false;

@@ -3,6 +3,7 @@
 import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
 import { el, setText } from "../dom.js";
+import { exportMenu, setOffer } from "../export.js";
 import { duration, fixed, hour, utc } from "../format.js";
 import { SEVERITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
@@ -76,7 +77,7 @@ export class SolimonSet extends HTMLElement {
     this.setAttribute("role", "region");
     this.setAttribute("aria-labelledby", "set-title");
     this.append(
-      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle, this.chips), el("div", { class: "card-actions" }, this.previous, this.next, this.whole, this.toggle, this.close)),
+      el("div", { class: "card-head" }, el("div", {}, this.heading, this.subtitle, this.chips), el("div", { class: "card-actions" }, this.previous, this.next, this.whole, this.toggle, exportMenu("records of the set", () => this.offer()), this.close)),
       this.box,
       this.tableBox,
       this.legend,
@@ -268,6 +269,13 @@ export class SolimonSet extends HTMLElement {
     const { sample_rate_hz, pretrigger_samples } = record.header;
     const height_v = record.volts[Math.round(time_s * sample_rate_hz) + pretrigger_samples];
     return [{ name: "first echo", time_s, height_v: height_v ?? 0 }];
+  }
+
+  /** @returns {import("../export.js").Offer | null} */
+  offer() {
+    const { position, set } = this.host.view();
+    const file = this.evidence?.stored && this.evidence.set.file;
+    return file && set !== null ? setOffer(position, set, file) : null;
   }
 
   resize() {

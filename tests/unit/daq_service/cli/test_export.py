@@ -246,6 +246,28 @@ def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted(tmp_path / f"b.{ending}" for ending in endings)
 
 
+def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp_path):
+    endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
+    outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
+    asked = ("--waveforms", "B", "--first-set", 0, "--last-set", 1)
+    code, told = solimon("export", "--data-dir", running, *asked, *outputs)
+    assert (code, told["ok"]) == (0, True)
+    assert [file["table"] for file in told["files"]] == ["waveforms"] * len(endings)
+    stored = [read_set(path) for path in list(set_files(running).values())[:2]]
+    expected = [shot.waveform.volts() for taken in stored for shot in taken.shots if shot.key.position == "B"]
+    read = {
+        "csv": pd.read_csv(tmp_path / "b.csv").to_numpy()[:, 1:].T,
+        "parquet": np.stack(pd.read_parquet(tmp_path / "b.parquet")["voltage_v"]),
+        "arrow": np.stack(pyarrow.ipc.open_stream(tmp_path / "b.arrow").read_pandas()["voltage_v"]),
+        "npz": np.load(tmp_path / "b.npz")["voltage_v"],
+        "mat": loadmat(tmp_path / "b.mat", squeeze_me=True)["waveforms"]["voltage_v"].item(),
+    }
+    with h5py.File(tmp_path / "b.h5") as file:
+        read["h5"] = file["entry/waveforms/voltage_v"][()]
+    for ending, values in read.items():
+        np.testing.assert_array_equal(values, expected, err_msg=ending)
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -255,7 +277,14 @@ def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
         (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),
         (("--table", "sets", "--position", "X", "--out", "a.csv"), "choose from A, B, C, D"),
         (("--table", "sets", "--from-h", 2, "--to-h", 1, "--out", "a.csv"), "let it end later"),
-        (("--hdf5", "a.h5", "--position", "B"), "belong to --table"),
+        (("--hdf5", "a.h5", "--position", "B"), "--position does not belong to --hdf5"),
+        (("--hdf5", "a.h5", "--out", "a.csv"), "--out does not belong to --hdf5"),
+        (("--table", "sets", "--last-set", 1, "--out", "a.csv"), "--last-set does not belong to --table"),
+        (("--table", "sets", "--waveforms", "B", "--out", "a.csv"), "or --waveforms POSITION with --out"),
+        (("--waveforms", "B"), "--waveforms wants --out"),
+        (("--waveforms", "B", "--fields", "x", "--out", "a.h5"), "--fields does not belong to --waveforms"),
+        (("--waveforms", "X", "--out", "a.h5"), "choose from A, B, C, D"),
+        (("--waveforms", "B", "--from-h", 900, "--out", "a.h5"), "no record of position B"),
     ],
 )
 def test_an_export_that_cannot_be_is_refused_before_anything_is_written(

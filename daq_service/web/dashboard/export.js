@@ -1,0 +1,161 @@
+// What is on the screen for other programs: as files of the API, and as Python that reads the same.
+
+import { get } from "./api.js";
+import { el, setText } from "./dom.js";
+
+/**
+ * @typedef {object} Offer
+ * @property {string} says what the files hold, where that differs from the screen
+ * @property {{title: string, path: string, as?: string}[]} files below /api/v1; as: what one is, else each of the API's formats
+ * @property {string[]} python lines in which `test` is the opened test
+ */
+
+const WORDS = /** @type {Record<string, string>} */ ({ csv: "CSV", parquet: "Parquet", arrow: "Arrow", npz: "NPZ", mat: "MATLAB", h5: "HDF5" });
+/** @type {string[]} what this service writes; empty until it was asked */
+let formats = [];
+
+/** Table of the API, and method of the client, that a feature stands in. @param {string} field @param {string} method */
+const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : field === "distance_squared" ? "verdicts" : "features");
+
+/** A text or number as Python writes it. @param {string | number} value */
+const literal = (value) => JSON.stringify(value);
+
+/** @param {[number, number] | null} span @returns {Record<string, number>} */
+const hoursOf = (span) => (span ? { from_h: span[0], to_h: span[1] } : {});
+
+/** @param {Record<string, number>} range as arguments of the client */
+const keywords = (range) => Object.entries(range).map(([name, value]) => `${name}=${literal(value)}`);
+
+/** @param {Record<string, string | number>} asked */
+const query = (asked) => new URLSearchParams(Object.entries(asked).map(([name, value]) => [name, String(value)])).toString();
+
+/**
+ * What a chart shows: each set of these hours, also where the chart shows bins.
+ *
+ * @param {{fields: string[], method: string, positions: string[]}} taken
+ * @param {[number, number] | null} span null: the whole test
+ * @returns {Offer}
+ */
+export function chartOffer({ fields, method, positions }, span) {
+  const table = tableOf(fields[0], method);
+  const range = hoursOf(span);
+  const files = positions.map((position) => ({
+    title: `Position ${position}`,
+    path: `/tables/${table}?${query({ position, ...range, fields: fields.join(",") })}`,
+  }));
+  const asked = ["position", ...keywords(range)].join(", ");
+  const columns = ["due_h", ...fields, "quality"].map(literal).join(", ");
+  return {
+    says: "Every set of these hours, in SI units.",
+    files,
+    python: ["data = {", `    position: test.${table}(${asked})[[${columns}]]`, `    for position in [${positions.map(literal).join(", ")}]`, "}"],
+  };
+}
+
+/**
+ * A page that prints, and whole tables.
+ *
+ * @param {[number, number] | null} span null: the whole test
+ * @returns {Offer}
+ */
+export function testOffer(span) {
+  const range = hoursOf(span);
+  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", alarms: "Alarms" };
+  return {
+    says: span ? "These hours, every position." : "The whole test, every position.",
+    files: [
+      { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
+      ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
+    ],
+    python: [`verdicts = test.verdicts(${keywords(range).join(", ")})`, `features = test.features(${keywords(range).join(", ")})`],
+  };
+}
+
+/**
+ * The records of a set.
+ *
+ * @param {string} position @param {number} set @param {string} file of the set as the API names it
+ * @returns {Offer}
+ */
+export function setOffer(position, set, file) {
+  return {
+    says: "The accepted records in volts; the set's own file has counts and calibration of every position.",
+    files: [
+      { title: "Records", path: `/waveforms/${encodeURIComponent(position)}?first_set=${set}&last_set=${set}` },
+      { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, as: "HDF5" },
+    ],
+    python: [`waves = test.waveforms(${literal(position)}, ${set})`],
+  };
+}
+
+/** @param {string[]} lines @returns {string} */
+function program(lines) {
+  return [
+    "# pip install 'solimon[client]'; a service that asks for a token finds it in SOLIMON_TOKEN",
+    "from daq_service import client",
+    "",
+    `with client.open(${literal(location.origin)}) as test:`,
+    ...lines.map((line) => `    ${line}`),
+    "",
+  ].join("\n");
+}
+
+/**
+ * A button that opens a list of files and the Python beside it.
+ *
+ * @param {string} of what is exported, for those who do not see where the button stands
+ * @param {() => Offer | null} offer asked when it opens; null: there is nothing yet
+ * @returns {HTMLElement}
+ */
+export function exportMenu(of, offer) {
+  const box = el("div", { class: "export-box" });
+  const root = /** @type {HTMLDetailsElement} */ (el("details", { class: "export" }, el("summary", { class: "button ghost small", "aria-label": `Export: ${of}`, text: "Export" }), box));
+  root.addEventListener("toggle", () => root.open && void fill(box, offer()));
+  root.addEventListener("keydown", (event) => {
+    if (event.key !== "Escape" || !root.open) return;
+    event.preventDefault();
+    close(root);
+    /** @type {HTMLElement} */ (root.firstElementChild).focus();
+  });
+  root.addEventListener("focusout", (event) => {
+    // Without a new focus the window itself was left.
+    if (event.relatedTarget && !root.contains(/** @type {Node} */ (event.relatedTarget))) close(root);
+  });
+  return root;
+}
+
+/** @param {HTMLDetailsElement} root */
+function close(root) {
+  root.open = false;
+}
+
+/** @param {HTMLElement} box @param {Offer | null} offer */
+async function fill(box, offer) {
+  if (offer === null) return box.replaceChildren(el("p", { text: "There is nothing to export yet." }));
+  try {
+    if (!formats.length) ({ formats } = await get("/tables"));
+  } catch (error) {
+    return box.replaceChildren(el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }));
+  }
+  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
+  const files = offer.files.map(({ title, path, as }) => {
+    const links = as ? [link(path, as, title)] : formats.map((form) => link(`${path}${path.includes("?") ? "&" : "?"}format=${form}`, WORDS[form] ?? form, title));
+    return el("div", {}, el("p", { text: title }), el("p", { class: "export-files" }, ...links));
+  });
+  const text = program(offer.python);
+  const code = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", readonly: true, rows: String(text.split("\n").length), "aria-label": "The same in Python", spellcheck: "false", wrap: "off" }));
+  code.value = text;
+  const said = el("span", { class: "quiet small", role: "status" });
+  const copy = el("button", { class: "button ghost small", type: "button", text: "Copy as Python" });
+  copy.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(text);
+      setText(said, "Copied");
+    } catch {
+      // Over plain HTTP from elsewhere a page has no clipboard; a person has.
+      code.select();
+      setText(said, "Selected: copy it with Ctrl+C");
+    }
+  });
+  return box.replaceChildren(el("p", { class: "quiet small", text: offer.says }), ...files, code, el("p", { class: "export-files" }, copy, said));
+}

@@ -1,0 +1,291 @@
+"""What a report says: read once from the catalogue, figures and tables show nothing else."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from daq_service.archive import ArchiveError, FolderSetReader
+from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue.reader import Filters, LastWord
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    CommandRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    SetRow,
+    ThicknessRow,
+    VerdictRow,
+)
+from daq_service.errors import UsageError
+from daq_service.judgement.restored import thickness_interval_m
+from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
+from daq_service.orders.audit import Deed, read_audit
+from daq_service.processes.freshness import Freshness
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import Settings
+from hardware_drivers.methods import PULSE_ECHO
+from hardware_drivers.nanoseconds import NS_PER_H
+
+log = logging.getLogger(__name__)
+
+MOST_SETS = 20_000
+"""Of a position: each is a point of every figure."""
+MOST_LINES = 500
+"""Of alarms, orders and the audit each; the newest are shown."""
+OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
+OF_VERDICTS = ("due_h", "distance_squared", "limit_f", "limit_paper", "limit_name", "outlier", "in_baseline")
+OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
+
+Columns = Mapping[str, list[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gap:
+    """Planned sets that follow each other and were missed or lack something, for one cause."""
+
+    position: str
+    state: str
+    cause: str
+    from_h: float
+    to_h: float
+    n_sets: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Place:
+    """A position: how it stands now, and its sets of the range, a list a column.
+
+    Attributes
+    ----------
+    values
+        Features of the sets' means, or thickness.
+    verdicts
+        None of a probe.
+    thickness_interval_m
+        95 % interval of the newest reading; None: it has none, or a record of it cannot be read.
+    """
+
+    name: str
+    label: str
+    method: str
+    serial_number: str
+    last: LastWord
+    state: str
+    data_h: float | None
+    age_h: float | None
+    stale: bool
+    limit: float | None
+    thickness_interval_m: tuple[float, float] | None
+    values: Columns
+    verdicts: Columns | None
+    states: Mapping[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contents:
+    """Everything that a report says; hours are those of the test, ``to_h`` is not in the range.
+
+    Attributes
+    ----------
+    files_sha256
+        Digest of the names and SHA-256 of the sets' files in the range, in their order; ``n_files`` of them.
+    history
+        Events of the alarms, by the alarm's id.
+    audit
+        None: whoever asked may not see it.
+    """
+
+    experiment: ExperimentRow
+    settings: Settings
+    from_h: float
+    to_h: float
+    now_h: float
+    now_utc_ns: int
+    wall_utc_ns: int
+    wall_age_s: float | None
+    recorder: str
+    held: str | None
+    rig_identity: Mapping[str, Any]
+    n_files: int
+    files_sha256: str
+    extractors: Sequence[str]
+    places: Sequence[Place]
+    gaps: Sequence[Gap]
+    alarms: Sequence[AlarmRow]
+    history: Mapping[int, Sequence[EventRow]]
+    orders: Sequence[CommandRow]
+    audit: Sequence[Deed] | None
+
+
+def read_contents(
+    folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
+) -> Contents:
+    """Read what a report of a test says, also of one that runs.
+
+    Parameters
+    ----------
+    from_h, to_h
+        Hours of the test, the first included, the last not; None is open.
+    audited
+        Also who asked for what.
+
+    Raises
+    ------
+    UsageError
+        The range is empty, or has more than `MOST_SETS` sets.
+    StorageError
+        There is no test, or it cannot be read.
+    """
+    with open_catalogue(folder) as catalogue:
+        experiment = catalogue.experiment_row()
+        settings = stored_settings(experiment.configuration)
+        fresh = Freshness(folder, catalogue, experiment.clock)
+        begin_h = 0.0 if from_h is None else from_h
+        end_h = math.nextafter(fresh.now_h, math.inf) if to_h is None else to_h
+        if not begin_h < end_h:
+            raise UsageError(
+                f"the report would begin at {begin_h:g} h and end at {end_h:g} h; let it end later"
+            )
+        asked: Filters = {
+            "first_h": from_h,
+            "last_h": None if to_h is None else math.nextafter(to_h, -math.inf),
+        }
+        sets = {name: _sets(catalogue, name, asked) for name in settings.positions}
+        words, archive = catalogue.positions_state(), FolderSetReader(folder)
+        places = [
+            _place(catalogue, archive, settings, fresh, name, words.get(name), sets[name], asked)
+            for name in settings.positions
+        ]
+        files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
+        told = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
+        alarms = [row for row in catalogue.rows(AlarmRow) if _stood(row, experiment, begin_h, end_h)]
+        started = catalogue.last_told("recorder_started")
+        return Contents(
+            experiment=experiment,
+            settings=settings,
+            from_h=begin_h,
+            to_h=end_h,
+            now_h=fresh.now_h,
+            now_utc_ns=fresh.now_utc_ns,
+            wall_utc_ns=time.time_ns(),
+            wall_age_s=fresh.wall_age_s,
+            recorder=fresh.recorder.description,
+            held=catalogue.held(),
+            rig_identity={} if started is None else started.payload.get("rig_identity", {}),
+            n_files=len(files),
+            files_sha256=hashlib.sha256(told.encode()).hexdigest(),
+            extractors=sorted(
+                {word.last_feature.extractor_version for word in words.values() if word.last_feature}
+            ),
+            places=places,
+            gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
+            alarms=alarms[-MOST_LINES:],
+            history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
+            orders=catalogue.rows(CommandRow)[-MOST_LINES:],
+            audit=[deed for _, deed in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
+        )
+
+
+def _sets(catalogue: Catalogue, position: str, asked: Filters) -> list[SetRow]:
+    of_place: Filters = {**asked, "position": position}
+    rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **of_place)
+    if len(rows) > MOST_SETS:
+        raise UsageError(
+            f"position {position} has more than {MOST_SETS} sets in this range, and a report shows "
+            "each; choose a shorter range of hours"
+        )
+    return rows
+
+
+def _place(
+    catalogue: Catalogue,
+    archive: FolderSetReader,
+    settings: Settings,
+    fresh: Freshness,
+    name: str,
+    word: LastWord | None,
+    sets: Sequence[SetRow],
+    asked: Filters,
+) -> Place:
+    place = settings.positions[name]
+    last = word or LastWord(position=name, method=place.method)
+    data_h = data_hour(last)
+    age_h = None if data_h is None else fresh.age_h(data_h)
+    is_probe = place.method == PULSE_ECHO
+    kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
+    of_sets: Filters = {**asked, "position": name, "scope": None if is_probe else "set"}
+    of_verdicts: Filters = {**asked, "position": name}
+    interval_m = None
+    if last.last_thickness is not None:
+        try:
+            interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, archive)
+        except ArchiveError as error:  # the page says that there is none; the reading is in the catalogue
+            log.info("no interval of position %s: %s", name, error)
+    states = [row.state for row in sets]
+    return Place(
+        name=name,
+        label=place.label,
+        method=place.method,
+        serial_number=place.serial_number,
+        last=last,
+        state=state_word(last),
+        data_h=data_h,
+        age_h=age_h,
+        stale=is_stale(settings.schedule, fresh, age_h),
+        limit=limit_of(last, settings),
+        thickness_interval_m=interval_m,
+        values=catalogue.columns(kind, columns, **of_sets),
+        verdicts=None if is_probe else catalogue.columns(VerdictRow, OF_VERDICTS, **of_verdicts),
+        states={state: states.count(state) for state in dict.fromkeys(states)},
+    )
+
+
+def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
+    """Name the sets that are not done, those together that follow each other for one cause."""
+    lacking = [row for row in sets if row.state != "done"]
+    runs: list[list[SetRow]] = []
+    for before, row in pairwise([None, *lacking]):
+        assert row is not None, "only what stands before the first is none"
+        goes_on = before is not None and (row.set_index, row.state, row.cause) == (
+            *(before.set_index + 1, before.state, before.cause),
+        )
+        if goes_on:
+            runs[-1].append(row)
+        else:
+            runs.append([row])
+    return [
+        Gap(
+            position=run[0].position,
+            state=run[0].state,
+            cause=run[0].cause or "",
+            from_h=run[0].due_h,
+            to_h=run[-1].due_h,
+            n_sets=len(run),
+        )
+        for run in runs
+    ]
+
+
+def _stood(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: float) -> bool:
+    """Tell that an alarm was raised, or stood, in the range."""
+    cleared_ns = row.cleared_utc_ns
+    cleared_h = math.inf if cleared_ns is None else (cleared_ns - experiment.epoch_utc_ns) / NS_PER_H
+    return row.raised_h < to_h and cleared_h >= from_h
+
+
+def _history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
+    found: dict[int, list[EventRow]] = {}
+    for event in catalogue.rows(EventRow, topics=("alarms",)):
+        alarm_id = event.payload.get("alarm_id")
+        if isinstance(alarm_id, int) and alarm_id in ids:
+            found.setdefault(alarm_id, []).append(event)
+    return found

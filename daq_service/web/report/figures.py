@@ -1,0 +1,159 @@
+"""Figures of a report as SVG within the page: each set a point, outliers and bad sets by shape, gaps shaded.
+
+Object-oriented API only, text stays text, and the same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+
+from daq_service.web.report.contents import Columns, Contents, Place
+from hardware_drivers.methods import PULSE_ECHO
+
+# Okabe and Ito (2008), Color Universal Design.
+BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E73", "#555555"
+WIDTH_IN, PANEL_IN = 7.2, 1.75
+MARGIN = 0.01
+"""Of the hours, at both ends: the first and the last point are seen as a whole."""
+ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
+"""Where a legend hides nothing."""
+RULES: Any = {
+    "font.family": "sans-serif",
+    "font.size": 8.5,
+    "axes.titlesize": 9,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "lines.markersize": 3,
+    "svg.hashsalt": "solimon",
+    "svg.fonttype": "none",
+    "path.simplify": False,
+}
+_NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
+
+
+def figure_of(contents: Contents, place: Place) -> str:
+    """Draw a position's values over the hours of the test; the SVG element, empty without any value."""
+    if not place.values["due_h"]:
+        return ""
+    with mpl.rc_context(RULES):
+        panels = _echo_panels if place.method == PULSE_ECHO else _wave_panels
+        number = 1 if place.method == PULSE_ECHO else 3
+        figure = Figure(figsize=(WIDTH_IN, 0.35 + PANEL_IN * number), layout="constrained")
+        axes = [axis for (axis,) in figure.subplots(number, 1, squeeze=False, sharex=True)]
+        panels(contents, place, axes)
+        for axis in axes:
+            _mark(contents, place, axis)
+        to_h = min(contents.to_h, contents.now_h)
+        margin_h = MARGIN * (to_h - contents.from_h)
+        axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
+        axes[-1].set_xlabel("time since start (h)")
+        content = io.StringIO()
+        figure.savefig(content, format="svg", metadata=_NO_METADATA)
+    return _within_a_page(content.getvalue(), f"figure-{place.name}")
+
+
+def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
+    assert place.verdicts is not None, "these have them"
+    for axis, name, factor, label in (
+        (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
+        (axes[1], "amplitude_ratio", 1.0, "amplitude ratio"),
+    ):
+        _points(axis, place.values, name, factor, label)
+    distance = axes[2]
+    verdicts = place.verdicts
+    _line(distance, verdicts, "distance_squared", linestyle="none", marker="o", color=BLUE, label="D²")
+    beyond = {
+        name: [value for value, outlier in zip(values, verdicts["outlier"], strict=True) if outlier]
+        for name, values in verdicts.items()
+    }
+    _line(
+        distance,
+        beyond,
+        "distance_squared",
+        gid="outliers",
+        linestyle="none",
+        marker="D",
+        markersize=5,
+        markerfacecolor="none",
+        color=VERMILLION,
+        label="outlier",
+    )
+    _line(distance, verdicts, "limit_f", color=VERMILLION, label="F limit")
+    _line(distance, verdicts, "limit_paper", color=PURPLE, linestyle="--", label="paper's limit")
+    if any(value is not None and value > 0.0 for value in verdicts["distance_squared"]):
+        distance.set_yscale("log")
+        distance.yaxis.set_major_formatter(LogFormatter())
+        distance.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.4)))
+    distance.set_ylabel("squared distance")
+    distance.legend(**ABOVE)
+
+
+def _echo_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:
+    _points(axes[0], place.values, "thickness_m", 1e3, "wall (mm)")
+    if place.limit is not None:
+        axes[0].axhline(1e3 * place.limit, color=VERMILLION, label="alarm below")
+    if place.thickness_interval_m is not None and place.last.last_thickness is not None:
+        low, high = (1e3 * end for end in place.thickness_interval_m)
+        hour = place.last.last_thickness.due_h
+        axes[0].plot([hour, hour], [low, high], color=GREY, marker="_", label="95 % interval of the newest")
+    axes[0].legend(**ABOVE)
+
+
+def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
+    """Each set a point; a cross where its quality is not good."""
+    scaled = {**columns, name: [None if value is None else factor * value for value in columns[name]]}
+    for gid, good, style in (
+        (name, True, {"marker": "o", "color": BLUE}),
+        (f"{name}-poor", False, {"marker": "x", "color": VERMILLION, "label": "suspect or bad"}),
+    ):
+        chosen = [(quality == "good") is good for quality in columns["quality"]]
+        part = {
+            key: [value for value, wanted in zip(values, chosen, strict=True) if wanted]
+            for key, values in scaled.items()
+        }
+        if part[name]:
+            _line(axis, part, name, gid=gid, linestyle="none", **style)
+    axis.set_ylabel(label)
+    if axis.get_legend_handles_labels()[1]:
+        axis.legend(**ABOVE)
+
+
+def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:
+    """Draw a column over the hours; what is not available is left out."""
+    there = [
+        (h, value) for h, value in zip(columns["due_h"], columns[name], strict=True) if value is not None
+    ]
+    axis.plot([hour for hour, _ in there], [value for _, value in there], gid=gid or name, **style)
+
+
+def _mark(contents: Contents, place: Place, axis: Axes) -> None:
+    """Shade gaps, and draw a line where an alarm was raised."""
+    for gap in contents.gaps:
+        if gap.position == place.name:
+            axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
+    for alarm in contents.alarms:
+        if alarm.position in (place.name, None) and contents.from_h <= alarm.raised_h < contents.to_h:
+            axis.axvline(alarm.raised_h, color=VERMILLION, linewidth=0.9, linestyle=(0, (5, 2)))
+
+
+def _within_a_page(svg: str, prefix: str) -> str:
+    """Give the element alone, its names unlike those of the other figures."""
+    element = svg[svg.index("<svg") :]
+    element = re.sub(r'\bid="', f'id="{prefix}-', element)
+    element = re.sub(r'(xlink:href="#|url\(#)', rf"\g<1>{prefix}-", element)
+    return element.replace("<svg ", '<svg aria-hidden="true" focusable="false" ', 1)

@@ -1,0 +1,27 @@
+"""A report from a data folder to its bytes; to be called in a process of its own where others wait."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq_service.web.report.contents import read_contents
+
+
+def report_page(
+    folder: Path, *, from_h: float | None = None, to_h: float | None = None, audited: bool = False
+) -> bytes:
+    """Return the HTML of a report (`contents.read_contents`).
+
+    Raises
+    ------
+    UsageError
+        The range is empty, or has too many sets.
+    StorageError
+        There is no test, or it cannot be read.
+    """
+    # Brings matplotlib along, which nothing else of the service needs.
+    from daq_service.web.report.figures import figure_of
+    from daq_service.web.report.page import page
+
+    contents = read_contents(folder, from_h=from_h, to_h=to_h, audited=audited)
+    return page(contents, {place.name: figure_of(contents, place) for place in contents.places})

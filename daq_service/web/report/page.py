@@ -1,0 +1,318 @@
+"""A report as one HTML page."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from html import escape
+from importlib.metadata import version
+from typing import Any
+
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.clock import format_utc
+from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
+from hardware_drivers.methods import PULSE_ECHO
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+_STYLE = """
+@page { size: A4; margin: 16mm 14mm }
+:root { --ink: #14181c; --soft: #55606a; --line: #d8dde2 }
+* { box-sizing: border-box }
+body { font: 14px/1.45 system-ui, sans-serif; color: var(--ink); background: #fff; max-width: 60rem;
+       margin: 2rem auto; padding: 0 1.2rem }
+header { border-bottom: 3px solid var(--ink); padding-bottom: .6rem }
+h1 { font-size: 1.5rem; margin: 0 } h2 { font-size: 1.15rem; margin: 2rem 0 .4rem }
+h3 { font-size: 1rem; margin: 1.2rem 0 .3rem }
+.note { color: var(--soft); font-size: .88rem }
+nav a { margin-right: .9rem }
+table { border-collapse: collapse; width: 100%; font-size: .85rem; margin: .4rem 0 }
+caption { text-align: left; color: var(--soft); padding-bottom: .2rem }
+th, td { text-align: left; vertical-align: top; padding: .2rem .6rem .2rem 0; overflow-wrap: anywhere;
+         border-bottom: 1px solid var(--line) }
+thead th { border-bottom: 2px solid var(--ink) } tbody th { font-weight: 600 }
+figure { margin: .6rem 0 } svg { width: 100%; height: auto }
+pre { font-size: .75rem; white-space: pre-wrap; overflow-wrap: anywhere }
+@media print { body { margin: 0; padding: 0; max-width: none; font-size: 11px } nav { display: none }
+  h2, h3 { break-after: avoid } tr, figure, article { break-inside: avoid } }
+"""
+NOT_KNOWN = "not known"
+
+Row = Sequence[str]
+
+
+def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
+    """Return the HTML; ``figures`` are SVG elements by position, empty where there is nothing to draw."""
+    title = f"Report of the test {contents.experiment.name}"
+    sections = {
+        "what": ("What was tested", _what(contents)),
+        "now": ("How it stands", _now(contents)),
+        "positions": (
+            "Positions",
+            [_position(contents, place, figures[place.name]) for place in contents.places],
+        ),
+        "gaps": ("Gaps", _gaps(contents)),
+        "alarms": ("Alarms", _alarms(contents)),
+        "orders": ("Orders", _orders(contents)),
+        **({} if contents.audit is None else {"audit": ("Audit", _audit(contents))}),
+        "configuration": ("Configuration", _configuration(contents)),
+    }
+    parts = [
+        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
+        "<meta name='viewport' content='width=device-width, initial-scale=1'>",
+        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(_made(contents))}</p></header><nav>",
+        *(f"<a href='#{name}'>{escape(heading)}</a>" for name, (heading, _) in sections.items()),
+        "</nav><main>",
+    ]
+    for name, (heading, content) in sections.items():
+        parts += [f"<section id='{name}'><h2>{escape(heading)}</h2>", *content, "</section>"]
+    return "\n".join([*parts, "</main></body></html>\n"]).encode()
+
+
+def quantity(value: float | None, factor: float, digits: int, unit: str) -> str:
+    """Write a value in the unit that people read."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value * factor:.{digits}f} {unit}".rstrip()
+
+
+def significant(value: float | None) -> str:
+    """Write a number with four figures."""
+    return NOT_KNOWN if value is None else f"{value:.4g}"
+
+
+def _made(contents: Contents) -> str:
+    return (
+        f"Hours {contents.from_h:.2f} to {min(contents.to_h, contents.now_h):.2f} of the test; made "
+        f"{format_utc(contents.wall_utc_ns, 0)} at hour {contents.now_h:.2f} "
+        f"({format_utc(contents.now_utc_ns, 0)} on the {contents.experiment.clock} clock). "
+        f"{contents.recorder}."
+    )
+
+
+def _what(contents: Contents) -> list[str]:
+    experiment, settings = contents.experiment, contents.settings
+    rows = [
+        ("Test", experiment.name),
+        ("Hour 0", f"{format_utc(experiment.epoch_utc_ns, 0)} ({experiment.clock} clock)"),
+        ("Rig", settings.rig.kind),
+        *((f"Rig, {name}", str(value)) for name, value in contents.rig_identity.items()),
+        ("Configuration", f"SHA-256 {experiment.configuration_hash}"),
+        ("Begun by", f"solimon {experiment.solimon_version}"),
+        ("Reported by", f"solimon {version('solimon')}"),
+        ("Extractor", ", ".join(contents.extractors) or NOT_KNOWN),
+        ("Files of sets", f"{contents.n_files} in the range"),
+        ("Digest of their names and SHA-256", contents.files_sha256),
+        (
+            "Limit that decides",
+            f"{settings.novelty.limit}, {settings.novelty.false_alarm_rate:g} false alarms",
+        ),
+        ("Alarm", f"at {settings.alarms.k} of {settings.alarms.n} sets"),
+    ]
+    places = [
+        (place.name, place.label, place.method.replace("_", " "), place.serial_number or NOT_KNOWN)
+        for place in contents.places
+    ]
+    return [
+        _table("Identity", (), rows),
+        _table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
+    ]
+
+
+def _now(contents: Contents) -> list[str]:
+    held = [] if contents.held is None else [f"<p><strong>On hold: {escape(contents.held)}.</strong></p>"]
+    written = (
+        "nothing is stored" if contents.wall_age_s is None else f"{contents.wall_age_s:.0f} s before this"
+    )
+    rows = []
+    for place in contents.places:
+        last = place.last
+        verdict, measured = last.last_verdict, last.last_feature or last.last_thickness
+        quality = NOT_KNOWN if measured is None else measured.quality
+        if last.last_thickness is not None:
+            value = quantity(last.last_thickness.thickness_m, 1e3, 3, "mm")
+            limit = quantity(place.limit, 1e3, 3, "mm")
+        else:
+            value = f"D² {significant(verdict.distance_squared if verdict else None)}"
+            limit = significant(place.limit)
+        age = NOT_KNOWN if place.age_h is None else f"{place.age_h:.2f} h{', stale' if place.stale else ''}"
+        data_h = NOT_KNOWN if place.data_h is None else f"{place.data_h:.2f}"
+        rows.append(
+            (place.name, place.state, value, limit, quality, data_h, age, str(len(last.active_alarms)))
+        )
+    head = ("Position", "State", "Newest value", "Limit", "Quality", "Of hour", "Age", "Alarms that stand")
+    return [*held, f"<p class='note'>Last written {written}.</p>", _table("Newest values", head, rows)]
+
+
+def _position(contents: Contents, place: Place, figure: str) -> str:
+    states = ", ".join(f"{number} {state}" for state, number in place.states.items()) or "none"
+    parts = [
+        f"<article><h3>Position {escape(place.name)}</h3>",
+        f"<p class='note'>Sets in the range: {states}.</p>",
+    ]
+    shaded = "Gaps are shaded, dashed lines are alarms."
+    if figure:
+        what = (
+            "wall thickness"
+            if place.method == PULSE_ECHO
+            else "time of flight, amplitude ratio and squared distance"
+        )
+        told = (
+            f"Position {place.name}: {what} over the hours of the test; the numbers are in the table below."
+        )
+        parts.append(
+            f"<figure role='img' aria-label='{escape(told)}'>{figure}</figure><p class='note'>{shaded}</p>"
+        )
+    else:
+        parts.append("<p>There is no value in this range.</p>")
+    if place.method == PULSE_ECHO:
+        rows = [_series("Wall thickness", place.values, "thickness_m", 1e3, 4, "mm")]
+        rows += [_series("Lost thickness", place.values, "thickness_loss_m", 1e6, 2, "µm")]
+        interval = place.thickness_interval_m
+        told = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
+        parts.append(_table("Thickness", SERIES, rows))
+        parts.append(f"<p>95 % interval of the newest reading: {told}.</p>")
+    else:
+        assert place.verdicts is not None, "these have them"
+        judged = [outlier for outlier in place.verdicts["outlier"] if outlier is not None]
+        rows = [
+            _series("Time of flight", place.values, "tof_pp_s", 1e6, 3, "µs"),
+            _series("Amplitude ratio", place.values, "amplitude_ratio", 1.0, 4, ""),
+            _series("Squared distance", place.verdicts, "distance_squared", 1.0, 3, ""),
+        ]
+        parts.append(_table("Features and distance", SERIES, rows))
+        parts.append(f"<p>{sum(judged)} outliers of {len(judged)} judged sets; "
+                     f"{sum(place.verdicts['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
+    return "\n".join([*parts, "</article>"])
+
+
+SERIES = ("Quantity", "Sets", "First", "Last", "Least", "Greatest", "Mean", "Not of good quality")
+
+
+def _series(told: str, columns: Columns, name: str, factor: float, digits: int, unit: str) -> Row:
+    values = [value for value in columns[name] if value is not None]
+    if not values:
+        return (told, "0", *[NOT_KNOWN] * 5, "")
+    shown = (values[0], values[-1], min(values), max(values), math.fsum(values) / len(values))
+    poor = "" if "quality" not in columns else str(sum(one != "good" for one in columns["quality"]))
+    return (told, str(len(values)), *(quantity(value, factor, digits, unit) for value in shown), poor)
+
+
+def _gaps(contents: Contents) -> list[str]:
+    rows = [
+        (
+            gap.position,
+            gap.state,
+            gap.cause or NOT_KNOWN,
+            f"{gap.from_h:.2f}",
+            f"{gap.to_h:.2f}",
+            str(gap.n_sets),
+        )
+        for gap in contents.gaps
+    ]
+    head = ("Position", "State", "Cause", "First hour", "Last hour", "Sets")
+    return [
+        _table("Sets that were missed or lack something", head, rows, "No set of the range lacks anything.")
+    ]
+
+
+def _alarms(contents: Contents) -> list[str]:
+    if not contents.alarms:
+        return ["<p>No alarm was raised or stood in this range.</p>"]
+    return [_alarm(contents, row) for row in contents.alarms]
+
+
+def _alarm(contents: Contents, row: AlarmRow) -> str:
+    place = "The test as a whole" if row.position is None else f"Position {row.position}"
+    by = row.acknowledged_by or "nobody"
+    note = f", {row.note}" if row.note else ""
+    told = (
+        f"Raised at hour {row.raised_h:.2f}, now {row.state.replace('_', ' ')}; acknowledged by {by}{note}."
+    )
+    history = [_event(contents, event) for event in contents.history.get(row.id or 0, ())]
+    proof = [(name, _plain(value)) for name, value in row.proof.items()]
+    return "\n".join(
+        [
+            f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
+            f"<p>{escape(row.message)}</p>",
+            f"<p class='note'>{escape(told)}</p>",
+            _table("Proof", (), proof),
+            _table("History", ("Hour", "What", "State", "By"), history, "No event tells of it."),
+            "</article>",
+        ]
+    )
+
+
+def _event(contents: Contents, event: EventRow) -> Row:
+    hour = (event.utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H
+    told = event.payload
+    return (
+        f"{hour:.2f}",
+        event.kind.replace("_", " "),
+        str(told.get("state", "")).replace("_", " "),
+        str(told.get("acknowledged_by") or ""),
+    )
+
+
+def _orders(contents: Contents) -> list[str]:
+    rows = [
+        (
+            format_utc(row.wall_utc_ns, 0),
+            row.author,
+            row.kind.replace("_", " "),
+            _plain(row.arguments),
+            row.state,
+            row.result or "",
+        )
+        for row in contents.orders
+    ]
+    head = ("Given (computer's clock)", "By", "Order", "With", "State", "What came of it")
+    return [_table(f"The newest {MOST_LINES} at most", head, rows, "No order was given.")]
+
+
+def _audit(contents: Contents) -> list[str]:
+    rows = [
+        (
+            *(
+                format_utc(deed.utc_ns // NS_PER_S * NS_PER_S, 0),
+                deed.who or "nobody",
+                deed.role,
+                deed.source,
+            ),
+            *(deed.what.replace("_", " "), deed.result, deed.why),
+        )
+        for deed in contents.audit or ()
+    ]
+    head = ("When", "Who", "Role", "From", "What", "Result", "Why")
+    return [
+        _table(f"The newest {MOST_LINES} at most, newest first", head, rows, "Nothing was asked for yet.")
+    ]
+
+
+def _configuration(contents: Contents) -> list[str]:
+    text = json.dumps(contents.experiment.configuration, indent=1, sort_keys=True)
+    return ["<p class='note'>As the test was begun.</p>", f"<pre>{escape(text)}</pre>"]
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {_plain(one)}" for name, one in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_plain, value))
+    return significant(value) if isinstance(value, float) or value is None else str(value)
+
+
+def _table(caption: str, head: Row, rows: Iterable[Row], empty: str = "") -> str:
+    """Rows whose first cell heads them; without a head it is a list of names and values."""
+    lines = [
+        f"<tr><th scope='row'>{escape(first)}</th>"
+        + "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        + "</tr>"
+        for first, *cells in rows
+    ]
+    if not lines:
+        return f"<p>{escape(empty)}</p>" if empty else ""
+    columns = "".join(f"<th scope='col'>{escape(name)}</th>" for name in head)
+    top = f"<thead><tr>{columns}</tr></thead>" if head else ""
+    return f"<table><caption>{escape(caption)}</caption>{top}<tbody>{''.join(lines)}</tbody></table>"

@@ -1,0 +1,67 @@
+"""`/api/v1/report`: the test or some hours of it as one HTML page."""
+
+from __future__ import annotations
+
+import threading
+
+from fastapi import APIRouter
+from starlette.responses import Response
+
+from daq_service.errors import UsageError
+from daq_service.processes.worker import one_worker
+from daq_service.web.answers.models import problems
+from daq_service.web.answers.problem import Problem
+from daq_service.web.context import ContextOf
+from daq_service.web.report.make import report_page
+from daq_service.web.routes.admission import PersonOf
+from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+
+router = APIRouter(tags=["report"])
+_making = threading.Lock()
+
+
+@router.get(
+    "/report",
+    operation_id="get_report",
+    response_class=Response,
+    responses={
+        200: {"content": {"text/html": {"schema": {"type": "string"}}}},
+        **problems(422, 503),
+    },
+)
+def get_report(
+    context: ContextOf, person: PersonOf, from_h: FromHour = None, to_h: ToHour = None
+) -> Response:
+    """Make a report: what was tested, how it stands, trends, gaps, alarms with proof and history, orders.
+
+    Who may read the audit finds it inside. One is made at a time, in a process of its own.
+    """
+    last_hour(from_h, to_h)
+    context.catalogue()
+    if not _making.acquire(blocking=False):
+        raise Problem(
+            503,
+            "too-many-reports",
+            "Another report is being made",
+            "One report is made at a time.",
+            "Ask again in some seconds, or make it with `solimon report`.",
+        )
+    try:
+        with one_worker() as worker:
+            audited = person.may("admin")
+            content = worker.submit(
+                report_page, context.data_folder, from_h=from_h, to_h=to_h, audited=audited
+            ).result()
+    except UsageError as error:
+        raise Problem(
+            422, "invalid-request", "No such report", str(error), "Choose other hours with from_h and to_h."
+        ) from error
+    finally:
+        _making.release()
+    headers = {
+        # A test's name may hold what a header cannot.
+        "Content-Disposition": 'attachment; filename="report.html"',
+        # Compressed on the way, it would keep the event loop busy.
+        "Content-Encoding": "identity",
+    }
+    return Response(content, media_type="text/html", headers=headers)

@@ -1,0 +1,131 @@
+"""Files of records; an array in volts of a row a record, beside a column of each fact (`records.OF_RECORD`).
+
+============ ===========================================================================================
+csv          a column a record, for spreadsheets: time, then ``set_3_shot_0_good_v``; it has no facts
+parquet      a row a record; ``voltage_v`` is a list, the facts are in the schema's metadata
+arrow        the same as an Arrow IPC stream
+npz          ``time_s``, ``voltage_v`` (records, samples), the columns, and ``solimon``: facts as JSON text
+mat          MATLAB 5: a struct ``waveforms`` of the same, a struct ``units``, and ``facts`` as JSON text
+h5           NXdata ``voltage_v[sequence, time_s]``, which silx and H5Web plot
+============ ===========================================================================================
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq_service.archive.table_file import records_image
+from daq_service.catalogue import Catalogue
+from daq_service.processes.freshness import Freshness
+from daq_service.web.tables.export import facts_of
+from daq_service.web.tables.formats import (
+    Facts,
+    arrow_array,
+    arrow_field,
+    as_array,
+    facts_text,
+    mat_image,
+    npz_image,
+    pyarrow,
+)
+from daq_service.web.tables.records import OF_RECORD, RecordChoice, RecordSlice
+
+NAME = "waveforms"
+UNITS = {"time_s": "s", "voltage_v": "V", **{column.name: column.unit for column in OF_RECORD if column.unit}}
+
+
+def exported_records(
+    catalogue: Catalogue, fresh: Freshness, choice: RecordChoice, records: RecordSlice, form: str
+) -> bytes:
+    """Return the bytes of a file of records in one of `formats.FORMATS`.
+
+    Raises
+    ------
+    UsageError
+        A package for the format is missing.
+    """
+    about = {
+        "position": choice.position,
+        **{name: getattr(choice, name) for name in ("from_h", "to_h", "first_set", "last_set")},
+        "units": UNITS,
+        "n_unreadable": records.columns["readable"].count(False),
+    }
+    return _WRITERS[form](records, facts_of(catalogue.experiment_row(), fresh, about))
+
+
+def _csv(records: RecordSlice, facts: Facts) -> bytes:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    told = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
+    names = [f"set_{index}_shot_{shot}_{quality or 'unknown'}_v" for index, shot, quality in told]
+    writer.writerow(["time_s", *names])
+    rows = np.column_stack([records.time_s, records.voltage_v.T])
+    writer.writerows(["" if value != value else repr(value) for value in row.tolist()] for row in rows)
+    return text.getvalue().encode()
+
+
+def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
+    def write(records: RecordSlice, facts: Facts) -> bytes:
+        arrow = pyarrow()
+        n_samples = records.time_s.size
+        volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})
+        schema = arrow.schema(
+            [*(arrow_field(arrow, column) for column in OF_RECORD), volts],
+            metadata={"solimon": facts_text(facts)},
+        )
+        flat = arrow.array(records.voltage_v.ravel())
+        arrays = [
+            *(arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
+            arrow.FixedSizeListArray.from_arrays(flat, n_samples),
+        ]
+        table = arrow.Table.from_arrays(arrays, schema=schema)
+        content = io.BytesIO()
+        if kind == "parquet":
+            from pyarrow import parquet
+
+            parquet.write_table(table, content)
+        else:
+            with arrow.ipc.new_stream(content, schema) as stream:
+                stream.write_table(table)
+        return content.getvalue()
+
+    return write
+
+
+def _arrays(records: RecordSlice) -> dict[str, NDArray[Any]]:
+    return {column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD}
+
+
+def _npz(records: RecordSlice, facts: Facts) -> bytes:
+    arrays = {"time_s": records.time_s, "voltage_v": records.voltage_v, **_arrays(records)}
+    return npz_image(arrays, facts)
+
+
+def _mat(records: RecordSlice, facts: Facts) -> bytes:
+    arrays = {"time_s": records.time_s, "voltage_v": records.voltage_v, **_arrays(records)}
+    return mat_image(NAME, arrays, UNITS, facts)
+
+
+def _h5(records: RecordSlice, facts: Facts) -> bytes:
+    columns = {
+        name: array.tolist() if array.dtype.kind == "U" else array for name, array in _arrays(records).items()
+    }
+    return records_image(
+        NAME, columns, records.time_s, records.voltage_v, axis="sequence", facts_text=facts_text(facts)
+    )
+
+
+_WRITERS: Mapping[str, Callable[[RecordSlice, Facts], bytes]] = {
+    "csv": _csv,
+    "parquet": _arrow_like("parquet"),
+    "arrow": _arrow_like("arrow"),
+    "npz": _npz,
+    "mat": _mat,
+    "h5": _h5,
+}

@@ -1,0 +1,185 @@
+"""Stored records of a position over some sets, as one array in volts with what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.waves.quality_gate import ACCEPTED
+from daq_service.archive import ArchiveError, FolderSetReader, SetReference
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import SetRow, ShotRow
+from daq_service.catalogue.told import ToldColumn
+from daq_service.errors import UsageError
+from daq_service.judgement.methods import METHODS
+from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour
+from daq_service.web.tables.choice import Columns, last_inside
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+
+MOST_SETS = 100_000
+"""Rows that are looked at before anybody knows how long a record is."""
+BYTES_A_SAMPLE = 8
+
+
+def _column(name: str, form: Any, unit: str = "") -> ToldColumn:
+    return ToldColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
+
+
+OF_RECORD = (
+    *(_column(name, "integer") for name in ("set_index", "shot_index", "sequence")),
+    *(_column("due_h", "number", "h"), _column("due_utc", "time"), _column("utc", "time")),
+    *(_column("valid", "truth"), _column("flags", "text"), _column("quality", "text")),
+    *(_column("readable", "truth"), _column("sample_rate_hz", "number", "Hz")),
+    _column("pretrigger_samples", "integer"),
+)
+"""What is told of each record; one that is not ``readable`` any more has no volts."""
+
+
+class NoRecordError(UsageError):
+    """Nothing is stored there."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordChoice:
+    """Which records; ``from_h`` is included, ``to_h`` is not, both ends of the sets are; None is open."""
+
+    position: str
+    from_h: float | None = None
+    to_h: float | None = None
+    first_set: int | None = None
+    last_set: int | None = None
+
+    def __post_init__(self) -> None:
+        for first, last in ((self.from_h, self.to_h), (self.first_set, self.last_set)):
+            if first is not None and last is not None and last < first:
+                raise UsageError(f"the range ends at {last:g}, before {first:g}; let it end later")
+
+    @property
+    def name(self) -> str:
+        """Name of a file of it, without ending."""
+        sets = [f"{index:06d}" for index in (self.first_set, self.last_set) if index is not None]
+        return "_".join(["waveforms", self.position, *dict.fromkeys(sets)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordSlice:
+    """Records in the order of sets and shots.
+
+    Attributes
+    ----------
+    columns
+        A value a record of each of `OF_RECORD`.
+    time_s : ndarray of float64, shape (samples,)
+        From the trigger.
+    voltage_v : ndarray of float64, shape (records, samples)
+        NaN throughout where a record cannot be read any more.
+    """
+
+    columns: Columns
+    time_s: NDArray[np.float64]
+    voltage_v: NDArray[np.float64]
+
+
+def read_slice(
+    catalogue: Catalogue, archive: FolderSetReader, choice: RecordChoice, *, most_bytes: int
+) -> RecordSlice:
+    """Read the accepted records of the chosen sets.
+
+    Raises
+    ------
+    NoRecordError
+        None is stored there, or none can be read.
+    UsageError
+        They come to more than ``most_bytes`` as volts, or differ in length or rate.
+    """
+    asked: Filters = {
+        "position": choice.position,
+        "first_set": choice.first_set,
+        "last_set": choice.last_set,
+        "first_h": choice.from_h,
+        "last_h": last_inside(choice.to_h),
+    }
+    found = catalogue.rows(SetRow, limit=MOST_SETS + 1, **asked)
+    sets = {row.set_index: row for row in found if row.file is not None}
+    if not sets:
+        raise NoRecordError(f"no record of position {choice.position} is stored in these sets; look at sets")
+    if len(found) > MOST_SETS:
+        raise UsageError(f"these are more than {MOST_SETS} sets; choose a shorter range")
+    n_most = sum(row.n_taken for row in sets.values())
+    # Already the first record tells whether all of them are too many: nothing else is read before.
+    first = next((waveform for _, waveform in _waveforms(archive, choice.position, sets)), None)
+    if first is None:
+        raise NoRecordError(
+            f"no record of position {choice.position} in these sets can be read; solimon verify tells why"
+        )
+    if (n_bytes := n_most * first.counts.size * BYTES_A_SAMPLE) > most_bytes:
+        raise UsageError(
+            f"these are up to {n_most} records of {first.counts.size} samples, {n_bytes / 1e6:.0f} MB in "
+            f"volts, of at most {most_bytes / 1e6:.0f} MB at once; choose a shorter range, or take the whole "
+            "test with solimon export --hdf5"
+        )
+    asked |= {"first_set": min(sets), "last_set": max(sets), "first_h": None, "last_h": None}
+    shots = [
+        row for row in catalogue.rows(ShotRow, **asked) if row.outcome == ACCEPTED and row.set_index in sets
+    ]
+    shots.sort(key=lambda row: (row.set_index, row.shot_index))
+    place = {row.sequence: number for number, row in enumerate(shots)}
+    voltage_v = np.full((len(shots), first.counts.size), np.nan)
+    readable = [False] * len(shots)
+    for sequence, waveform in _waveforms(archive, choice.position, sets):
+        if sequence in place:
+            _refuse_other(choice.position, first, waveform)
+            voltage_v[place[sequence]] = waveform.volts()
+            readable[place[sequence]] = True
+    method = METHODS[next(iter(sets.values())).method]
+    results = catalogue.columns(method.row, ("sequence", "quality"), **asked)
+    quality = dict(zip(results["sequence"], results["quality"], strict=True))
+    hours = [sets[row.set_index].due_h for row in shots]
+    epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
+    return RecordSlice(
+        time_s=first.time_s(),
+        voltage_v=voltage_v,
+        columns={
+            **{name: [getattr(row, name) for row in shots] for name in ("set_index", "shot_index")},
+            "sequence": [row.sequence for row in shots],
+            "due_h": hours,
+            "due_utc": [rfc3339_of_hour(epoch_utc_ns, hour) for hour in hours],
+            "utc": [rfc3339(row.utc_ns) for row in shots],
+            "valid": [row.valid for row in shots],
+            "flags": [" ".join(row.flags) for row in shots],
+            "quality": [quality.get(row.sequence) for row in shots],
+            "readable": readable,
+            "sample_rate_hz": [first.sample_rate_hz] * len(shots),
+            "pretrigger_samples": [first.pretrigger_samples] * len(shots),
+        },
+    )
+
+
+def _waveforms(
+    archive: FolderSetReader, position: str, sets: Mapping[int, SetRow]
+) -> Iterator[tuple[int, Waveform]]:
+    """Read what can be read: sequence and record, a set's file at a time."""
+    for row in sets.values():
+        assert row.file is not None, "only such sets are asked for"
+        try:
+            stored = archive.read_set(SetReference(row.file), skip_damaged=True)
+        except ArchiveError:
+            continue  # its records stay in the slice as not readable
+        taken: list[Shot | PulseEchoRecord] = [*stored.shots, *stored.echoes]
+        for record in taken:
+            if record.key.position == position:
+                yield record.sequence, record.waveform
+
+
+def _refuse_other(position: str, first: Waveform, other: Waveform) -> None:
+    if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
+        *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
+    ):
+        raise UsageError(
+            f"the records of position {position} in these sets differ in length or rate; choose fewer sets"
+        )

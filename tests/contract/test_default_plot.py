@@ -1,0 +1,113 @@
+"""Every HDF5 file opens as a plot: the chain of defaults by NeXus's rules, as H5Web and silx walk it."""
+
+import tarfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import silx.io
+import silx.io.nxdata
+from click.testing import CliRunner
+from support.filled_folder import FilledFolder
+from support.stored_files import set_files
+
+from daq_service.catalogue import open_catalogue
+from daq_service.cli.main import cli
+from daq_service.settings.tree import Settings
+
+FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
+EARLIER = sorted(path.name.removesuffix(".tar.xz") for path in FOLDERS.glob("*.tar.xz"))
+TABLE, RECORDS = ("--table", "features", "--position", "B"), ("--waveforms", "B")
+
+
+@pytest.fixture(scope="module")
+def today(tmp_path_factory):
+    filled = FilledFolder(tmp_path_factory.mktemp("today"), Settings(), shots_per_set=2)
+    for index in range(3):
+        filled.add_set(index)
+    yield filled.folder
+    filled.close()
+
+
+@pytest.fixture(scope="module")
+def folders(today, tmp_path_factory):
+    found = {"today": today}
+    for commit in EARLIER:
+        found[commit] = tmp_path_factory.mktemp("earlier") / commit
+        with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
+            archive.extractall(found[commit], filter="data")
+    return found
+
+
+def text(value):
+    return value.decode() if isinstance(value, bytes) else str(value)
+
+
+def step(group, nx_class):
+    """Follow the attribute `default` one level down."""
+    name = text(group.attrs["default"])
+    assert name in group, f"{group.name}@default leads to {name}"
+    assert text(group[name].attrs["NX_class"]) == nx_class
+    return group[name]
+
+
+def check_plot(path):
+    """Walk root@default to NXentry@default to NXdata@signal and @axes; the signal's and the axes' names."""
+    with h5py.File(path) as file:
+        assert text(file.attrs["NX_class"]) == "NXroot"
+        data = step(step(file, "NXentry"), "NXdata")
+        name_of_signal = text(data.attrs["signal"])
+        signal = data[name_of_signal]
+        axes = [text(name) for name in np.atleast_1d(data.attrs["axes"])]
+        assert len(axes) == signal.ndim
+        assert np.issubdtype(signal.dtype, np.number)
+        for name, length in zip(axes, signal.shape, strict=True):
+            assert data[name].shape == (length,)
+            # What has a unit says so; a number of a shot has none.
+            assert name in ("shot_id", "sequence") or text(data[name].attrs["units"]) in ("s", "h")
+        for name in np.atleast_1d(data.attrs.get("auxiliary_signals", [])):
+            assert data[text(name)].shape == signal.shape
+        expected = signal[()]
+    with silx.io.open(str(path)) as file:
+        shown = silx.io.nxdata.get_default(file)
+        assert shown is not None, "silx finds no plot"
+        assert shown.is_valid, shown.issues
+        assert shown.is_curve or shown.is_image or shown.is_stack
+        np.testing.assert_array_equal(shown.signal, expected)
+    assert np.isfinite(expected).any()
+    return name_of_signal, axes
+
+
+@pytest.mark.parametrize("which", ["today", *EARLIER])
+def test_the_file_of_a_set_opens_as_a_plot_whoever_wrote_it(which, folders):
+    files = set_files(folders[which])
+    assert files
+    for path in (files[min(files)], files[max(files)]):
+        signal, axes = check_plot(path)
+        assert (signal.endswith("_mean"), axes) == (True, ["time"])
+
+
+@pytest.mark.parametrize("which", ["today", *EARLIER])
+def test_the_file_of_a_whole_test_opens_as_a_plot(which, folders, tmp_path):
+    if which in EARLIER:
+        open_catalogue(folders[which], writer=True).close()  # as the start of a recorder does
+    target = tmp_path / "all.h5"
+    done = CliRunner().invoke(cli, ["export", "--data-dir", str(folders[which]), "--hdf5", str(target)])
+    assert done.exit_code == 0, done.output
+    assert check_plot(target) == ("waveform", ["shot_id", "time"])
+
+
+@pytest.mark.parametrize(
+    ("words", "plot"),
+    [
+        (TABLE, ("tof_pp_s", ["due_h"])),
+        (RECORDS, ("voltage_v", ["sequence", "time_s"])),
+        (("--waveforms", "A", "--last-set", "0"), ("voltage_v", ["sequence", "time_s"])),
+    ],
+)
+def test_an_exported_file_opens_as_a_plot(words, plot, today, tmp_path):
+    target = tmp_path / "part.h5"
+    done = CliRunner().invoke(cli, ["export", "--data-dir", str(today), *words, "--out", str(target)])
+    assert done.exit_code == 0, done.output
+    assert check_plot(target) == plot

@@ -1,0 +1,139 @@
+"""Every query of the Grafana dashboard and of its page asks for metrics and labels that there are."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from prometheus_client.openmetrics.parser import text_string_to_metric_families
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.settings.tree import Settings
+
+ROOT = Path(__file__).parents[4]
+DASHBOARD = json.loads((ROOT / "examples/grafana/solimon.json").read_text(encoding="utf-8"))
+TARGETS = [
+    (panel["title"], target["expr"], target["legendFormat"])
+    for panel in DASHBOARD["panels"]
+    for target in panel["targets"]
+]
+RULES = re.findall(r"^\| `(.+?)` \|", (ROOT / "docs/how-to/grafana.md").read_text(encoding="utf-8"), re.M)
+OF_PROMETHEUS = {"instance", "job"}
+FUNCTIONS = {"absent", "histogram_quantile", "increase", "label_values", "rate", "sum"}
+SELECTOR = re.compile(r"(?P<name>[A-Za-z_:][\w:]*)(?:\{(?P<labels>[^}]*)\})?(?P<range>\[\w+\])?")
+GROUPING = re.compile(r"\bby \((?P<labels>[^)]*)\)")
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """What a service tells whose test has everything: families by name, and label sets by sample."""
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
+    for index in range(60):
+        folder.add_set(index, stored=index == 0)
+    folder.add_alarm("B", 55)
+    folder.catalogue.add_command("ann", "hold", {"note": "hands"})
+    with served(folder.settings, folder.folder) as service, service.client() as api:
+        for path in ("tables/sets", "waveforms/B"):
+            assert api.get(f"/api/v1/{path}").status_code == 200
+        families = list(text_string_to_metric_families(api.get("/metrics").text))
+    folder.close()
+    return families
+
+
+@pytest.fixture(scope="module")
+def label_sets(told):
+    found = {}
+    for family in told:
+        for sample in family.samples:
+            found.setdefault(sample.name, []).append(sample.labels)
+    return found
+
+
+def selectors(expression):
+    """Name, label matchers and range of each series that is asked for."""
+    bare = GROUPING.sub("", expression)
+    for match in SELECTOR.finditer(bare):
+        if bare[match.end() :].lstrip().startswith("(") or match["name"] in OF_PROMETHEUS:
+            assert match["name"] in FUNCTIONS | OF_PROMETHEUS, f"no function of PromQL: {match['name']}"
+        elif not re.search(rf"[\d.]{re.escape(match['name'])}", bare):
+            matchers = re.findall(r'(\w+)(=~|!~|!=|=)"([^"]*)"', match["labels"] or "")
+            yield match["name"], matchers, match["range"]
+
+
+def check(expression, label_sets):
+    """The labels that the result can have."""
+    asked = list(selectors(expression))
+    assert asked, expression
+    for name, matchers, _ in asked:
+        assert name in label_sets, f"{name} is not told"
+        for label, sign, value in matchers:
+            if label in OF_PROMETHEUS:
+                continue
+            values = {labels.get(label) for labels in label_sets[name]}
+            assert None not in values, f"{name} has no label {label}"
+            assert sign in ("=", "=~"), "what is left out is not looked for here"
+            pattern = value if sign == "=~" else re.escape(value)
+            assert any(re.fullmatch(pattern, one) for one in values), f"no {label} of {name} is {value}"
+    groups = {
+        label.strip() for found in GROUPING.finditer(expression) for label in found["labels"].split(",")
+    }
+    common = set.intersection(*({*labels} for name, _, _ in asked for labels in label_sets[name]))
+    assert groups <= common, f"{groups - common} is no label there"
+    is_summed = re.search(r"\bsum\b", expression)
+    return (groups if is_summed else common | OF_PROMETHEUS), asked
+
+
+@pytest.mark.parametrize(("title", "expression", "legend"), TARGETS)
+def test_every_query_of_the_dashboard_finds_its_metrics_and_labels(title, expression, legend, label_sets):
+    labels, _ = check(expression, label_sets)
+    assert set(re.findall(r"\{\{(\w+)\}\}", legend)) <= labels, f"the legend of {title!r}"
+
+
+@pytest.mark.parametrize("expression", [*RULES, DASHBOARD["templating"]["list"][1]["query"]])
+def test_every_rule_and_the_variable_find_theirs_too(expression, label_sets):
+    check(expression, label_sets)
+
+
+@pytest.mark.parametrize("expression", [*(expression for _, expression, _ in TARGETS), *RULES])
+def test_what_grows_is_asked_as_a_rate_and_nothing_else_is(expression, told):
+    growing = {
+        sample.name for family in told if family.type in ("counter", "histogram") for sample in family.samples
+    }
+    for name, _, over in selectors(expression):
+        assert (name in growing) is (over is not None), name
+
+
+def test_every_metric_of_ours_has_its_type_and_its_unit_in_its_name(told):
+    """The parser itself refuses what OpenMetrics forbids; this is what it leaves to us."""
+    assert {family.type for family in told} <= {"gauge", "counter", "info", "histogram"}
+    for family in told:
+        assert family.name == "solimon" or family.name.startswith("solimon_")
+        assert family.documentation
+        # Prometheus wants base units, as whole words.
+        assert not re.search(r"_(s|ms|us|mm|m|h|b|kb|percent)$", family.name), family.name
+        for sample in family.samples:
+            if family.type == "counter":
+                assert sample.name == f"{family.name}_total"
+                assert sample.value == int(sample.value) >= 0
+            if "state" in sample.labels and family.name != "solimon_alarms_active":
+                assert sample.value in (0.0, 1.0), "one series a state"
+
+
+def test_the_dashboard_can_be_imported():
+    """Ids are its own, panels do not overlap, and the data source is asked for, not named."""
+    panels = DASHBOARD["panels"]
+    assert len({panel["id"] for panel in panels}) == len(panels)
+    taken = set()
+    for panel in panels:
+        assert panel["datasource"]["uid"] == "$datasource"
+        place = panel["gridPos"]
+        cells = {
+            (x, y)
+            for x in range(place["x"], place["x"] + place["w"])
+            for y in range(place["y"], place["y"] + place["h"])
+        }
+        assert not cells & taken, panel["title"]
+        assert max(x for x, _ in cells) < 24
+        taken |= cells
+    assert len(RULES) == 6

@@ -1,0 +1,285 @@
+"""A report says what the client says, reads alone, and is made by command and by the service."""
+
+import json
+import re
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service import client
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import SetRow, ThicknessRow
+from daq_service.cli.main import cli
+from daq_service.errors import UsageError
+from daq_service.settings.tree import Settings
+from daq_service.web.doors.tokens import create_token
+from daq_service.web.report import contents
+from daq_service.web.report.contents import read_contents
+from daq_service.web.report.figures import figure_of
+from daq_service.web.report.make import report_page
+from daq_service.web.report.page import quantity, significant
+from daq_service.web.routes import report as route
+
+N_SETS = 56
+NOTE = "seen <b>&amp;"
+OF_SERIES = {
+    "Time of flight": ("features", "tof_pp_s", 1e6, 3, "µs"),
+    "Amplitude ratio": ("features", "amplitude_ratio", 1.0, 4, ""),
+    "Squared distance": ("verdicts", "distance_squared", 1.0, 3, ""),
+    "Wall thickness": ("thickness", "thickness_m", 1e3, 4, "mm"),
+}
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
+    for index in range(N_SETS):
+        folder.add_set(index, stored=index in (0, N_SETS - 1))
+    alarm = folder.add_alarm("B", 52)
+    folder.acknowledge(alarm, Order(author="ann", arguments={"note": NOTE}, id=give(folder)))
+    folder.add_alarm("C", 10)
+    for index in (N_SETS, N_SETS + 1, N_SETS + 3):
+        folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
+    yield folder
+    folder.close()
+
+
+class Order:
+    """As the recorder has it while it carries an order out."""
+
+    def __init__(self, **facts):
+        self.__dict__.update(facts)
+
+
+def give(folder):
+    return folder.catalogue.add_command("ann", "acknowledge_alarm", {"alarm_id": 1})
+
+
+def missed(folder, index):
+    due = folder.due[index]
+    return SetRow(
+        set_index=index,
+        position="D",
+        method="solitary_wave",
+        state="missed",
+        due_utc_ns=due.due_utc_ns,
+        due_h=due.due_h,
+        cause="held",
+        n_planned=1,
+    )
+
+
+class Page(HTMLParser):
+    """Rows of the tables below each heading, all words, and what the page would load."""
+
+    def __init__(self, content):
+        super().__init__()
+        self.tables, self.words, self.loaded, self.ids = {}, [], [], []
+        self._heading, self._row, self._tag = "", None, ""
+        self.feed(content.decode())
+
+    def handle_starttag(self, tag, attrs):
+        told = dict(attrs)
+        self._tag = tag
+        self.ids += [told["id"]] if "id" in told else []
+        self.loaded += [value for name, value in attrs if name in ("src", "data", "srcset")]
+        href = told.get("href") or told.get("xlink:href") or "#"
+        self.loaded += [] if href.startswith("#") else [href]
+        if tag in ("script", "link", "iframe"):
+            self.loaded.append(tag)
+        if tag in ("h2", "h3"):
+            self._heading = ""
+        if tag == "tr":
+            self._row = []
+        if tag in ("td", "th") and self._row is not None:
+            self._row.append("")
+
+    def handle_endtag(self, tag):
+        if tag == "tr":
+            self.tables.setdefault(self._heading, []).append(self._row)
+            self._row = None
+
+    def handle_data(self, data):
+        self.words.append(data)
+        if self._row:
+            self._row[-1] += data
+        elif self._tag in ("h2", "h3") and data.strip():
+            self._heading = data
+
+
+def made(folder, *words):
+    done = CliRunner().invoke(cli, ["report", str(folder), *map(str, words)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done
+
+
+@pytest.fixture(scope="module")
+def page(filled, tmp_path_factory):
+    target = tmp_path_factory.mktemp("out") / "report.html"
+    made(filled.folder, "--out", target)
+    return Page(target.read_bytes())
+
+
+def test_the_tables_have_the_figures_of_the_client(filled, page):
+    with client.open(filled.folder) as test:
+        for position, names in {"A": ["Wall thickness"], **dict.fromkeys("BCD", list(OF_SERIES)[:3])}.items():
+            rows = {row[0]: row[1:] for row in page.tables[f"Position {position}"]}
+            for name in names:
+                table, column, *shown = OF_SERIES[name]
+                values = getattr(test, table)(position)[column].dropna()
+                expected = (values.iloc[0], values.iloc[-1], values.min(), values.max(), values.mean())
+                assert rows[name][0] == str(len(values)) == str(N_SETS)
+                assert rows[name][1:6] == [quantity(value, *shown) for value in expected], (position, name)
+        now = {row[0]: row for row in page.tables["How it stands"]}
+        newest = test.verdicts("B").iloc[-1]
+        info = test.info()
+    assert now["B"][2:5] == [
+        *(f"D² {significant(newest['distance_squared'])}", significant(newest["limit_f"]), newest["quality"])
+    ]
+    assert now["B"][1] == "alarm"
+    identity = {row[0]: row[1] for row in page.tables["What was tested"]}
+    assert identity["Configuration"] == f"SHA-256 {info['configuration_hash']}"
+
+
+def test_each_figure_shows_each_set_where_it_belongs(filled):
+    told = read_contents(filled.folder)
+    with client.open(filled.folder) as test:
+        for place in told.places:
+            columns = {
+                "A": [("thickness_m", test.thickness("A"))],
+            }.get(
+                place.name,
+                [
+                    ("tof_pp_s", test.features(place.name)),
+                    ("amplitude_ratio", test.features(place.name)),
+                    ("distance_squared", test.verdicts(place.name)),
+                ],
+            )
+            svg = ElementTree.fromstring(figure_of(told, place))
+            groups = {group.get("id"): group for group in svg.iter("{http://www.w3.org/2000/svg}g")}
+            for name, table in columns:
+                drawn = [
+                    (float(use.get("x")), float(use.get("y")))
+                    for use in groups[f"figure-{place.name}-{name}"].iter("{http://www.w3.org/2000/svg}use")
+                ]
+                assert len(drawn) == len(table) == N_SETS
+                values = np.log(table[name]) if name == "distance_squared" else table[name]
+                for along, expected in ((0, table["due_h"]), (1, values)):
+                    places = [point[along] for point in drawn]
+                    slope, offset = np.polyfit(expected, places, 1)
+                    # SVG has six decimals of a point.
+                    np.testing.assert_allclose(slope * expected + offset, places, rtol=0, atol=1e-4)
+                    assert (slope > 0) == (along == 0), "down is up"
+
+
+def test_it_tells_gaps_alarms_proof_history_and_orders(page):
+    assert [row for row in page.tables["Gaps"] if row[0] == "D"] == [
+        ["D", "missed", "held", "28.50", "29.00", "2"],
+        ["D", "missed", "held", "30.00", "30.00", "1"],
+    ]
+    alarm = page.tables["Position B: wall change, high"]
+    assert ["limit", "24.3"] in alarm
+    assert ["contributions", "tof_pp_s 21.4, amplitude_ratio 9.1"] in alarm
+    assert [row[1:] for row in alarm if row[0] == "26.50"][-1] == [
+        "alarm acknowledged",
+        "acknowledged",
+        "ann",
+    ]
+    (order,) = [row for row in page.tables["Orders"] if row[1] == "ann"]
+    assert order[2:] == ["acknowledge alarm", "alarm_id 1", "done", "acknowledged"]
+    assert any(NOTE in word for word in page.words), "as it was written, and no markup"
+
+
+def test_it_reads_alone_and_every_name_is_there_once(page):
+    assert page.loaded == []
+    assert len(set(page.ids)) == len(page.ids)
+
+
+def test_the_wall_has_the_interval_of_its_newest_reading(filled, page, monkeypatch):
+    assert "95 % interval of the newest reading: not known." in page.words, "the invented echoes have none"
+    newest = filled.catalogue.rows(ThicknessRow, position="A")[-1]
+
+    def interval_m(reading, *_):
+        assert reading == newest
+        return reading.thickness_m - 1e-5, reading.thickness_m + 2e-5
+
+    monkeypatch.setattr(contents, "thickness_interval_m", interval_m)
+    told = Page(report_page(filled.folder, from_h=27.0))
+    low, high = interval_m(newest)
+    assert f"95 % interval of the newest reading: {1e3 * low:.4f} to {1e3 * high:.4f} mm." in told.words
+
+
+def test_some_hours_are_chosen(filled, tmp_path):
+    made(filled.folder, "--from-h", 5, "--to-h", 10, "--out", tmp_path / "part.html")
+    part = Page((tmp_path / "part.html").read_bytes())
+    rows = {row[0]: row for row in part.tables["Position B"]}
+    with client.open(filled.folder) as test:
+        values = test.features("B", from_h=5, to_h=10)["tof_pp_s"]
+    assert rows["Time of flight"][1:4] == [
+        *(str(len(values)), quantity(values.iloc[0], 1e6, 3, "µs"), quantity(values.iloc[-1], 1e6, 3, "µs"))
+    ]
+    assert "Position C: wall change, high" in part.tables, "it stood then"
+    assert "Position B: wall change, high" not in part.tables, "it was raised later"
+
+
+def test_a_configuration_leads_to_its_folder(filled, tmp_path):
+    config = tmp_path / "test.toml"
+    config.write_text(f"[storage]\nfolder = {json.dumps(str(filled.folder))}\n")
+    said = json.loads(made(config, "--out", tmp_path / "a.html", "--json").stdout)
+    assert (said["ok"], said["n_bytes"]) == (True, (tmp_path / "a.html").stat().st_size)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--from-h", 5, "--to-h", 5), "let it end later"),
+        (("--from-h", 1e6), "let it end later"),
+    ],
+)
+def test_what_cannot_be_reported_is_told_and_nothing_is_written(words, said, filled, tmp_path):
+    target = tmp_path / "a.html"
+    with pytest.raises(UsageError, match=said):
+        made(filled.folder, *words, "--out", target)
+    assert not target.exists()
+    target.write_text("older")
+    with pytest.raises(UsageError, match="--overwrite"):
+        made(filled.folder, "--out", target)
+    assert target.read_text() == "older"
+
+
+def test_more_sets_than_a_page_shows_are_refused(filled, monkeypatch):
+    monkeypatch.setattr(contents, "MOST_SETS", N_SETS - 1)
+    with pytest.raises(UsageError, match=f"more than {N_SETS - 1} sets in this range"):
+        read_contents(filled.folder)
+    assert len(read_contents(filled.folder, to_h=20.0).places) == 4
+
+
+def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(filled):
+    tokens = {
+        role: create_token(filled.folder / "tokens.json", role, role)[1] for role in ("viewer", "admin")
+    }
+    with served(filled.settings, filled.folder) as service:
+        with service.client(Authorization=f"Bearer {tokens['viewer']}") as api:
+            answer = api.get("/api/v1/report?from_h=5&to_h=10")
+            assert answer.headers["content-type"].startswith("text/html")
+            assert "attachment" in answer.headers["content-disposition"]
+            told = Page(answer.content)
+            assert "Position B" in told.tables
+            assert "audit" not in told.ids
+            refused = api.get("/api/v1/report?from_h=5&to_h=5")
+            assert (refused.status_code, "let it end later" in refused.text) == (422, True)
+            with route._making:
+                busy = api.get("/api/v1/report")
+                assert (busy.status_code, busy.headers["retry-after"]) == (503, "1")
+        with service.client(Authorization=f"Bearer {tokens['admin']}") as api:
+            assert "audit" in Page(api.get("/api/v1/report?from_h=5&to_h=10").content).ids
+
+
+def test_text_of_a_figure_is_text(filled):
+    told = read_contents(filled.folder)
+    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(told, told.places[1]))
