@@ -10,6 +10,9 @@
       └──────────── returned_unacknowledged                      normal
         acknowledge
 
+Beside its state an alarm may be suppressed: shelved for a bounded time, or out of service until a person
+returns it. It goes on through its states meanwhile, and is told apart (`as_it_stands`).
+
 A latched alarm (a hole does not heal) never leaves by its condition, only by a person's reset.
 Severity is kept at the highest reached until the alarm is acknowledged.
 """
@@ -18,9 +21,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import Any
 
-from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity
+from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity, Suppression
+from hardware_drivers.nanoseconds import NS_PER_H
 
 SEVERITIES: tuple[Severity, ...] = ("low", "medium", "high", "critical")
 AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
@@ -28,6 +33,14 @@ AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
     "returned_unacknowledged": "normal",
 }
 """States that wait for an operator, and what follows."""
+SUPPRESSION = (
+    *("suppressed", "suppressed_by", "suppressed_because"),
+    *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
+)
+"""Columns of an alarm that say whether, and how, it is suppressed."""
+NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
+LONGEST_SHELF_H = 72.0
+"""A weekend: what is not put right by then is out of service, or an alarm again."""
 RETIRING = ("hole", "retired")
 """Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
 
@@ -88,7 +101,9 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
         the history: its next appearance is a new alarm with a new row.
     """
     if condition.present and (row is None or row.state == "normal"):
-        return Change(row=_new_row(condition, moment), event_kind="alarm_raised")
+        # A shelf, or a sensor under repair, is about the position and the kind: the next alarm stays on it.
+        suppressed = {name: getattr(row, name) for name in SUPPRESSION} if row is not None else {}
+        return Change(row=replace(_new_row(condition, moment), **suppressed), event_kind="alarm_raised")
     if row is None:
         return None
     if condition.present:
@@ -102,6 +117,8 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
                 "alarm_worsened",
                 severity=condition.severity,
                 message=condition.message,
+                # It was shelved for what was known then.
+                **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
         return None
     if condition.latched:
@@ -154,6 +171,90 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
         acknowledged_by=row.acknowledged_by or author,
         note=note or row.note,
     )
+
+
+def as_it_stands(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
+    """Return the row as it is at a moment: a shelf that has expired is none, whoever has noted that.
+
+    Parameters
+    ----------
+    utc_ns, wall_utc_ns
+        Now on the experiment's clock, and in real time.
+    """
+    ends_ns, ends_wall_ns = row.shelved_until_utc_ns, row.shelved_until_wall_utc_ns
+    if row.suppressed != "shelved" or ends_ns is None or ends_wall_ns is None:
+        return row
+    expired = utc_ns >= ends_ns or wall_utc_ns >= ends_wall_ns
+    return replace(row, **NOT_SUPPRESSED) if expired else row
+
+
+def expired(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
+    """End a shelf whose time is over; None where there is none."""
+    after = as_it_stands(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
+    return None if after is row else _to(after, row.state, moment, "alarm_shelf_expired")
+
+
+def shelve(
+    row: AlarmRow, author: str, because: str, for_h: float, moment: Moment, wall_utc_ns: int
+) -> Change:
+    """Tell nobody of an alarm for so many hours, of the test or in real time, whichever pass first.
+
+    Raises
+    ------
+    ValueError
+        The alarm has ended, or is out of service.
+    """
+    if row.state == "normal":
+        raise ValueError(f"alarm {row.id} has ended: there is nothing to shelve")
+    if row.suppressed == "out_of_service":
+        raise ValueError(f"alarm {row.id} is out of service: return it to service first")
+    length_ns = round(for_h * NS_PER_H)
+    return _to(
+        row,
+        row.state,
+        moment,
+        "alarm_shelved",
+        suppressed="shelved",
+        suppressed_by=author,
+        suppressed_because=because,
+        shelved_until_utc_ns=moment.utc_ns + length_ns,
+        shelved_until_wall_utc_ns=wall_utc_ns + length_ns,
+    )
+
+
+def take_out_of_service(row: AlarmRow, author: str, because: str, moment: Moment) -> Change:
+    """Tell nobody of an alarm until a person returns it to service.
+
+    Raises
+    ------
+    ValueError
+        It is out of service already.
+    """
+    if row.suppressed == "out_of_service":
+        raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_because}")
+    out = {
+        **NOT_SUPPRESSED,
+        "suppressed": "out_of_service",
+        "suppressed_by": author,
+        "suppressed_because": because,
+    }
+    return _to(row, row.state, moment, "alarm_out_of_service", **out)
+
+
+def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
+    """Tell of an alarm again: unshelve it, or return it to service.
+
+    Raises
+    ------
+    ValueError
+        It is not suppressed in that way.
+    """
+    if row.suppressed != wanted:
+        raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")
+    event_kind = "alarm_unshelved" if wanted == "shelved" else "alarm_in_service"
+    # Who ended it stays beside, until it is suppressed anew.
+    ended = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_because": note or None}
+    return _to(row, row.state, moment, event_kind, **ended)
 
 
 def _new_row(condition: Condition, moment: Moment) -> AlarmRow:

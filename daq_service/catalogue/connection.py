@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -49,7 +50,8 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
 
     def connect() -> sqlite3.Connection:
         nonlocal mode
-        uri = f"{path.absolute().as_uri()}?mode={mode}"
+        for_ever = "&immutable=1" if not writable and _cannot_change(path) else ""
+        uri = f"{path.absolute().as_uri()}?mode={mode}{for_ever}"
         connection = sqlite3.connect(
             uri, uri=True, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
@@ -102,6 +104,16 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
 def reading_engine(path: Path) -> Engine:
     """Engine that only reads; who opens the file again finds the statements compiled."""
     return make_engine(path, writable=False)
+
+
+def _cannot_change(path: Path) -> bool:
+    """Tell whether the file lies on a volume that is mounted read-only, and nobody has it open elsewhere.
+
+    Readers of a log make files beside it, which they cannot there.
+    """
+    if not hasattr(os, "statvfs") or path.with_name(f"{path.name}-wal").exists():
+        return False
+    return path.is_file() and bool(os.statvfs(path).f_flag & os.ST_RDONLY)
 
 
 def _is_in_the_making(error: Exception) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -48,7 +48,16 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.sealed import checked_rows, storable
-from daq_service.catalogue.tables import alarms, commands, counts, events, features, sets, table_of
+from daq_service.catalogue.tables import (
+    alarms,
+    annotated,
+    commands,
+    counts,
+    events,
+    features,
+    sets,
+    table_of,
+)
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -69,13 +78,15 @@ class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
-    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h``,
+    single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations
+    any of their hours, of alarms when they were raised), ``withdrawn`` annotations or the others,
     ``first_set <= set_index <= last_set``.
     """
 
     position: str | None
     set_index: int | None
     state: str | None
+    severity: str | None
     states: Collection[str] | None
     scope: Scope | None
     active: bool | None
@@ -85,11 +96,14 @@ class Filters(TypedDict, total=False):
     first_h: float | None
     last_h: float | None
     tried: bool | None
+    withdrawn: bool | None
     first_set: int | None
     last_set: int | None
     after_id: int | None
 
 
+_HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
+"""First and last hour of what belongs to no set."""
 _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
@@ -98,10 +112,17 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "states": lambda table, states: table.c.state.in_(sorted(states)),
     "topics": lambda table, topics: table.c.topic.in_(sorted(topics)),
     "first_h": lambda table, hour: (
-        (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
+        table.c[_HOURS[table][1]] >= hour
+        if table in _HOURS
+        else (table.c.due_h >= hour) & (table.c.set_index >= set_at(table, hour, "first"))
     ),
     "last_h": lambda table, hour: (
-        (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
+        table.c[_HOURS[table][0]] <= hour
+        if table in _HOURS
+        else (table.c.due_h <= hour) & (table.c.set_index <= set_at(table, hour, "last"))
+    ),
+    "withdrawn": lambda table, withdrawn: (
+        table.c.withdrawn_utc_ns.is_not(None) if withdrawn else table.c.withdrawn_utc_ns.is_(None)
     ),
     "tried": lambda table, _: table.c.n_taken + table.c.n_missed > 0,
     "first_set": lambda table, index: table.c.set_index >= index,
@@ -268,6 +289,10 @@ class Catalogue:
             )
         return row
 
+    def position_names(self) -> list[str]:
+        """Name every position that the experiment is configured for."""
+        return list(self.experiment_row().configuration.get("positions", ()))
+
     def counts(self) -> dict[str, int]:
         """Sizes of the experiment so far.
 
@@ -289,7 +314,7 @@ class Catalogue:
 
     def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
         """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
-        positions = list(self.experiment_row().configuration.get("positions", ()))
+        positions = self.position_names()
         found: dict[int, str] = {}
         with self.reading() as connection:
             last = connection.execute(_last_set_index()).scalar()
@@ -394,7 +419,7 @@ class Catalogue:
         with translated(self._path, "writing a command"), writing(self._for_commands()) as connection:
             now_ns, within_ns = time.time_ns(), round(within_s * NS_PER_S)
             row = CommandRow(
-                id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1,
+                id=0,
                 wall_utc_ns=now_ns,
                 author=author,
                 kind=kind,
@@ -404,8 +429,7 @@ class Catalogue:
                 deadline_boot_ns=elapsed_ns() + within_ns,
                 boot_id=boot_name(),
             )
-            connection.execute(insert(commands), storable(row))
-            return row.id
+            return stored_command(connection, row)
 
     def _for_commands(self) -> Engine:
         if self._command_engine is None:
@@ -464,6 +488,13 @@ def _behind(table: Table, order: Sequence[ColumnElement[Any]], row_id: int) -> C
         return order[0] > row_id
     place = [select(column).where(table.c.id == row_id).scalar_subquery() for column in order]
     return (order[0] >= place[0]) & (tuple_(*order) > tuple_(*place))
+
+
+def stored_command(connection: Connection, row: CommandRow) -> int:
+    """Store an order under the next id, which is returned; the caller holds the write lock."""
+    row = replace(row, id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1)
+    connection.execute(insert(commands), storable(row))
+    return row.id
 
 
 def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:

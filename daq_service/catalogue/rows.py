@@ -22,6 +22,7 @@ LimitName = Literal["f_predictive", "paper_mean_3sd"]
 Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
+Suppression = Literal["shelved", "out_of_service"]
 CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "stale", "lost", "absent"]
@@ -222,6 +223,28 @@ class AlarmRow(Row):
     note: str | None = None
     message: str
     proof: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
+    suppressed: Annotated[
+        Suppression | None, "A person does not want to be told: `shelved` for a while, or `out_of_service`"
+    ] = None
+    suppressed_by: str | None = None
+    suppressed_because: str | None = None
+    shelved_until_utc_ns: Annotated[int | None, "On the experiment's clock"] = None
+    shelved_until_wall_utc_ns: Annotated[int | None, "In real time; whichever comes first ends it"] = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AnnotationRow(Row):
+    """What a person notes of an hour of the test, or of a range; it is withdrawn, never erased."""
+
+    id: int | None = None
+    position: Annotated[str | None, "null: the whole test"] = None
+    from_h: float
+    to_h: Annotated[float, "The same as `from_h`: an instant"]
+    text: str
+    author: str
+    written_utc_ns: int
+    withdrawn_utc_ns: int | None = None
+    withdrawn_by: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +254,7 @@ class EventRow(Row):
     id: int | None = None
     utc_ns: int  # experiment time
     wall_utc_ns: int = 0  # when it was written; 0 until then
-    topic: str  # "sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service"
+    topic: str  # "sets", "features", "verdicts", "alarms", ...: the list is `web.routes.stream.TOPICS`
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None

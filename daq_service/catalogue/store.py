@@ -75,6 +75,19 @@ def open_catalogue(folder: Path, *, writer: bool = False, settings: Settings | N
     return _open_writer(path, settings) if writer else _open_reader(path)
 
 
+def open_for_one_order(folder: Path) -> RecorderCatalogue:
+    """Open the catalogue of a test that nobody records, which the caller owns: neither made nor migrated.
+
+    Raises
+    ------
+    NoDataYetError, SchemaVersionError, CatalogueError
+        As `open_catalogue` for a reader; or it cannot be written.
+    """
+    path = folder / FILE_NAME
+    _open_reader(path).close()  # says what is wrong with it
+    return RecorderCatalogue(path, make_engine(path, writable=True))
+
+
 def _refuse_network(folder: Path) -> None:
     kind = network_filesystem(folder)
     if kind is not None:

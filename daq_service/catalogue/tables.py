@@ -157,6 +157,8 @@ alarms = _table("alarms", rows.AlarmRow)
 _index(alarms, "position", "kind")
 _index(alarms, "state")
 _index(alarms, "position", "raised_set_index")
+annotated = _table("annotations", rows.AnnotationRow)  # the other word is a feature of Python's
+_index(annotated, "from_h")
 events = _table("events", rows.EventRow, autoincrement=True)
 # The service's own words and the alarms are few among the news of sets.
 for _topic in ("service", "alarms"):

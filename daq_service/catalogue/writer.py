@@ -13,9 +13,10 @@ from sqlalchemy import Connection, func, insert, select, update
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.pyramid import last_sets, touched_sets, update_trends
-from daq_service.catalogue.reader import Catalogue, due_time_counts, made
+from daq_service.catalogue.reader import Catalogue, due_time_counts, made, stored_command
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     BaselineRow,
     CommandRow,
     CommandState,
@@ -51,6 +52,12 @@ class SetCommit:
         Without ``wall_utc_ns`` an event is dated when it is stored.
     alarm_of_event
         Which of ``alarms`` an event tells of, by their numbers here: ``alarm_id`` is put into its payload.
+    annotations
+        A row with an id changes that annotation, one without is a new one.
+    annotation_of_event
+        As ``alarm_of_event``, with ``annotation_id``.
+    order
+        An order that is carried out by storing this, with its answer; it gets its id.
     verdicts
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other verdict is final.
@@ -66,6 +73,9 @@ class SetCommit:
     alarms: list[AlarmRow] = field(default_factory=list)
     events: list[EventRow] = field(default_factory=list)
     alarm_of_event: dict[int, int] = field(default_factory=dict)
+    annotations: list[AnnotationRow] = field(default_factory=list)
+    annotation_of_event: dict[int, int] = field(default_factory=dict)
+    order: CommandRow | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,6 +85,8 @@ class Committed:
     event_ids: list[int]
     alarm_ids: list[int]
     baseline_ids: list[int]
+    annotation_ids: list[int]
+    order_id: int | None = None
 
 
 class RecorderCatalogue(Catalogue):
@@ -166,12 +178,20 @@ class RecorderCatalogue(Catalogue):
             baseline_ids = _ids(_insert(connection, commit.baselines))
             _judge(connection, commit.verdicts)
             _insert(connection, commit.environment)
-            alarm_ids = [_store_alarm(connection, row) for row in commit.alarms]
-            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids)))
+            alarm_ids = [_store(connection, row) for row in commit.alarms]
+            annotation_ids = [_store(connection, row) for row in commit.annotations]
+            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids, annotation_ids)))
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
-        return Committed(event_ids=event_ids, alarm_ids=alarm_ids, baseline_ids=baseline_ids)
+            order_id = stored_command(connection, commit.order) if commit.order else None
+        return Committed(
+            event_ids=event_ids,
+            alarm_ids=alarm_ids,
+            baseline_ids=baseline_ids,
+            annotation_ids=annotation_ids,
+            order_id=order_id,
+        )
 
     def add_event(
         self,
@@ -330,11 +350,12 @@ def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
     _insert(connection, new)
 
 
-def _store_alarm(connection: Connection, row: AlarmRow) -> int:
+def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     if row.id is None:
         return _ids(_insert(connection, [row]))[0]
     if not _change(connection, row):
-        raise CatalogueConflictError(f"there is no alarm {row.id} to change; nothing of the set was stored")
+        what = f"row {row.id} of table {table_of(type(row)).name}"
+        raise CatalogueConflictError(f"there is no {what} to change; nothing was stored")
     return row.id
 
 
@@ -342,13 +363,17 @@ def _ids(rows: Iterable[Any]) -> list[int]:
     return [row.id for row in rows]
 
 
-def _dated_events(commit: SetCommit, alarm_ids: Sequence[int]) -> list[EventRow]:
+def _dated_events(
+    commit: SetCommit, alarm_ids: Sequence[int], annotation_ids: Sequence[int]
+) -> list[EventRow]:
     now_ns = time.time_ns()
     complete = []
     for number, event in enumerate(commit.events):
         payload = event.payload
         if number in commit.alarm_of_event:
             payload = {**payload, "alarm_id": alarm_ids[commit.alarm_of_event[number]]}
+        if number in commit.annotation_of_event:
+            payload = {**payload, "annotation_id": annotation_ids[commit.annotation_of_event[number]]}
         complete.append(replace(event, wall_utc_ns=event.wall_utc_ns or now_ns, payload=payload))
     return complete
 

@@ -12,6 +12,7 @@ import xarray
 
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     EnvironmentRow,
     FeatureRow,
     Row,
@@ -121,6 +122,12 @@ class Experiment:
     def alarms(self, position: str | None = None, *, active: bool | None = None) -> pd.DataFrame:
         """Read alarms with their proofs; ``active`` True: those that stand, False: those that are over."""
         return self._table(AlarmRow, "alarms", position=position, active=active)
+
+    def annotations(
+        self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
+    ) -> pd.DataFrame:
+        """Read what people noted of hours of the test, withdrawn notes included."""
+        return self._table(AnnotationRow, "annotations", position=position, from_h=from_h, to_h=to_h)
 
     def waveforms(
         self,

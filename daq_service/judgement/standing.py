@@ -19,7 +19,7 @@ def state_word(last: LastWord) -> str:
         return "retired"
     if last.last_set is None:
         return "no_data"
-    if last.active_alarms:
+    if any(row.suppressed is None for row in last.active_alarms):
         return "alarm"
     if verdict is not None and verdict.outlier:
         return "outlier"

@@ -12,7 +12,16 @@ from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EnvironmentRow, EventRow, Outcome, Row, SetRow, ShotRow, values
+from daq_service.catalogue.rows import (
+    AnnotationRow,
+    EnvironmentRow,
+    EventRow,
+    Outcome,
+    Row,
+    SetRow,
+    ShotRow,
+    values,
+)
 from daq_service.judgement.assessment import Assessment
 from hardware_drivers.measurement import PulseEchoRecord, Shot
 
@@ -103,6 +112,12 @@ class Transaction(SetCommit):
             position=change.row.position,
             set_index=moment.set_index,
         )
+
+    def annotate(self, row: AnnotationRow, kind: str, moment: Moment) -> None:
+        """Add an annotation, or what becomes of one, with its event."""
+        self.annotation_of_event[len(self.events)] = len(self.annotations)
+        self.annotations.append(row)
+        self._tell("annotations", kind, payload_of(row, last="id"), moment, position=row.position)
 
     def _tell(
         self,

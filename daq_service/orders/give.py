@@ -20,7 +20,7 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.errors import EXIT_OK, BusyError, UsageError
 from daq_service.orders.audit import TERMINAL, Audit
 from daq_service.orders.deadline import look_at_order
-from daq_service.orders.kinds import read_order
+from daq_service.orders.every import read_order
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 

@@ -1,18 +1,17 @@
 """Orders to a running test: of each kind its arguments, what forbids it, and what it does.
 
 The web and the command line check the arguments; the web asks `Order.forbidden` of what is stored, the
-recorder of what is so now, and only the recorder carries an order out. A new kind is a class here and a name
-in `AnyOrder`.
+recorder of what is so now. A new kind is a class here, or in a module beside, and a name in `every.AnyOrder`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
 from daq_service.alarms.states import (
@@ -24,14 +23,14 @@ from daq_service.alarms.states import (
     retired_positions,
     update,
 )
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.clock import SimulatedClock, WallClock
-from daq_service.errors import UsageError
 
 if TYPE_CHECKING:
-    from daq_service.orders.running_test import RunningTest
+    from daq_service.orders.running_test import RunningTest, StoredTest
 
 LARGEST_ID = 2**53 - 1
+LARGEST_HOUR = 1e7
 
 Author = Annotated[str, Field(min_length=1, max_length=80, description="Who gives the order")]
 
@@ -44,6 +43,8 @@ class Facts:
     ----------
     recorder
         How it is, in one word of `processes.recorder_state`; whoever obeys is running.
+    recorded
+        Somebody holds the recorder's lock, or nobody can tell.
     can_skip_time
         The test runs on a simulated clock; asked by the web: on one that is paced.
     held
@@ -52,14 +53,21 @@ class Facts:
         The solitary-wave transducers.
     alarms
         Rows, with at least the newest of each position and kind.
+    places
+        Every position, of any method.
+    annotations
+        Rows.
     """
 
     recorder: str = "running"
+    recorded: bool = True
     can_skip_time: bool
     held: str
     positions: Sequence[str]
     has_supply: bool
     alarms: Sequence[AlarmRow]
+    places: Sequence[str] = ()
+    annotations: Sequence[AnnotationRow] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +114,35 @@ class AlarmArguments(Strict):
     note: str = Field(default="", max_length=2000)
 
 
+class AnnotationArguments(Strict):
+    """An instant or a range of hours, and what is to be known of it."""
+
+    from_h: float = Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="First hour")
+    to_h: float | None = Field(
+        default=None,
+        ge=-LARGEST_HOUR,
+        le=LARGEST_HOUR,
+        allow_inf_nan=False,
+        description="Last hour; null: an instant",
+    )
+    position: str | None = Field(
+        default=None, min_length=1, max_length=16, description="null: the whole test"
+    )
+    text: str = Field(min_length=1, max_length=2000, pattern=r"\S")
+
+    @model_validator(mode="after")
+    def _forwards(self) -> Self:
+        if self.to_h is not None and self.to_h < self.from_h:
+            raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
+        return self
+
+
+class WithdrawalArguments(Strict):
+    """Which annotation is no longer to be shown."""
+
+    annotation_id: int = Field(ge=1, le=LARGEST_ID)
+
+
 class NoteArguments(Strict):
     """Why; shown to everybody."""
 
@@ -147,20 +184,29 @@ class SupplyArguments(Strict):
     note: str = Field(default="", max_length=2000)
 
 
+class OrderRefusedError(ValueError):
+    """An order cannot be carried out now; ``refusal`` says why."""
+
+    def __init__(self, refusal: Refusal) -> None:
+        super().__init__(refusal.reason)
+        self.refusal = refusal
+
+
 class Order(Strict):
-    """What a person asks of a running test."""
+    """What a person asks of a test."""
 
     needs_recorder: ClassVar[bool] = True
-    """False: one that has finished may be given it, too; if that lingers it obeys, else the order expires."""
     kind: str
     author: Author = "operator"
     arguments: Any = NoArguments()
 
     def forbidden(self, facts: Facts) -> Refusal | None:
         """Why it cannot be carried out now; None where nothing forbids it."""
-        if self.needs_recorder and facts.recorder in {"finished", "stopped"}:
+        told = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
+        if self.needs_recorder and (told or not facts.recorded):
             return Refusal(
-                f"the recorder has {facts.recorder}: nobody would carry this out", "Start it again first."
+                f"{told or 'nobody records this test'}: nobody would carry this out",
+                "Start it with `solimon run` or `solimon record`, then give the order again.",
             )
         return self._forbidden(facts)
 
@@ -172,10 +218,20 @@ class Order(Strict):
         ValueError
             It was not done, and why.
         """
+        self.refuse_forbidden(facts)
+        return self._carry_out(test, order_id)
+
+    def refuse_forbidden(self, facts: Facts) -> None:
+        """Go on only where nothing forbids it now.
+
+        Raises
+        ------
+        OrderRefusedError
+            What does.
+        """
         refusal = self.forbidden(facts)
         if refusal is not None:
-            raise ValueError(refusal.reason)
-        return self._carry_out(test, order_id)
+            raise OrderRefusedError(refusal)
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         return None
@@ -216,10 +272,22 @@ class Stop(Order):
         return "stopping after the shot being taken"
 
 
-class AcknowledgeAlarm(Order):
-    """An operator has seen an alarm."""
+class DeskOrder(Order):
+    """An order that changes rows only: where nobody records, the web service carries it out."""
 
     needs_recorder = False
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        return self.carry_out_stored(test)
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Do what nothing forbids, in one transaction, and say what was done."""
+        raise NotImplementedError
+
+
+class AcknowledgeAlarm(DeskOrder):
+    """An operator has seen an alarm."""
+
     kind: Literal["acknowledge_alarm"]
     arguments: AlarmArguments
 
@@ -236,11 +304,71 @@ class AcknowledgeAlarm(Order):
             f"Only alarms that are {' or '.join(AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
         )
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Carry the alarm on."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
         return "acknowledged"
+
+
+class Annotate(DeskOrder):
+    """Note something of an hour of the test, or of a range."""
+
+    kind: Literal["annotate"]
+    arguments: AnnotationArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        if position is None or position in facts.places:
+            return None
+        return Refusal(
+            f"there is no position {position!r}",
+            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
+            missing=True,
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Add it."""
+        given = self.arguments
+        row = AnnotationRow(
+            position=given.position,
+            from_h=given.from_h,
+            to_h=given.from_h if given.to_h is None else given.to_h,
+            text=given.text.strip(),
+            author=self.author,
+            written_utc_ns=test.moment().utc_ns,
+        )
+        test.annotate(row, "annotation_added")
+        return "noted"
+
+
+class WithdrawAnnotation(DeskOrder):
+    """Take an annotation back; it stays in the catalogue, with who withdrew it."""
+
+    kind: Literal["withdraw_annotation"]
+    arguments: WithdrawalArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        wanted = self.arguments.annotation_id
+        row = next((row for row in facts.annotations if row.id == wanted), None)
+        if row is None:
+            return Refusal(
+                f"there is no annotation {wanted}", "/api/v1/annotations lists them.", missing=True
+            )
+        if row.withdrawn_utc_ns is None:
+            return None
+        return Refusal(
+            f"annotation {wanted} was withdrawn by {row.withdrawn_by} already",
+            "Note it again if it is still true.",
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Mark it."""
+        (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
+        withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
+        test.annotate(withdrawn, "annotation_withdrawn")
+        return "withdrawn"
 
 
 class Hold(Order):
@@ -377,7 +505,9 @@ class SupplyOn(_SupplyOrder):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
-        return test.switch.supply_on(self.author, test.hour(), voltage_v=volts, current_limit_a=amperes)
+        return test.switch.supply_on(
+            self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
+        )
 
 
 class SupplyOff(_SupplyOrder):
@@ -387,39 +517,4 @@ class SupplyOff(_SupplyOrder):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        return test.switch.supply_off(self.author, test.hour())
-
-
-AnyOrder = Annotated[
-    FinishNow
-    | Stop
-    | AcknowledgeAlarm
-    | Hold
-    | Release
-    | TrustClock
-    | Retire
-    | Reinstate
-    | SupplyOn
-    | SupplyOff,
-    Field(discriminator="kind"),
-]
-KINDS: Mapping[str, type[Order]] = {
-    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyOrder)[0])
-}
-
-
-def read_order(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
-    """Check an order that is no JSON of the web.
-
-    Raises
-    ------
-    UsageError
-        An unknown kind, or what is wrong with its author or arguments.
-    """
-    if kind not in KINDS:
-        raise UsageError(f"unknown order {kind!r}; there are {', '.join(KINDS)}")
-    try:
-        return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
-    except ValidationError as error:
-        wrong = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
-        raise UsageError("; ".join(wrong)) from error
+        return test.switch.supply_off(self.author, test.moment().due_h)

@@ -17,7 +17,8 @@ from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
 from daq_service.errors import StorageError, UsageError
 from daq_service.orders.deadline import as_it_stands, expired_because, left_now_s
-from daq_service.orders.kinds import Facts, read_order
+from daq_service.orders.every import read_order
+from daq_service.orders.kinds import Facts
 from daq_service.orders.running_test import RunningTest
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -132,4 +133,6 @@ class OrderListener:
             positions=self._test.positions,
             has_supply=self._test.supply is not None,
             alarms=list(self._test.alarms.values()),
+            places=self._catalogue.position_names(),
+            annotations=self._test.annotations(),
         )

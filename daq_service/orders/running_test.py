@@ -1,14 +1,15 @@
-"""The test that the recorder runs, as its orders meet it."""
+"""The test that orders act on: what is stored of any, and the one that the recorder runs."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from daq_service.alarms.states import Change, Moment
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.alarms.states import Change, Moment, as_it_stands
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.judgement.transaction import Transaction
 from hardware_drivers.instruments import Clock
 
@@ -31,17 +32,57 @@ class SupplySwitch(Protocol):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RunningTest:
-    """What an order may act on.
+class StoredTest:
+    """What an order may act on that changes rows only.
 
     Attributes
     ----------
-    hour
-        Tells the hour of the experiment.
+    moment
+        Tells the moment of what is told or changed now.
     alarms
-        The recorder's current alarms by position and kind.
+        The current alarms by position and kind.
+    annotations
+        Reads them.
     store
         Stores a transaction and takes its alarms over.
+    """
+
+    moment: Callable[[], Moment]
+    alarms: Alarms
+    annotations: Callable[[], Sequence[AnnotationRow]]
+    store: Callable[[Transaction], None]
+
+    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
+        """Store an event of the service itself."""
+        transaction = Transaction()
+        transaction.tell(kind, payload, self.moment())
+        self.store(transaction)
+
+    def annotate(self, row: AnnotationRow, kind: str) -> None:
+        """Store an annotation, or what becomes of one."""
+        transaction = Transaction()
+        transaction.annotate(row, kind, self.moment())
+        self.store(transaction)
+
+    def alarm(self, alarm_id: int) -> AlarmRow:
+        """Tell a current alarm, as it stands now."""
+        (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
+        return as_it_stands(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
+
+    def change_alarms(self, moment: Moment, *changes: Change) -> None:
+        """Store what became of alarms, together."""
+        transaction = Transaction()
+        for change in changes:
+            transaction.add_alarm(change, moment)
+        self.store(transaction)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunningTest(StoredTest):
+    """What an order to the recorder may act on.
+
+    Attributes
+    ----------
     reinstated
         Called with a position that may strike again.
     positions
@@ -51,10 +92,7 @@ class RunningTest:
     """
 
     clock: Clock
-    hour: Callable[[], float]
     stop: threading.Event
-    alarms: Alarms
-    store: Callable[[Transaction], None]
     reinstated: Callable[[str], None]
     positions: Sequence[str]
     supply: SupplySwitch | None = None
@@ -64,20 +102,3 @@ class RunningTest:
         """The supply of a test that has one."""
         assert self.supply is not None, "a test without one forbids the order"
         return self.supply
-
-    def moment(self) -> Moment:
-        """Return the moment of what is told or changed now."""
-        return Moment(utc_ns=self.clock.utc_ns(), due_h=self.hour(), set_index=None)
-
-    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
-        """Store an event of the service itself."""
-        transaction = Transaction()
-        transaction.tell(kind, payload, self.moment())
-        self.store(transaction)
-
-    def change_alarms(self, moment: Moment, *changes: Change) -> None:
-        """Store what became of alarms, together."""
-        transaction = Transaction()
-        for change in changes:
-            transaction.add_alarm(change, moment)
-        self.store(transaction)

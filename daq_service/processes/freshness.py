@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 
+from daq_service.alarms.states import as_it_stands
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import EventRow
+from daq_service.catalogue.reader import LastWord
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import TELLING, look_at_recorder
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -54,6 +57,14 @@ class Freshness:
         self.system_ahead_s = None if told_ns is None else (wall_ns - told_ns) / NS_PER_S
         self.written_ns = None if last is None else last.wall_utc_ns
         self.wall_age_s = None if last is None else _age_s(wall_ns, last, told_ns)
+
+    def standing(self, row: AlarmRow) -> AlarmRow:
+        """Alarm as it stands now: an expired shelf is none, also where nobody records."""
+        return as_it_stands(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
+
+    def standing_word(self, last: LastWord) -> LastWord:
+        """Last word on a position with its alarms as they stand now."""
+        return replace(last, active_alarms=[self.standing(row) for row in last.active_alarms])
 
     def age_h(self, due_h: float) -> float:
         """Age on the experiment's clock of what belongs to an hour; not negative."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
-from daq_service.alarms.states import Condition, Moment, retired_positions, update
+from daq_service.alarms.states import Condition, Moment, expired, retired_positions, update
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
@@ -165,6 +166,16 @@ class Ledger:
         transaction = Transaction()
         self._carry_alarm(condition, moment, transaction)
         if transaction.alarms:
+            self.commit(transaction)
+
+    def expire_shelves(self, moment: Moment) -> None:
+        """Tell again of alarms whose shelves have expired, on the test's clock or in real time."""
+        shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
+        changes = [change for row in shelved if (change := expired(row, moment, time.time_ns()))]
+        if changes:
+            transaction = Transaction()
+            for change in changes:
+                transaction.add_alarm(change, moment)
             self.commit(transaction)
 
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:

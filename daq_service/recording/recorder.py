@@ -29,6 +29,7 @@ from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AnnotationRow
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
@@ -144,9 +145,10 @@ class Recorder:
         drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
-            hour=self._hour,
+            moment=self._moment,
             stop=stop,
             alarms=self._ledger.alarms,
+            annotations=lambda: catalogue.rows(AnnotationRow),
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             positions=settings.names_of(SOLITARY_WAVE),
@@ -571,13 +573,17 @@ class Recorder:
         self._kept.look_at_the_disk()
         self._heartbeat.beat(self._doing_now())
         if self._kept.trouble is None:
-            self._kept.do(self._orders.listen)
+            self._kept.do(self._hear)
         else:
             with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
-                self._orders.listen()
+                self._hear()
         if self._ledger.drive is not None:
             self._ledger.drive.tick(self._hour())
         return not self._stop.is_set()
+
+    def _hear(self) -> None:
+        self._orders.listen()
+        self._ledger.expire_shelves(self._moment())
 
     def _moment(self) -> Moment:
         return Moment(utc_ns=self._rig.clock.utc_ns(), due_h=self._hour(), set_index=None)

@@ -22,6 +22,7 @@ from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, Se
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     BaselineRow,
     EnvironmentRow,
     EventRow,
@@ -169,14 +170,15 @@ class _Replay:
         self._catalogue.restore(events)
         for event in events:
             self._take_alarm(event)
+            if event.topic == "annotations":
+                self._catalogue.restore([_told_with_id(AnnotationRow, event, "annotation_id")])
             retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
             if retired and event.position in self._settings.positions:
                 self._ledger.reinstated(event.position)
 
     def _take_alarm(self, event: EventRow) -> None:
         if event.topic == "alarms":
-            told = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
-            row = AlarmRow(**{**told, "id": event.payload["alarm_id"]})
+            row = _told_with_id(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
             self._ledger.alarms[(row.position, row.kind)] = row
 
@@ -305,6 +307,12 @@ def _free_ids(
     first = (before[-1].id or 0) if before else 0
     last = (following[0][1][0].id or 0) if following else (events[-1].id or 0) + 1
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
+
+
+def _told_with_id(kind: type[R], event: EventRow, name: str) -> R:
+    """Row that an event tells whole, its id under a name of its own."""
+    told = {column: event.payload[column] for column in kind.__slots__ if column in event.payload}
+    return kind(**{**told, "id": event.payload[name]})
 
 
 def _key(event: EventRow) -> tuple[str, str, str | None]:

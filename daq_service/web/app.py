@@ -23,11 +23,13 @@ from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
+    annotation,
     audit,
     environment,
     features,
     files,
     fits,
+    guidance,
     health,
     info,
     metrics,
@@ -67,6 +69,8 @@ RESOURCES = (
     waveforms,
     environment,
     alarms,
+    annotation,
+    guidance,
     orders,
     stream,
     session,

@@ -14,7 +14,7 @@ from starlette.requests import HTTPConnection
 
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.picture import WaterfallReader
-from daq_service.catalogue.rows import Row, SetRow, values
+from daq_service.catalogue.rows import AlarmRow, Row, SetRow, values
 from daq_service.catalogue.store import Catalogue, NoDataYetError, open_catalogue
 from daq_service.errors import StorageError
 from daq_service.orders.audit import Audit
@@ -207,6 +207,7 @@ class Freshness(freshness.Freshness):
 
     def row(self, row: Row, **beside: Any) -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""
+        row = self.standing(row) if isinstance(row, AlarmRow) else row
         answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}

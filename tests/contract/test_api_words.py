@@ -82,6 +82,8 @@ def kinds_of_the_code():
             place = None
             if name == "say":
                 place = node.args[0]
+            elif name == "annotate":
+                place = node.args[1]
             elif name in {"tell", "_tell"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]

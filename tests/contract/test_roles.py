@@ -8,7 +8,7 @@ import pytest
 from support.filled_folder import FilledFolder
 from support.served_web import served
 
-from daq_service.orders.kinds import KINDS
+from daq_service.orders.every import KINDS
 from daq_service.settings.tree import Settings
 from daq_service.web.app import RESOURCES
 from daq_service.web.doors.roles import OPERATIONS, ORDERS, ROLES
@@ -24,7 +24,18 @@ CALLS = {
 }
 SAMPLES = {"position": "B", "name": "nobody"}
 ALARM, POSITION = {"alarm_id": 1}, {"position": "B"}
-ARGUMENTS = {"acknowledge_alarm": ALARM, "retire": POSITION, "reinstate": POSITION, "hold": {"note": "why"}}
+ARGUMENTS = {
+    "acknowledge_alarm": ALARM,
+    "annotate": {"from_h": 1.0, "text": "a note"},
+    "withdraw_annotation": {"annotation_id": 7},
+    "shelve_alarm": {**ALARM, "for_h": 8.0, "reason": "known"},
+    "unshelve_alarm": ALARM,
+    "take_out_of_service": {**ALARM, "reason": "sensor is being repaired"},
+    "return_to_service": ALARM,
+    "retire": POSITION,
+    "reinstate": POSITION,
+    "hold": {"note": "why"},
+}
 
 
 @pytest.fixture(scope="module")

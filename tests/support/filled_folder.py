@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -10,11 +11,12 @@ import numpy as np
 
 from analysis.waves.features import extract_features
 from daq_service.acquisition.schedule import plan
-from daq_service.alarms.states import Change, Moment, acknowledge, reset
+from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
@@ -24,7 +26,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
-from daq_service.judgement.transaction import payload_of, shot_row
+from daq_service.judgement.transaction import Transaction, payload_of, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
@@ -253,7 +255,7 @@ class FilledFolder:
             kind="alarm_raised",
             position=position,
             set_index=index,
-            payload={"message": row.message},
+            payload=payload_of(row),
         )
         commit = SetCommit(alarms=[row], events=[event], alarm_of_event={0: 0})
         return self.catalogue.commit_set(commit).alarm_ids[0]
@@ -290,6 +292,23 @@ class FilledFolder:
             payload=payload,
         )
         self.catalogue.commit_set(SetCommit(environment=[row], events=[event]))
+
+    def annotate(
+        self, from_h: float, text: str, *, to_h: float | None = None, position: str | None = None
+    ) -> int:
+        """Note something, as the recorder does."""
+        row = AnnotationRow(
+            position=position,
+            from_h=from_h,
+            to_h=from_h if to_h is None else to_h,
+            text=text,
+            author="ann",
+            written_utc_ns=self.due[0].due_utc_ns,
+        )
+        transaction = Transaction()
+        now = Moment(utc_ns=row.written_utc_ns, due_h=from_h, set_index=None)
+        transaction.annotate(row, "annotation_added", now)
+        return self.catalogue.commit_set(transaction).annotation_ids[0]
 
     def show(self, records, hour: float) -> None:
         """Replace the live pictures, as often as a test wants."""
@@ -337,6 +356,12 @@ class FilledFolder:
             payload=payload_of(change.row, last="id"),
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
+
+    def shelve(self, alarm_id: int, because: str, *, for_h: float) -> None:
+        """Shelve an alarm, as the recorder does, from when it was raised and from now on."""
+        row = self.catalogue.alarm(alarm_id)
+        moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
+        self._change(shelve(row, "ann", because, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
         """Carry out an order as the recorder does."""

@@ -18,6 +18,11 @@ ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
     ("B", 3, 0): ("reinstate", {"position": "C"}),
     ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
     ("B", 10, 0): ("reinstate", {"position": "D"}),
+    ("C", 10, 0): ("annotate", {"from_h": 4.0, "to_h": 5.0, "position": "B", "text": "couplant renewed"}),
+    ("C", 10, 1): ("annotate", {"from_h": 3.0, "text": "door slammed"}),
+    ("B", 11, 1): ("take_out_of_service", {"alarm_id": 1, "reason": "cable is being replaced"}),
+    ("B", 11, 2): ("shelve_alarm", {"alarm_id": 2, "for_h": 0.2, "reason": "known"}),
+    ("C", 11, 0): ("withdraw_annotation", {"annotation_id": 1}),
     ("B", 11, 0): ("acknowledge_alarm", {"alarm_id": 2, "note": "seen"}),
 }
 
@@ -71,4 +76,5 @@ def lived(folder: Path) -> Line:
         states = {row.state for row in rows}
     assert states == {"done", "partial", "missed", "retired"}
     assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    assert {"annotation_added", "annotation_withdrawn", "alarm_out_of_service", "alarm_shelved"} <= kinds
     return line

@@ -290,7 +290,7 @@ class Line:
 
     def order(self, kind: str, author: str = "Ada", **arguments: Any) -> None:
         """Give an order to the recorder that runs, or to the next one as soon as it does."""
-        self.given.append((author, kind, {"note": "", **arguments}))
+        self.given.append((author, kind, arguments))
         if self.runs:
             self._give_orders()
 

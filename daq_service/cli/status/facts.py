@@ -59,10 +59,13 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
                     name: {**_last_told(word), **_standing(folder, settings, catalogue, fresh, word)}
-                    for name, word in catalogue.positions_state().items()
+                    for name, word in (
+                        (name, fresh.standing_word(found))
+                        for name, found in catalogue.positions_state().items()
+                    )
                 },
                 "alarms": [
-                    {**values(row), "age_h": fresh.age_h(row.raised_h)}
+                    {**values(fresh.standing(row)), "age_h": fresh.age_h(row.raised_h)}
                     for row in catalogue.rows(AlarmRow, active=True)
                 ],
             }

@@ -11,7 +11,9 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from daq_service.alarms.guidance import GUIDANCE, in_order
 from daq_service.cli.terminal import duration
+from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
 
 STYLES = {
@@ -47,6 +49,7 @@ def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
         parts.append(_positions(facts["positions"]))
     if facts["alarms"]:
         parts.append(_alarms(facts["alarms"]))
+        parts += _what_now(facts["alarms"])
     return Group(*parts)
 
 
@@ -88,7 +91,9 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     for file, what in facts["lost"].items():
         yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
     yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
-    yield "alarms", str(len(facts["alarms"])) if facts["alarms"] else "none", ""
+    apart = sum(row["suppressed"] is not None for row in facts["alarms"])
+    suppressed = f", {apart} shelved or out of service" if apart else ""
+    yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
 
 
 def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
@@ -160,6 +165,23 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return ", ".join(told) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
+def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:
+    """Tell where to look first, once for each kind of alarm that is told of."""
+    for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
+        if kind in GUIDANCE:
+            yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].look_first)}")
+
+
+def _state_of_alarm(row: Mapping[str, Any]) -> str:
+    """State of an alarm; of one that is suppressed until when, or since it is out of service, and why."""
+    state: str = row["state"].replace("_", " ")
+    if row["suppressed"] is None:
+        return state
+    until = format_utc(row["shelved_until_utc_ns"], 0) if row["suppressed"] == "shelved" else ""
+    told = f"shelved until {until}" if until else "out of service"
+    return f"{state}, {told} by {row['suppressed_by']}: {row['suppressed_because']}"
+
+
 def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
     table = _table("alarm", "severity", "where", "state", "age", "what")
     for row in alarms:
@@ -167,7 +189,7 @@ def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
             f"{row['id']}",
             row["severity"],
             row["position"] or "-",
-            Text(row["state"].replace("_", " "), style=STYLES.get(row["state"], "")),
+            Text(_state_of_alarm(row), style=STYLES.get(row["suppressed"] or row["state"], "")),
             duration(3600.0 * row["age_h"]),
             f"{row['kind']}: {row['message']}",
         )

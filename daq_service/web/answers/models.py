@@ -224,6 +224,59 @@ class AlarmPage(Page):
     items: list[AlarmRow]
 
 
+class AlarmTransition(Answer):
+    """What became of an alarm at a moment."""
+
+    event_id: int
+    kind: str = Field(description="`alarm_raised`, `alarm_acknowledged`, `alarm_shelved`, ...")
+    utc: str
+    wall_utc: str = Field(description="When it was stored")
+    state: rows.AlarmState = Field(description="From then on")
+    severity: Severity
+    suppressed: rows.Suppression | None
+    who: str | None = Field(description="null: nobody, the measurement or the time")
+    why: str | None
+    shelved_until_utc: str | None
+
+
+class AlarmHistory(Answer):
+    """Every transition of an alarm, the oldest first."""
+
+    as_of: AsOf
+    items: list[AlarmTransition]
+
+
+class Guidance(Answer):
+    """What to do about a kind of alarm."""
+
+    kind: str
+    says: str = Field(description="What has been found")
+    does_not_say: str = Field(description="What that does not prove")
+    look_first: list[str] = Field(description="Likely causes, in the order in which to look")
+    short: str = Field(description="The same in a sentence or two")
+    call: str = Field(description="Who decides")
+
+
+class GuidanceList(Answer):
+    """Every kind of alarm."""
+
+    items: list[Guidance]
+
+
+@_of_row(rows.AnnotationRow)
+class AnnotationRow(Answer):
+    """What a person noted of an hour of the test, or of a range."""
+
+    from_utc: str
+    to_utc: str
+
+
+class AnnotationPage(Page):
+    """Annotations in order."""
+
+    items: list[AnnotationRow]
+
+
 @_of_row(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """What supply and climate probe said around a set; null where nothing was heard."""
@@ -306,7 +359,9 @@ class PositionState(Answer):
     retired_because: str | None = Field(
         description="Why the transducer strikes no more until it is reinstated; null: it strikes"
     )
-    active_alarms: int
+    active_alarms: int = Field(description="Those that are told of")
+    suppressed_alarms: int = Field(description="Active ones that are shelved or out of service")
+    shelved_until_utc: str | None = Field(description="When the first of them is told of again")
     highest_severity: Severity | None
 
 
@@ -574,7 +629,7 @@ class Waterfall(Answer):
     until_h: list[float] = Field(description="Where the row ends: when the set after it is due")
     pending_sets: int = Field(description="Sets that are not in the picture yet: ask again")
     unreadable_sets: list[int]
-    minimum: list[list[float | None]] = Field(description="By row; null where there is no sample")
+    minimum: list[list[float | None]]
     maximum: list[list[float | None]]
 
 

@@ -1,11 +1,13 @@
 // The alarm list: what waits for an operator first, each with its proof.
 
-import { post } from "./api.js";
+import { AlarmFilter } from "./alarm-filter.js";
+import { get, post } from "./api.js";
 import { author } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
 import { follow, order } from "./orders.js";
+import { ShelfDialog, suppressedText, tellAgain } from "./shelf.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
 const RANK = { critical: 0, high: 1, medium: 2, low: 3 };
@@ -17,6 +19,9 @@ const WORDS = {
   normal: "closed",
 };
 
+/** @param {any} alarm */
+const waits = (alarm) => WAITING.has(alarm.state) && !alarm.suppressed;
+
 export class SolimonAlarms extends HTMLElement {
   constructor() {
     super();
@@ -26,6 +31,14 @@ export class SolimonAlarms extends HTMLElement {
     this.orders = new Map();
     /** @type {Set<number>} alarms whose proof is open */
     this.opened = new Set();
+    /** @type {Map<number, HTMLElement>} histories that are open, by alarm */
+    this.histories = new Map();
+    /** @type {Set<number>} alarms whose guidance is open */
+    this.advised = new Set();
+    /** @type {any[] | undefined} what to do, by kind */
+    this.guidance = undefined;
+    this.filter = new AlarmFilter(() => this.render());
+    this.shelf = new ShelfDialog();
     this.count = el("p", { "aria-live": "polite", text: "Reading" });
     this.list = el("ul", { class: "alarm-list" });
     this.none = el("p", { class: "no-alarms", text: "" });
@@ -34,20 +47,24 @@ export class SolimonAlarms extends HTMLElement {
   connectedCallback() {
     this.setAttribute("role", "region");
     this.setAttribute("aria-labelledby", "alarms-title");
-    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)), this.none, this.list);
+    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "alarms-title", text: "Alarms" }), this.count)), this.filter.root, this.none, this.list, this.shelf.dialog);
   }
 
   /** @param {any[]} items */
   update(items) {
     this.items = [...items].sort(
       (a, b) =>
-        Number(WAITING.has(b.state)) - Number(WAITING.has(a.state)) ||
+        Number(waits(b)) - Number(waits(a)) ||
         Number(b.state !== "normal") - Number(a.state !== "normal") ||
+        Number(Boolean(a.suppressed)) - Number(Boolean(b.suppressed)) ||
         RANK[/** @type {"critical"} */ (a.severity)] - RANK[/** @type {"critical"} */ (b.severity)] ||
         b.raised_h - a.raised_h,
     );
-    const waiting = items.filter((item) => WAITING.has(item.state)).length;
-    setText(this.count, items.length ? `${waiting} waiting for acknowledgement, ${items.length} in this test` : "None so far");
+    const waiting = items.filter(waits).length;
+    const apart = items.filter((item) => item.suppressed && item.state !== "normal").length;
+    setText(this.count, items.length ? `${waiting} waiting for acknowledgement, ${apart ? `${apart} shelved or out of service, ` : ""}${items.length} in this test` : "None so far");
+    this.filter.offer(items);
+    this.filter.root.hidden = items.length === 0;
     this.dataset.count = String(items.length);
     setText(this.none, "No alarm has been raised in this test.");
     this.none.hidden = items.length > 0;
@@ -57,7 +74,7 @@ export class SolimonAlarms extends HTMLElement {
 
   render() {
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.focus;
-    this.list.replaceChildren(...this.items.map((item) => this.item(item)));
+    this.list.replaceChildren(...this.items.filter((item) => this.filter.shows(item)).map((item) => this.item(item)));
     if (focused) /** @type {HTMLElement | null} */ (this.list.querySelector(`[data-focus="${focused}"]`))?.focus();
   }
 
@@ -75,6 +92,16 @@ export class SolimonAlarms extends HTMLElement {
       button.addEventListener("click", () => this.acknowledge(alarm.id));
       foot.append(button);
     }
+    if (alarm.suppressed) {
+      const button = /** @type {HTMLButtonElement} */ (el("button", { class: "button small", type: "button", "data-focus": `tell-${alarm.id}`, text: alarm.suppressed === "shelved" ? "Unshelve" : "Return to service" }));
+      button.addEventListener("click", () => this.tellAgain(alarm, button));
+      foot.append(button);
+    } else if (alarm.state !== "normal") {
+      const button = el("button", { class: "button ghost small", type: "button", "data-focus": `shelve-${alarm.id}`, text: "Shelve", "aria-label": `Shelve: ${alarm.message}` });
+      button.addEventListener("click", () => this.shelf.ask(alarm));
+      foot.append(button);
+    }
+    foot.append(this.history(alarm.id), this.whatNow(alarm));
     if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) {
       const button = /** @type {HTMLButtonElement} */ (el("button", { class: "button small", type: "button", "data-focus": `trust-${alarm.id}`, text: "The clock is right" }));
       button.addEventListener("click", () => this.trustClock(button));
@@ -103,11 +130,74 @@ export class SolimonAlarms extends HTMLElement {
       ),
       el("p", { class: "alarm-message", text: alarm.message }),
       el("p", { class: "quiet small", text: `${alarm.family} alarm, ${WORDS[alarm.state] ?? alarm.state}${who}` }),
+      ...(alarm.suppressed ? [el("p", { class: "small shelved" }, chip({ word: alarm.suppressed === "shelved" ? "Shelved" : "Out of service", icon: "pause", tone: "info" }), ` ${suppressedText(alarm)}`)] : []),
       foot,
     );
     item.dataset.alarm = String(alarm.id);
     item.dataset.open = String(alarm.state !== "normal");
     return item;
+  }
+
+  /** @param {any} alarm */
+  whatNow(alarm) {
+    const text = el("div", { class: "quiet" });
+    const box = /** @type {HTMLDetailsElement} */ (el("details", {}, el("summary", { text: "What now", "data-focus": `now-${alarm.id}` }), text));
+    const read = async () => {
+      try {
+        this.guidance ??= (await get("/guidance")).items;
+        const found = this.guidance.find((/** @type {any} */ one) => one.kind === alarm.kind);
+        const plain = (/** @type {string} */ words) => words.replace(/[`*]/g, "");
+        if (!found) setText(text, "Nothing is written of this kind of alarm.");
+        else text.replaceChildren(el("p", { text: `It says: ${plain(found.says)}. It does not say ${plain(found.does_not_say)}.` }), el("ol", {}, ...found.look_first.map((/** @type {string} */ step) => el("li", { text: plain(step) }))), el("p", { text: `Decides: ${plain(found.call)}.` }));
+      } catch (error) {
+        setText(text, /** @type {Error} */ (error).message);
+      }
+    };
+    box.open = this.advised.has(alarm.id);
+    if (box.open) void read();
+    box.addEventListener("toggle", () => {
+      if (!box.open) this.advised.delete(alarm.id);
+      else if (!this.advised.has(alarm.id)) {
+        this.advised.add(alarm.id);
+        void read();
+      }
+    });
+    return box;
+  }
+
+  /** Every transition, read when it is opened and whenever something has changed since. @param {number} id */
+  history(id) {
+    const lines = this.histories.get(id) ?? el("ul", { class: "quiet" });
+    const box = /** @type {HTMLDetailsElement} */ (el("details", {}, el("summary", { text: "History", "data-focus": `history-${id}` }), lines));
+    const read = async () => {
+      try {
+        const { items } = await get(`/alarms/${id}/history`);
+        lines.replaceChildren(...items.map((/** @type {any} */ one) => el("li", { text: [utc(one.utc), one.kind.replace("alarm_", "").replaceAll("_", " "), one.who ? `by ${one.who}` : "", one.why].filter(Boolean).join(" · ") })));
+      } catch (error) {
+        setText(lines, /** @type {Error} */ (error).message);
+      }
+    };
+    if (this.histories.has(id)) void read();
+    box.open = this.histories.has(id);
+    box.addEventListener("toggle", () => {
+      if (!box.open) this.histories.delete(id);
+      else if (!this.histories.has(id)) {
+        this.histories.set(id, lines);
+        void read();
+      }
+    });
+    return box;
+  }
+
+  /** @param {any} alarm @param {HTMLButtonElement} button */
+  async tellAgain(alarm, button) {
+    button.disabled = true;
+    try {
+      await tellAgain(alarm, (word) => setText(button, word));
+    } catch (error) {
+      button.disabled = false;
+      this.dispatchEvent(new CustomEvent("trouble", { detail: /** @type {Error} */ (error).message }));
+    }
   }
 
   /** @param {HTMLButtonElement} button */

@@ -1,6 +1,6 @@
 // What is on the screen for other programs: as files of the API, and as Python that reads the same.
 
-import { get } from "./api.js";
+import { BASE, get } from "./api.js";
 import { el, setText } from "./dom.js";
 
 /**
@@ -94,7 +94,7 @@ function program(lines) {
     "# pip install 'solimon[client]'; a service that asks for a token finds it in SOLIMON_TOKEN",
     "from daq_service import client",
     "",
-    `with client.open(${literal(location.origin)}) as test:`,
+    `with client.open(${literal(location.origin + BASE)}) as test:`,
     ...lines.map((line) => `    ${line}`),
     "",
   ].join("\n");
@@ -137,7 +137,7 @@ async function fill(box, offer) {
   } catch (error) {
     return box.replaceChildren(el("p", { role: "alert", text: `The formats cannot be read: ${/** @type {Error} */ (error).message}` }));
   }
-  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
+  const link = (/** @type {string} */ path, /** @type {string} */ text, /** @type {string} */ title) => el("a", { href: `${BASE}/api/v1${path}`, "aria-label": `${title} as ${text}`, text });
   const files = offer.files.map(({ title, path, as }) => {
     const links = as ? [link(path, as, title)] : formats.map((form) => link(`${path}${path.includes("?") ? "&" : "?"}format=${form}`, WORDS[form] ?? form, title));
     return el("div", {}, el("p", { text: title }), el("p", { class: "export-files" }, ...links));

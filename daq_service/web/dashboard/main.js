@@ -21,6 +21,7 @@ import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { RECORDER, chip } from "./icons.js";
 import { admitted } from "./login.js";
+import { SolimonNotes } from "./notes.js";
 import { Notifications } from "./notifications.js";
 import { giveBy } from "./orders.js";
 import { Reading } from "./reading.js";
@@ -39,15 +40,18 @@ customElements.define("solimon-waterfall", SolimonWaterfall);
 customElements.define("solimon-waveform", SolimonWaveform);
 customElements.define("solimon-alarms", SolimonAlarms);
 customElements.define("solimon-set", SolimonSet);
+customElements.define("solimon-notes", SolimonNotes);
 
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
+const SHELF_MS = 30_000;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
 
 const waveform = /** @type {SolimonWaveform} */ (byId("waveform"));
 const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
+const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "" };
 
@@ -63,6 +67,7 @@ const board = new Board(
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
     timeline,
     open: openSet,
+    note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
     table: (id, shown) => address.go({ tables: shown ? [...address.view.tables, id] : address.view.tables.filter((one) => one !== id) }),
   },
   (feature) => address.go({ feature }),
@@ -101,6 +106,11 @@ const waterfallHost = {
   trend,
 };
 waterfall.host = waterfallHost;
+notes.host = {
+  span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
+  positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
+  show: ([from_h, to_h]) => address.go({ from_h, to_h }),
+};
 
 // ---- what is shown ----------------------------------------------------------------------------
 
@@ -199,9 +209,10 @@ function onOthers() {
   compared.update(address.view);
 }
 
-/** @param {{alarms?: any[], transducers?: any, environment?: any, info?: boolean}} news */
-function onRead({ alarms, transducers, environment, info }) {
+/** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */
+function onRead({ alarms, notes: noted, transducers, environment, info }) {
   if (alarms) alarmList.update(alarms);
+  if (noted) notes.update(noted);
   if (info) {
     asked.show(reading.info.asked);
     showInfo();
@@ -305,8 +316,11 @@ byId("finish").addEventListener("click", async () => {
   }
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
+notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 setInterval(() => tiles.tick(), 1000);
+// A shelf ends in real time, too: where nobody records, no event says so.
+setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
 // Where no recorder runs no event comes, and the supply's own process may switch off.
 setInterval(() => state.hasSupply && reading.readEnvironment().catch((error) => failing.fail(error, reading.readAt)), SUPPLY_MS);
 theme.show();

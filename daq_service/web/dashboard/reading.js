@@ -20,7 +20,7 @@ const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_p
 /**
  * @typedef {object} Reader
  * @property {() => void} onBegin the experiment is known: its positions may be chosen now
- * @property {(news: {alarms?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
+ * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
  * @property {() => void} onColumns columns or fits of a position are new
  * @property {(why: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: over
  * @property {(error: Error) => void} onTrouble a reading failed
@@ -42,6 +42,8 @@ export class Reading {
     this.gaps = new Map();
     /** @type {any[]} */
     this.alarms = [];
+    /** @type {any[]} notes that are not withdrawn */
+    this.notes = [];
     this.feature = "";
     /** Hours that are looked at; null: the whole test. @type {[number, number] | null} */
     this.span = null;
@@ -50,7 +52,7 @@ export class Reading {
     this.refreshes = 0;
     /** When everything that is shown was last read, by `performance.now()`. */
     this.readAt = 0;
-    this.dirty = { positions: new Set(), whole: new Set(), fits: new Set(), gaps: new Set(), alarms: false, info: false, environment: false };
+    this.dirty = { positions: new Set(), whole: new Set(), fits: new Set(), gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
     this.refreshing = false;
     this.refreshAgain = false;
     this.fitsReadAt = -Infinity;
@@ -86,7 +88,7 @@ export class Reading {
 
   everything() {
     for (const place of this.info?.positions ?? []) this.wholly(place.position);
-    this.dirty.alarms = this.dirty.info = this.dirty.environment = true;
+    this.dirty.alarms = this.dirty.notes = this.dirty.info = this.dirty.environment = true;
     this.schedule();
   }
 
@@ -94,6 +96,11 @@ export class Reading {
   wholly(position) {
     this.dirty.whole.add(position);
     this.dirty.gaps.add(position);
+  }
+
+  readAlarms() {
+    this.dirty.alarms = true;
+    this.schedule();
   }
 
   /** Another feature is to be drawn. @param {string} feature */
@@ -122,6 +129,11 @@ export class Reading {
   hear(topic, event) {
     if (!this.info) return;
     const { dirty } = this;
+    if (topic === "annotations") {
+      dirty.notes = true;
+      this.schedule();
+      return;
+    }
     if (topic === "alarms") dirty.alarms = true;
     if (topic === "service") dirty.info = true;
     if (topic === "environment") dirty.environment = true;
@@ -159,13 +171,14 @@ export class Reading {
     const { dirty } = this;
     const whole = new Set(dirty.whole);
     const changed = new Set([...dirty.positions, ...whole]);
-    const { alarms, info, environment } = dirty;
+    const { alarms, notes, info, environment } = dirty;
     const gaps = [...dirty.gaps];
-    this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, info: false, environment: false };
+    this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
     const { onRead } = this.reader;
     const readings = [...changed].map((position) => this.readTrend(position, whole.has(position)));
     readings.push(...gaps.map((position) => this.readGaps(position)));
     if (alarms) readings.push(all("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
+    if (notes) readings.push(all("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
     if (info) readings.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
     readings.push(get("/transducers").then((answer) => onRead({ transducers: answer })));
     if (environment) readings.push(this.readEnvironment());

@@ -1,7 +1,7 @@
 // One tile a position: what it is, how it stands, how old that is.
 
 import { el, setText } from "./dom.js";
-import { NONE, duration, fixed, hour, quantity, significant } from "./format.js";
+import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
 import { STATES, chip } from "./icons.js";
 
 const SVG = "http://www.w3.org/2000/svg";
@@ -122,6 +122,7 @@ export class Tiles {
       { class: "tile", role: "radio", "aria-checked": String(chosen), tabindex: chosen ? "0" : "-1", "aria-label": `Position ${state.position}, ${state.label}: ${look.word}` },
       el("div", { class: "tile-head" }, el("span", { class: "tile-name", text: state.position }), el("span", { class: "tile-label", text: state.label }), chip(look)),
       ...body,
+      ...(state.suppressed_alarms ? [el("p", { class: "quiet small", text: `${state.suppressed_alarms} shelved or out of service${state.shelved_until_utc ? `, until ${utc(state.shelved_until_utc)}` : ""}` })] : []),
       el("p", { class: "tile-age" }),
     );
     tile.dataset.position = state.position;

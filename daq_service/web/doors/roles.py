@@ -46,6 +46,9 @@ OPERATIONS: Mapping[str, Role | None] = {
     "get_latest_environment": "viewer",
     "list_alarms": "viewer",
     "get_alarm": "viewer",
+    "get_alarm_history": "viewer",
+    "list_guidance": "viewer",
+    "list_annotations": "viewer",
     "stream_events": "viewer",
     "get_command": "viewer",
     "list_tables": "viewer",
@@ -58,6 +61,12 @@ OPERATIONS: Mapping[str, Role | None] = {
     # What changes the test; each kind of order has a role of its own below.
     "create_command": "operator",
     "acknowledge_alarm": "operator",
+    "shelve_alarm": "operator",
+    "unshelve_alarm": "operator",
+    "take_alarm_out_of_service": "engineer",
+    "return_alarm_to_service": "engineer",
+    "create_annotation": "operator",
+    "withdraw_annotation": "operator",
     "test_receiver": "engineer",
     # Who may do all this, and who did.
     "list_tokens": "admin",
@@ -69,6 +78,12 @@ OPERATIONS: Mapping[str, Role | None] = {
 }
 ORDERS: Mapping[str, Role] = {
     "acknowledge_alarm": "operator",
+    "shelve_alarm": "operator",
+    "unshelve_alarm": "operator",
+    "take_out_of_service": "engineer",
+    "return_to_service": "engineer",
+    "annotate": "operator",
+    "withdraw_annotation": "operator",
     "hold": "operator",
     "release": "operator",
     "retire": "engineer",

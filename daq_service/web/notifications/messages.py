@@ -25,6 +25,7 @@ CHANGES: Mapping[str, What] = {
     "alarm_raised": "raised",
     "alarm_worsened": "worse",
     "alarm_returned": "back",
+    "alarm_shelf_expired": "back",
     "alarm_cleared": "over",
     "alarm_reset": "over",
 }
@@ -59,7 +60,7 @@ def news_of(event: EventRow) -> News | None:
     # An event of a very old folder does not carry its alarm's row.
     if what is None or event.id is None or not told.keys() >= {"severity", "state", "raised_h"}:
         return None
-    if what != "over" and told["state"] != "unacknowledged":
+    if what != "over" and (told["state"] != "unacknowledged" or told.get("suppressed")):
         return None
     return News(
         event_id=event.id,
@@ -205,7 +206,8 @@ def _item(test: Test, item: News, quality: str | None, now_ns: int) -> dict[str,
         f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_age(age_s)} ago.",
     ]
     if item.what != "over":
-        sentences.append(f"Look first: {GUIDANCE.get(item.kind, 'see the alarm and its proof.')}")
+        guidance = GUIDANCE.get(item.kind)
+        sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its proof.'}")
     link = _link(test, item)
     return {
         "event_id": item.event_id,

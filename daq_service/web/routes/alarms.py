@@ -6,13 +6,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query
 
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.alarms.transitions import transition
+from daq_service.catalogue.rows import AlarmRow, AlarmState, EventRow, Severity
 from daq_service.orders.kinds import LARGEST_ID
 from daq_service.web.answers import models
-from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import POSITION, add_listing
+from daq_service.web.routes.listing import HOURS, POSITION, add_listing
 
 router = APIRouter(tags=["alarms"])
 ERRORS = models.problems(404, 422, 503)
@@ -23,7 +24,14 @@ add_listing(
     AlarmRow,
     models.AlarmPage,
     "List alarms in the order they were raised.",
-    POSITION | {"active": (ACTIVE, None)},
+    POSITION
+    | HOURS
+    | {
+        "active": (ACTIVE, None),
+        "state": (Annotated[AlarmState | None, Query(description="Only this state")], None),
+        "severity": (Annotated[Severity | None, Query(description="Only this severity")], None),
+        "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
+    },
 )
 
 
@@ -34,3 +42,24 @@ def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: Cont
     if row is None:
         raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
     return JsonAnswer(context.freshness().row(row))
+
+
+@router.get(
+    "/alarms/{alarm_id}/history",
+    operation_id="get_alarm_history",
+    response_model=models.AlarmHistory,
+    responses=ERRORS,
+)
+def get_alarm_history(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
+    """Tell every transition of an alarm, the oldest first: when, what, by whom and why."""
+    catalogue, fresh = context.catalogue(), context.freshness()
+    row = catalogue.alarm(alarm_id)
+    if row is None:
+        raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
+    events = catalogue.rows(EventRow, topic="alarms", position=row.position)
+    items = [
+        with_utc(transition(event), fresh.epoch_utc_ns)
+        for event in events
+        if event.payload.get("alarm_id") == alarm_id
+    ]
+    return JsonAnswer({"as_of": fresh.as_of(), "items": items})

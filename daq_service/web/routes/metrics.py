@@ -125,10 +125,10 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _gauge("disk_size_bytes", "Size of that volume", [((), disk.total_bytes)])
     yield _gauge("disk_needed_bytes", "What the rest of the test takes", [((), disk.needed_bytes)])
     yield _states("disk_level", "How full the volume is", [((), disk.level)], LEVELS, ())
-    yield _alarms(catalogue.rows(AlarmRow, active=True))
+    yield _alarms(map(fresh.standing, catalogue.rows(AlarmRow, active=True)))
     found = catalogue.positions_state()
     words = {
-        name: found.get(name, LastWord(position=name, method=place.method))
+        name: fresh.standing_word(found.get(name, LastWord(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
     yield from _of_positions(context, fresh, words)
@@ -194,13 +194,13 @@ def _delay_s(word: LastWord) -> float | None:
 def _alarms(active: Iterable[AlarmRow]) -> Metric:
     numbers: dict[tuple[str, ...], int] = {}
     for row in active:
-        labels = (row.kind, row.severity, row.state, row.position or "")
+        labels = (row.kind, row.severity, row.state, row.position or "", row.suppressed or "")
         numbers[labels] = numbers.get(labels, 0) + 1
     return _gauge(
         "alarms_active",
         "Alarms that are not over",
         numbers.items(),
-        ("kind", "severity", "state", "position"),
+        ("kind", "severity", "state", "position", "suppressed"),
     )
 
 

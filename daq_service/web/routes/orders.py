@@ -1,7 +1,8 @@
-"""`/api/v1/commands`: orders for the recorder. A row is written here; the recorder carries it out."""
+"""`/api/v1/commands`: orders. The recorder carries them out; where nobody records, some are done here."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
 
@@ -9,19 +10,40 @@ from fastapi import APIRouter, Path, Request
 from pydantic import Field
 from starlette.responses import Response
 
-from daq_service.catalogue.rows import AlarmRow, values
-from daq_service.errors import StorageError
+from daq_service.alarms.states import Moment
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
+from daq_service.errors import BusyError, StorageError
+from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
+from daq_service.orders.every import AnyOrder
 from daq_service.orders.kinds import (
     LARGEST_ID,
     AcknowledgeAlarm,
     AlarmArguments,
-    AnyOrder,
+    Annotate,
+    AnnotationArguments,
     Author,
+    DeskOrder,
     Facts,
     Order,
+    OrderRefusedError,
     Strict,
+    WithdrawalArguments,
+    WithdrawAnnotation,
 )
+from daq_service.orders.suppressing import (
+    OutOfServiceArguments,
+    Reason,
+    ReturnToService,
+    ShelfArguments,
+    ShelfHours,
+    ShelveAlarm,
+    TakeOutOfService,
+    UnshelveAlarm,
+)
+from daq_service.orders.unattended import carry_out_unattended
+from daq_service.processes.data_folder import is_owned
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.models import CommandRow, problems
 from daq_service.web.answers.problem import Problem, conflict, not_found
@@ -33,11 +55,41 @@ from hardware_drivers.methods import SOLITARY_WAVE
 router = APIRouter(tags=["commands"])
 
 
+AlarmId = Annotated[int, Path(ge=1, le=LARGEST_ID)]
+
+
 class Acknowledgement(Strict):
     """Body of an acknowledgement."""
 
     author: Author = "operator"
     note: str = Field(default="", max_length=2000)
+
+
+class Shelving(Strict):
+    """Body of a shelving."""
+
+    author: Author = "operator"
+    for_h: ShelfHours
+    reason: Reason
+
+
+class OutOfService(Strict):
+    """Body of taking an alarm out of service."""
+
+    author: Author = "operator"
+    reason: Reason
+
+
+class Annotation(AnnotationArguments):
+    """Body of an annotation."""
+
+    author: Author = "operator"
+
+
+class Withdrawal(Strict):
+    """Body of a withdrawal."""
+
+    author: Author = "operator"
 
 
 ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
@@ -49,6 +101,8 @@ ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
 def create_command(command: AnyOrder, context: ContextOf, request: Request, person: PersonOf) -> Response:
     """Write an order; the recorder carries it out within 60 s, or it expires (see its `state`).
 
+    Where nobody records the test, an order that changes no more than what is stored (an acknowledgement) is
+    done when this answers; any other is refused (409).
     With a token the author is the token's, whatever the body says.
     """
     return _audited(context, request, person, command)
@@ -62,7 +116,7 @@ def create_command(command: AnyOrder, context: ContextOf, request: Request, pers
     responses=ACCEPTED,
 )
 def acknowledge_alarm(
-    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)],
+    alarm_id: AlarmId,
     body: Acknowledgement,
     context: ContextOf,
     request: Request,
@@ -71,6 +125,104 @@ def acknowledge_alarm(
     """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
     arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
     order = AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/shelve",
+    operation_id="shelve_alarm",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def shelve_alarm(
+    alarm_id: AlarmId, body: Shelving, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told nothing of an alarm for a while; the same as the command `shelve_alarm`."""
+    arguments = ShelfArguments(alarm_id=alarm_id, for_h=body.for_h, reason=body.reason)
+    order = ShelveAlarm(kind="shelve_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/unshelve",
+    operation_id="unshelve_alarm",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def unshelve_alarm(
+    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told of a shelved alarm again; the same as the command `unshelve_alarm`."""
+    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
+    order = UnshelveAlarm(kind="unshelve_alarm", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/out-of-service",
+    operation_id="take_alarm_out_of_service",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def take_alarm_out_of_service(
+    alarm_id: AlarmId, body: OutOfService, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told nothing of an alarm until it is returned; the same as the command `take_out_of_service`."""
+    arguments = OutOfServiceArguments(alarm_id=alarm_id, reason=body.reason)
+    order = TakeOutOfService(kind="take_out_of_service", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/alarms/{alarm_id}/return-to-service",
+    operation_id="return_alarm_to_service",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def return_alarm_to_service(
+    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
+) -> Response:
+    """Be told again of an alarm that was out of service; the same as the command `return_to_service`."""
+    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
+    order = ReturnToService(kind="return_to_service", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/annotations",
+    operation_id="create_annotation",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def create_annotation(body: Annotation, context: ContextOf, request: Request, person: PersonOf) -> Response:
+    """Note something of an hour of the test, or of a range; the same as the command `annotate`."""
+    arguments = AnnotationArguments(**body.model_dump(exclude={"author"}))
+    order = Annotate(kind="annotate", author=body.author, arguments=arguments)
+    return _audited(context, request, person, order)
+
+
+@router.post(
+    "/annotations/{annotation_id}/withdraw",
+    operation_id="withdraw_annotation",
+    status_code=202,
+    response_model=CommandRow,
+    responses=ACCEPTED,
+)
+def withdraw_annotation(
+    annotation_id: Annotated[int, Path(ge=1, le=LARGEST_ID)],
+    body: Withdrawal,
+    context: ContextOf,
+    request: Request,
+    person: PersonOf,
+) -> Response:
+    """Take an annotation back; it stays stored, with who withdrew it."""
+    arguments = WithdrawalArguments(annotation_id=annotation_id)
+    order = WithdrawAnnotation(kind="withdraw_annotation", author=body.author, arguments=arguments)
     return _audited(context, request, person, order)
 
 
@@ -93,31 +245,52 @@ def _audited(context: Context, request: Request, person: Person, order: Order) -
     try:
         if not person.may(ORDERS.get(order.kind, "admin")):
             raise role_too_low(person, order.kind, ORDERS.get(order.kind, "admin"))
-        command_id = _written(context, order, person.name or order.author)
+        order = order.model_copy(update={"author": person.name or order.author})
+        command_id, result = _given(context, order)
     except (Problem, StorageError) as refusal:
         tell("refused", str(refusal))
         raise
-    tell("accepted", command_id=command_id)
+    tell(result, command_id=command_id)
     return JsonAnswer(
         _row(context, command_id), status_code=202, headers={"Location": f"/api/v1/commands/{command_id}"}
     )
 
 
-def _written(context: Context, order: Order, author: str) -> int:
-    """Write an order that nothing forbids."""
+def _given(context: Context, order: Order) -> tuple[int, Result]:
+    """Write an order that nothing forbids, or carry it out where nobody records; its id, and which."""
     catalogue = context.catalogue()
-    facts = Facts(
+    try:
+        if isinstance(order, DeskOrder) and is_owned(context.data_folder) is False:
+            with suppress(BusyError):  # a recorder has come meanwhile: it is given the order
+                return _carried_out(context, order), "done"
+        order.refuse_forbidden(_facts(context, catalogue))
+    except OrderRefusedError as error:
+        refusal = error.refusal
+        raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
+    return catalogue.add_command(order.author, order.kind, order.arguments.model_dump()), "accepted"
+
+
+def _carried_out(context: Context, order: DeskOrder) -> int:
+    def moment() -> Moment:
+        now = context.freshness()
+        return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
+
+    facts = partial(_facts, context)
+    return carry_out_unattended(context.data_folder, order, facts=facts, moment=moment)
+
+
+def _facts(context: Context, catalogue: Catalogue) -> Facts:
+    return Facts(
         recorder=context.freshness().recorder.word,
+        recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
         held=catalogue.held() or "",
         positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
-        alarms=catalogue.rows(AlarmRow),
+        alarms=list(map(context.freshness().standing, catalogue.rows(AlarmRow))),
+        places=catalogue.position_names(),
+        annotations=catalogue.rows(AnnotationRow),
     )
-    refusal = order.forbidden(facts)
-    if refusal is not None:
-        raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint)
-    return catalogue.add_command(author, order.kind, order.arguments.model_dump())
 
 
 def _row(context: Context, command_id: int) -> dict[str, Any]:

@@ -23,7 +23,17 @@ from daq_service.web.routes.admission import PersonOf
 from daq_service.web.streams.hub import EventHub
 
 router = APIRouter(tags=["stream"])
-TOPICS = ("sets", "features", "thickness", "verdicts", "alarms", "environment", "machine", "service")
+TOPICS = (
+    "sets",
+    "features",
+    "thickness",
+    "verdicts",
+    "alarms",
+    "annotations",
+    "environment",
+    "machine",
+    "service",
+)
 LARGEST_CHUNK_EVENTS = 32
 """About 20 kB: what waits for a client that does not read stays small."""
 MOST_CLIENTS = 2000

@@ -10,7 +10,7 @@ from daq_service.alarms.states import SEVERITIES, retired_positions
 from daq_service.catalogue.reader import LastWord
 from daq_service.catalogue.rows import Row
 from daq_service.judgement.standing import data_hour, is_stale, state_word
-from daq_service.web.answers.json_answer import JsonAnswer
+from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import PositionList, PositionState, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.verdicts import with_quality
@@ -47,8 +47,10 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
 
 def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None) -> dict[str, Any]:
     place = context.settings.positions[name]
-    last = found or LastWord(position=name, method=place.method)
+    last = fresh.standing_word(found or LastWord(position=name, method=place.method))
     verdict, alarms = last.last_verdict, last.active_alarms
+    told = [row for row in alarms if row.suppressed is None]
+    shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {
@@ -66,8 +68,10 @@ def _state(context: Context, fresh: Freshness, name: str, found: LastWord | None
         "last_thickness": _row(fresh, last.last_thickness),
         "last_verdict": None if verdict is None else with_quality(context, fresh, [verdict])[0],
         "retired_because": retired_positions(alarms).get(name),
-        "active_alarms": len(alarms),
-        "highest_severity": max((row.severity for row in alarms), key=SEVERITIES.index, default=None),
+        "active_alarms": len(told),
+        "suppressed_alarms": len(alarms) - len(told),
+        "shelved_until_utc": rfc3339(min(shelves, default=None)),
+        "highest_severity": max((row.severity for row in told), key=SEVERITIES.index, default=None),
     }
 
 

@@ -64,7 +64,9 @@ def get_waterfall(
     from_s: Seconds = None,
     to_s: Seconds = None,
     rows: Annotated[int, Query(ge=1, le=MOST_ROWS, description="Most rows")] = ROWS,
-    columns: Annotated[int, Query(ge=2, le=MOST_COLUMNS, description="Most columns")] = COLUMNS,
+    columns: Annotated[
+        int, Query(ge=2, le=MOST_COLUMNS, description="Most columns of cells, a number without unit")
+    ] = COLUMNS,
     align: Annotated[
         Literal["trigger", "isw", "first_echo"],
         Query(description="Where time counts from; isw and first_echo by method"),

@@ -12,6 +12,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     EnvironmentRow,
     FeatureRow,
     Row,
@@ -29,6 +30,7 @@ PAGE_ROWS = 1000
 ALWAYS = (
     *("id", "set_index", "position", "shot_index", "due_h", "due_utc", "quality"),
     *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "severity", "state"),
+    *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )
 """What tells rows apart, and how good their numbers are: these are never left out."""
 QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
@@ -59,6 +61,7 @@ TABLES: Mapping[str, TableKind] = {
     "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
     "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
+    "annotations": TableKind(row=AnnotationRow, told="What people noted of hours of the test", fixed={}),
 }
 
 

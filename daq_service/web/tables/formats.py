@@ -215,7 +215,7 @@ def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byte
     arrays = _arrays(choice.columns, pages)
     names = choice.fields or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
-    hours = next(name for name in ("due_h", "raised_h") if name in arrays)
+    hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
     yield table_image(
         choice.table,
         {name: array.tolist() if array.dtype.kind == "U" else array for name, array in arrays.items()},

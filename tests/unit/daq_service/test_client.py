@@ -29,6 +29,7 @@ TABLES = {
     "sets?position=C": lambda test: test.sets("C"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
+    "annotations": lambda test: test.annotations(),
 }
 
 
@@ -40,6 +41,7 @@ def filled(tmp_path_factory):
         if index > 1:
             folder.add_environment(index)
     folder.add_alarm("B", 55)
+    folder.annotate(3.0, to_h=5.5, position="B", text="couplant renewed")
     folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space")
     yield folder
     folder.close()

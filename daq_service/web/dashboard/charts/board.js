@@ -2,6 +2,7 @@
 
 import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
+import { notesOn } from "../notes.js";
 import { isFeature, wordOf } from "./features.js";
 import { isOther, nameOf } from "./others.js";
 import { baselineMean, colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
@@ -160,7 +161,7 @@ export class Board {
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
     const of = { method: this.reading.place(position).method, positions: positions.filter((one) => !isOther(one)) };
-    return { of, ranges: [baseline, ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
+    return { of, ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */

@@ -33,6 +33,7 @@ import { dataOf, makePlot, wholeOf } from "./plot.js";
  * @property {() => import("../time.js").Timeline} timeline
  * @property {(position: string, setIndex: number) => void} open
  * @property {(id: string, shown: boolean) => void} table
+ * @property {(hour: number, ask: boolean) => void} note somebody points at an hour, or wants to note something of it
  */
 
 const LONGEST_TABLE = 500;
@@ -108,7 +109,7 @@ export class SolimonChart extends HTMLElement {
     setText(this.emptyText, this.options.empty);
     this.emptyText.hidden = series.x.length > 0;
     const last = series.x.length - 1;
-    this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set. ${last >= 0 ? this.describe(last) : this.options.empty}`);
+    this.canvasBox.setAttribute("aria-label", `${this.options.title}. ${series.subtitle}. ${series.x.length} sets; arrow keys read single values, Enter opens the set, n notes something. ${last >= 0 ? this.describe(last) : this.options.empty}`);
     if (this.cursor < 0 || this.cursor > last) this.showReadout(last);
     const made = JSON.stringify([series.name, this.host.timeline().label, series.lines.map((line) => [line.key, line.label, line.color])]);
     if (made !== this.made) {
@@ -160,9 +161,10 @@ export class SolimonChart extends HTMLElement {
     const whole = () => wholeOf(this.series);
     const span = () => this.host.span() ?? whole();
     if (onZoomKey(event, { span, whole, show: (to) => this.host.show(to, true), centre: () => x[at] })) return;
-    if (event.key === "Enter") {
+    if (event.key === "Enter" || event.key === "n") {
       event.preventDefault();
-      this.open(lines[0], at);
+      if (event.key === "n") this.host.note(x[at], true);
+      else this.open(lines[0], at);
       return;
     }
     const steps = /** @type {Record<string, number>} */ ({ ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10, Home: -1e9, End: 1e9 });
@@ -244,6 +246,7 @@ export class SolimonChart extends HTMLElement {
     const handlers = {
       onCursor: (/** @type {number} */ index) => {
         this.cursor = index;
+        if (index >= 0) this.host.note(this.series.x[index], false);
         this.showReadout(index < 0 ? this.series.x.length - 1 : index);
       },
       onClick: (/** @type {any} */ plot) => this.openNearest(plot),

@@ -90,7 +90,7 @@ export function drawPoints(u, x, line) {
   });
 }
 
-/** Hours with a word at their top: the baseline, a hold, a retirement. @param {any} u @param {Range[]} ranges */
+/** Hours with a word at their top (the baseline, a hold, a retirement) or at their foot (a note). @param {any} u @param {Range[]} ranges */
 export function drawRanges(u, ranges) {
   const { bbox } = u;
   const ratio = devicePixelRatio;
@@ -103,7 +103,10 @@ export function drawRanges(u, ranges) {
       if (right < bbox.left || left > bbox.left + bbox.width) continue;
       ctx.fillStyle = color(`--${range.tone}-band`);
       ctx.fillRect(left, bbox.top, right - left, bbox.height);
-      if (range.tone !== "good") {
+      if (range.to_h === range.from_h) {
+        ctx.fillStyle = color(`--${range.tone}`);
+        ctx.fillRect(left, bbox.top, right - left, bbox.height);
+      } else if (range.tone !== "good") {
         // Edges, so that it is no matter of colour alone.
         ctx.strokeStyle = color(`--${range.tone}`);
         ctx.lineWidth = ratio;
@@ -112,9 +115,10 @@ export function drawRanges(u, ranges) {
         ctx.setLineDash([]);
       }
       const start = Math.max(left, bbox.left) + 4 * ratio;
-      if (Math.min(right, bbox.left + bbox.width) - start < ctx.measureText(range.word).width) continue;
+      const ends = range.tone === "note" ? bbox.left + bbox.width : Math.min(right, bbox.left + bbox.width);
+      if (ends - start < ctx.measureText(range.word).width) continue;
       ctx.fillStyle = color(`--${range.tone}`);
-      ctx.fillText(range.word, start, bbox.top + 4 * ratio);
+      ctx.fillText(range.word, start, range.tone === "note" ? bbox.top + bbox.height - 15 * ratio : bbox.top + 4 * ratio);
     }
   });
 }

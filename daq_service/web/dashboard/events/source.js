@@ -1,6 +1,6 @@
 // One connection to the service's events (SSE): resumes by itself, also after it was refused.
 
-const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "environment", "service"];
+const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "annotations", "environment", "service"];
 const RETRY_MS = 1000;
 
 /**

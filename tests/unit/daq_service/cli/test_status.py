@@ -114,6 +114,13 @@ def test_alarms_stand_with_their_state_and_age(filled: FilledFolder) -> None:
     assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  hole: a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
     assert line_of(lines, " C").startswith(" C  retired")
+    assert line_of(lines, "wall_change: look first: 1 the control position")
+    filled.shelve(1, "a known leak", for_h=8.0)
+    lines = status_of(filled)
+    assert line_of(lines, "alarms") == "alarms  1, 1 shelved or out of service"
+    assert "shelved until 2024-01-" in line_of(lines, " 1")
+    assert "by ann: a known leak" in line_of(lines, " 1")
+    assert not line_of(lines, " B").startswith(" B  alarm")
 
 
 def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:

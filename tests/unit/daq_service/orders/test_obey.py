@@ -9,9 +9,10 @@ from typing import Any, cast
 import pytest
 from support.begun_experiment import begun_catalogue
 
+from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
-from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, EventRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -19,6 +20,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.nanoseconds import NS_PER_H
 
 HOUR = 3.5
 NS_PER_MS = 1_000_000
@@ -58,9 +60,10 @@ class Bench:
         self.ledger = Ledger(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
         test = RunningTest(
             clock=self.clock,
-            hour=lambda: HOUR,
+            moment=lambda: Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None),
             stop=self.stop,
             alarms=self.ledger.alarms,
+            annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
             reinstated=self.ledger.reinstated,
             positions=("B", "C", "D"),
@@ -230,6 +233,23 @@ def test_what_is_open_at_the_end_expires(bench: Bench) -> None:
     assert (state, "the recorder has ended" in words) == ("expired", True)
     bench.restart()
     assert bench.listener.held == ""
+
+
+def test_a_shelf_is_told_to_be_over_by_the_recorder_while_no_set_comes(bench: Bench) -> None:
+    bench.obey("retire", position="C", note="coil is hot")
+    (alarm_id,) = (row.id for row in bench.catalogue.rows(AlarmRow))
+    assert alarm_id is not None
+    done = bench.obey("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil is on its way")
+    assert done == ("done", "shelve alarm")
+    again = bench.obey("shelve_alarm", alarm_id=99, for_h=8.0, reason="which?")
+    assert again == ("refused", "there is no alarm 99")
+    for hour, suppressed in [(7.9, "shelved"), (8.1, None)]:
+        now_ns = bench.clock.utc_ns() + round(hour * NS_PER_H)
+        bench.ledger.expire_shelves(Moment(utc_ns=now_ns, due_h=HOUR + hour, set_index=None))
+        (row,) = bench.catalogue.rows(AlarmRow)
+        assert (row.suppressed, row.state) == (suppressed, "unacknowledged")
+    assert bench.catalogue.rows(EventRow)[-1].kind == "alarm_shelf_expired"
+    assert bench.ledger.retired().keys() == {"C"}, "a shelf strikes nobody's transducer"
 
 
 def test_a_hold_has_one_reason_and_survives_a_restart(bench: Bench) -> None:

@@ -43,6 +43,7 @@ def test_metrics_say_what_the_page_says(tmp_path):
     assert value(found, "position_state", position="C", state="alarm") == 0
     assert value(found, "quality", position="B", state="good") == 1
     labels = {"kind": "wall_change", "severity": "high", "state": "unacknowledged", "position": "B"}
+    labels["suppressed"] = ""
     assert value(found, "alarms_active", **labels) == 1
     assert value(found, "shots_total") == 60 * 3 * 2
     assert value(found, "missed_sets_total") == 0

@@ -1,0 +1,142 @@
+// What people noted of hours of the test: the list, and the dialog that adds to it.
+
+import { post } from "./api.js";
+import { author } from "./control/who.js";
+import { el, setText } from "./dom.js";
+import { fixed, utc } from "./format.js";
+import { follow } from "./orders.js";
+
+/** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void}} Host */
+
+/** Hours around an instant that a click on it shows. */
+const AROUND_H = 5;
+
+/** @param {any} note */
+const hours = (note) => (note.from_h === note.to_h ? `Hour ${fixed(note.from_h, 1)}` : `Hours ${fixed(note.from_h, 1)} to ${fixed(note.to_h, 1)}`);
+
+export class SolimonNotes extends HTMLElement {
+  constructor() {
+    super();
+    /** @type {Host} */
+    this.host = /** @type {any} */ (null);
+    /** @type {any[]} */
+    this.items = [];
+    this.count = el("p", { "aria-live": "polite", text: "Reading" });
+    this.list = el("ul", { class: "alarm-list", "aria-labelledby": "notes-title" });
+    this.adding = el("button", { class: "button ghost small", type: "button", hidden: true, text: "Add a note" });
+    const field = (/** @type {string} */ name, /** @type {string} */ type) => /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
+    this.from = field("from", "number");
+    this.to = field("to", "number");
+    this.from.required = true;
+    this.text = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", id: "note-text", rows: "3", maxlength: "2000", required: true }));
+    this.position = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "note-position" }));
+    this.shown = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "The hours shown" }));
+    this.trouble = el("p", { role: "alert" });
+    const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
+    const label = (/** @type {HTMLElement} */ input, /** @type {string} */ text) => [el("label", { for: input.id, text }), input];
+    this.form = /** @type {HTMLFormElement} */ (
+      el(
+        "form",
+        {},
+        el("h2", { id: "note-title", text: "Note something" }),
+        ...label(this.text, "What is to be known"),
+        ...label(this.from, "Hour of the test"),
+        ...label(this.to, "Until hour (empty: an instant)"),
+        this.shown,
+        ...label(this.position, "Position"),
+        this.trouble,
+        el("div", { class: "dialog-actions" }, cancel, el("button", { class: "button", type: "submit", text: "Save the note" })),
+      )
+    );
+    this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "note-title" }, this.form));
+    cancel.addEventListener("click", () => this.dialog.close());
+    this.adding.addEventListener("click", () => this.ask(this.pointed, ""));
+    this.shown.addEventListener("click", () => this.take(this.host.span()));
+    this.form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.save();
+    });
+    /** Hour that was last pointed at on a chart. */
+    this.pointed = 0;
+  }
+
+  connectedCallback() {
+    this.setAttribute("role", "region");
+    this.setAttribute("aria-labelledby", "notes-title");
+    this.append(el("div", { class: "card-head" }, el("div", {}, el("h2", { id: "notes-title", text: "Notes" }), this.count), el("div", { class: "card-actions" }, this.adding)), this.list, this.dialog);
+  }
+
+  /** @param {any[]} items those that are not withdrawn */
+  update(items) {
+    this.items = items;
+    this.adding.hidden = false; // the experiment's positions are known
+    this.dataset.count = String(items.length);
+    setText(this.count, items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.");
+    this.list.hidden = !items.length;
+    this.list.replaceChildren(...[...items].sort((a, b) => b.from_h - a.from_h).map((note) => this.item(note)));
+  }
+
+  /** @param {any} note @returns {HTMLElement} */
+  item(note) {
+    const goes = el("button", { class: "link", type: "button", text: hours(note), "aria-label": `Show ${hours(note).toLowerCase()} on the charts` });
+    goes.addEventListener("click", () => this.host.show([note.from_h - AROUND_H, note.to_h + AROUND_H]));
+    const withdraws = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "Withdraw", "aria-label": `Withdraw: ${note.text}` }));
+    withdraws.addEventListener("click", () => this.withdraw(note.id, withdraws));
+    const item = el(
+      "li",
+      { class: "alarm" },
+      el("div", { class: "alarm-head" }, goes, el("strong", { text: note.position ?? "Whole test" }), el("span", { class: "quiet", text: `${note.author}, ${utc(note.written_utc)}` })),
+      el("p", { class: "alarm-message", text: note.text }),
+      el("div", { class: "alarm-foot" }, withdraws),
+    );
+    item.dataset.note = String(note.id);
+    return item;
+  }
+
+  /** @param {number} hour @param {string} position empty: the whole test */
+  ask(hour, position) {
+    const names = this.host.positions();
+    this.position.replaceChildren(el("option", { value: "", text: "Whole test" }), ...names.map((name) => el("option", { value: name, text: name })));
+    this.position.value = position;
+    this.text.value = "";
+    this.take([hour, hour]);
+    this.shown.disabled = this.host.span() === null;
+    setText(this.trouble, "");
+    this.dialog.showModal();
+    this.text.focus();
+  }
+
+  /** @param {[number, number] | null} span */
+  take(span) {
+    if (!span) return;
+    this.from.value = String(Number(span[0].toFixed(3)));
+    this.to.value = span[1] > span[0] ? String(Number(span[1].toFixed(3))) : "";
+  }
+
+  async save() {
+    const body = { text: this.text.value, from_h: Number(this.from.value), to_h: this.to.value === "" ? null : Number(this.to.value), position: this.position.value || null };
+    try {
+      await follow(await post("/annotations", { ...body, author: await author() }), (word) => setText(this.trouble, word));
+      this.dialog.close();
+    } catch (error) {
+      setText(this.trouble, /** @type {Error} */ (error).message);
+    }
+  }
+
+  /** @param {number} id @param {HTMLButtonElement} button */
+  async withdraw(id, button) {
+    button.disabled = true;
+    try {
+      await follow(await post(`/annotations/${id}/withdraw`, { author: await author() }), (word) => setText(button, word));
+    } catch (error) {
+      button.disabled = false;
+      setText(button, "Withdraw");
+      this.dispatchEvent(new CustomEvent("trouble", { detail: /** @type {Error} */ (error).message }));
+    }
+  }
+}
+
+/** Where charts draw them. @param {any[]} notes @param {string[]} positions @returns {import("./charts/marks.js").Range[]} */
+export function notesOn(notes, positions) {
+  return notes.filter((note) => note.position === null || positions.includes(note.position)).map(({ from_h, to_h, text }) => ({ from_h, to_h, word: text.split("\n")[0].slice(0, 40), tone: "note" }));
+}

@@ -1,0 +1,79 @@
+// Shelving: for how long, and why. An alarm is told again when the time is over, or when a person says so.
+
+import { post } from "./api.js";
+import { author } from "./control/who.js";
+import { el, setText } from "./dom.js";
+import { utc } from "./format.js";
+import { follow } from "./orders.js";
+
+const LENGTHS = [
+  ["1", "1 hour"],
+  ["8", "8 hours"],
+  ["24", "24 hours"],
+  ["72", "72 hours"],
+  ["", "until it is returned to service"],
+];
+
+/** What is told of an alarm that is suppressed; empty: it is not. @param {any} alarm */
+export function suppressedText(alarm) {
+  if (!alarm.suppressed) return "";
+  const how = alarm.suppressed === "shelved" ? `shelved until ${utc(alarm.shelved_until_utc)}` : "out of service";
+  return `${how} by ${alarm.suppressed_by}: ${alarm.suppressed_because}`;
+}
+
+/** @param {any} alarm @param {(word: string) => void} say */
+export async function tellAgain(alarm, say) {
+  await follow(await post(`/alarms/${alarm.id}/${alarm.suppressed === "shelved" ? "unshelve" : "return-to-service"}`, { author: await author() }), say);
+}
+
+export class ShelfDialog {
+  constructor() {
+    this.id = 0;
+    this.what = el("p", { class: "quiet" });
+    this.reason = /** @type {HTMLInputElement} */ (el("input", { class: "field", id: "shelf-reason", type: "text", maxlength: "500", autocomplete: "off", required: true }));
+    this.length = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "shelf-length" }, ...LENGTHS.map(([value, text]) => el("option", { value, text }))));
+    this.trouble = el("p", { role: "alert" });
+    const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
+    const form = el(
+      "form",
+      {},
+      el("h2", { id: "shelf-title", text: "Shelve an alarm" }),
+      this.what,
+      el("label", { for: "shelf-reason", text: "Why it is shelved" }),
+      this.reason,
+      el("label", { for: "shelf-length", text: "For, in hours of the test or in real time, whichever pass first" }),
+      this.length,
+      this.trouble,
+      el("div", { class: "dialog-actions" }, cancel, el("button", { class: "button", type: "submit", text: "Shelve it" })),
+    );
+    this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "shelf-title" }, form));
+    cancel.addEventListener("click", () => this.dialog.close());
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      void this.save();
+    });
+  }
+
+  /** @param {any} alarm */
+  ask(alarm) {
+    this.id = alarm.id;
+    setText(this.what, `${alarm.position ?? "Service"}: ${alarm.message}. It goes on through its states and is counted apart; if it grows worse it comes off the shelf.`);
+    this.reason.value = "";
+    this.length.value = "8";
+    setText(this.trouble, "");
+    this.dialog.showModal();
+    this.reason.focus();
+  }
+
+  async save() {
+    const hours = this.length.value;
+    try {
+      const given = { author: await author(), reason: this.reason.value };
+      const row = await post(`/alarms/${this.id}/${hours ? "shelve" : "out-of-service"}`, hours ? { ...given, for_h: Number(hours) } : given);
+      await follow(row, (word) => setText(this.trouble, word));
+      this.dialog.close();
+    } catch (error) {
+      setText(this.trouble, /** @type {Error} */ (error).message);
+    }
+  }
+}

@@ -1,0 +1,115 @@
+"""Alarms on the shelf and out of service: told apart, told again in time, whatever their condition does."""
+
+from dataclasses import replace
+
+import pytest
+
+from daq_service.alarms.states import (
+    Condition,
+    Moment,
+    acknowledge,
+    as_it_stands,
+    end_suppression,
+    expired,
+    shelve,
+    take_out_of_service,
+    update,
+)
+from daq_service.catalogue.rows import AlarmRow
+from hardware_drivers.nanoseconds import NS_PER_H
+
+WALL_NS = 10**18
+
+
+def at(hour: float) -> Moment:
+    return Moment(utc_ns=round(hour * NS_PER_H), due_h=hour, set_index=None)
+
+
+def condition(**values: object) -> Condition:
+    usual = {
+        "kind": "wall_change",
+        "family": "damage",
+        "severity": "medium",
+        "present": True,
+        "message": "why",
+    }
+    return Condition(position="B", **(usual | values))  # type: ignore[arg-type] # a test's own values
+
+
+def raised() -> AlarmRow:
+    change = update(None, condition(), at(1.0))
+    assert change is not None
+    return replace(change.row, id=1)
+
+
+def shelved(for_h: float = 8.0) -> AlarmRow:
+    change = shelve(raised(), "ann", "a known leak", for_h, at(2.0), WALL_NS)
+    assert change.event_kind == "alarm_shelved"
+    return change.row
+
+
+def test_a_shelved_alarm_keeps_its_state_and_says_who_why_and_until_when() -> None:
+    row = shelved()
+    assert (row.state, row.suppressed) == ("unacknowledged", "shelved")
+    assert (row.suppressed_by, row.suppressed_because) == ("ann", "a known leak")
+    assert row.shelved_until_utc_ns == 10 * NS_PER_H
+    assert row.shelved_until_wall_utc_ns == WALL_NS + 8 * NS_PER_H
+
+
+@pytest.mark.parametrize(
+    ("hour", "wall_h", "is_over"),
+    [(9.99, 7.99, False), (10.0, 0.0, True), (2.0, 8.0, True)],
+    ids=["before both", "by the test's hours", "in real time, while the test stands still"],
+)
+def test_a_shelf_ends_by_whichever_clock_comes_first(hour: float, wall_h: float, is_over: bool) -> None:
+    row, wall_ns = shelved(), WALL_NS + round(wall_h * NS_PER_H)
+    seen = as_it_stands(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
+    assert (seen.suppressed is None) == is_over
+    change = expired(row, at(hour), wall_ns)
+    assert (change is not None) == is_over
+    if change is not None:
+        assert (change.event_kind, change.row.suppressed) == ("alarm_shelf_expired", None)
+        assert change.row.state == "unacknowledged"
+
+
+def test_conditions_go_on_under_a_shelf_and_the_next_alarm_of_the_kind_stays_on_it() -> None:
+    seen = acknowledge(shelved(), "ben", "", at(3.0)).row
+    over = update(seen, condition(present=False), at(4.0))
+    assert over is not None
+    assert (over.row.state, over.row.suppressed) == ("normal", "shelved")
+    again = update(over.row, condition(), at(5.0))
+    assert again is not None
+    assert (again.row.id, again.row.suppressed) == (None, "shelved")
+    assert again.row.shelved_until_utc_ns == 10 * NS_PER_H
+
+
+def test_what_grows_worse_comes_off_the_shelf_but_stays_out_of_service() -> None:
+    worse = condition(severity="high")
+    change = update(shelved(), worse, at(3.0))
+    assert change is not None
+    assert (change.row.severity, change.row.suppressed) == ("high", None)
+    out = take_out_of_service(raised(), "ann", "sensor is being repaired", at(2.0)).row
+    change = update(out, worse, at(3.0))
+    assert change is not None
+    assert (change.row.severity, change.row.suppressed) == ("high", "out_of_service")
+
+
+def test_out_of_service_has_no_end_but_a_person() -> None:
+    out = take_out_of_service(shelved(), "ben", "sensor is being repaired", at(3.0)).row
+    assert (out.suppressed, out.shelved_until_utc_ns) == ("out_of_service", None)
+    assert as_it_stands(out, utc_ns=10**19, wall_utc_ns=10**19) is out
+    back = end_suppression(out, "out_of_service", "cai", "new cable", at(4.0))
+    assert (back.event_kind, back.row.suppressed) == ("alarm_in_service", None)
+    assert (back.row.suppressed_by, back.row.suppressed_because) == ("cai", "new cable")
+
+
+def test_what_makes_no_sense_is_refused_with_the_reason() -> None:
+    out = take_out_of_service(raised(), "ben", "repair", at(3.0)).row
+    with pytest.raises(ValueError, match="return it to service first"):
+        shelve(out, "ann", "known", 1.0, at(4.0), WALL_NS)
+    with pytest.raises(ValueError, match="out of service already: repair"):
+        take_out_of_service(out, "ann", "again", at(4.0))
+    with pytest.raises(ValueError, match="has ended: there is nothing to shelve"):
+        shelve(replace(raised(), state="normal"), "ann", "known", 1.0, at(4.0), WALL_NS)
+    with pytest.raises(ValueError, match="is not shelved"):
+        end_suppression(raised(), "shelved", "ann", "", at(4.0))

@@ -1,0 +1,41 @@
+"""Nobody is told of an alarm that is shelved or out of service, and somebody once its shelf has expired."""
+
+from dataclasses import replace
+
+import pytest
+
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.judgement.transaction import payload_of
+from daq_service.web.notifications.messages import news_of
+
+ROW = AlarmRow(
+    id=3,
+    position="B",
+    kind="wall_change",
+    family="damage",
+    severity="high",
+    state="unacknowledged",
+    raised_utc_ns=0,
+    raised_h=1.0,
+    changed_utc_ns=0,
+    message="why",
+    proof={},
+)
+
+
+@pytest.mark.parametrize(
+    ("kind", "suppressed", "what"),
+    [
+        ("alarm_raised", None, "raised"),
+        ("alarm_raised", "shelved", None),
+        ("alarm_returned", "out_of_service", None),
+        ("alarm_shelf_expired", None, "back"),
+        ("alarm_cleared", "shelved", "over"),
+        ("alarm_shelved", "shelved", None),
+    ],
+)
+def test_what_is_put_aside_is_told_to_nobody(kind: str, suppressed: str | None, what: str | None) -> None:
+    row = replace(ROW, suppressed=suppressed)
+    event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
+    news = news_of(event)
+    assert (news.what if news else None) == what

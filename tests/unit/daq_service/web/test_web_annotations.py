@@ -1,0 +1,94 @@
+"""Notes on hours of the test: given as orders, listed by range, withdrawn and never erased."""
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.settings.tree import Settings
+
+
+@pytest.fixture(scope="module")
+def api(tmp_path_factory):
+    """An ended test, so that each order is carried out when it is answered."""
+    filled = FilledFolder(tmp_path_factory.mktemp("ended"), Settings())
+    for index in range(2):
+        filled.add_set(index, stored=False)
+    filled.say("schedule_done", filled.due[1].due_utc_ns)
+    filled.close()
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        yield client
+
+
+def note(api, **body):
+    return api.post("/api/v1/annotations", json={"author": "Ada", **body})
+
+
+def listed(api, query=""):
+    return api.get(f"/api/v1/annotations?{query}").json()["items"]
+
+
+def test_a_note_is_listed_told_on_the_stream_and_withdrawn_without_being_erased(api):
+    answer = note(api, from_h=1.0, to_h=2.5, position="B", text=" couplant renewed ")
+    assert (answer.status_code, answer.json()["kind"], answer.json()["state"]) == (202, "annotate", "done")
+    (row,) = listed(api)
+    assert (row["from_h"], row["to_h"], row["position"], row["text"], row["author"]) == (
+        *(1.0, 2.5, "B"),
+        "couplant renewed",
+        "Ada",
+    )
+    assert (row["from_utc"], row["to_utc"]) == ("2024-01-01T01:00:00Z", "2024-01-01T02:30:00Z")
+    path = f"/api/v1/annotations/{row['id']}/withdraw"
+    assert api.post(path, json={"author": "ben"}).json()["result"] == "withdrawn"
+    assert listed(api, "withdrawn=false") == []
+    (kept,) = listed(api, "withdrawn=true")
+    assert (kept["text"], kept["author"], kept["withdrawn_by"]) == ("couplant renewed", "Ada", "ben")
+    again = api.post(path, json={})
+    assert (again.status_code, again.json()["detail"]) == (
+        409,
+        f"Annotation {row['id']} was withdrawn by ben already.",
+    )
+    assert api.post("/api/v1/annotations/99/withdraw", json={}).status_code == 404
+
+
+def test_a_range_of_hours_is_half_open_and_finds_what_reaches_into_it(api):
+    for from_h, to_h, text in [(10.0, None, "instant"), (11.0, 14.0, "range"), (20.0, 21.0, "later")]:
+        assert note(api, from_h=from_h, to_h=to_h, text=text).status_code == 202
+    found = {
+        (low, high): [row["text"] for row in listed(api, f"from_h={low}&to_h={high}")]
+        for low, high in [(10, 11), (9, 10), (12, 13), (14, 20), (21, 30), (9, 30)]
+    }
+    assert found == {
+        (10, 11): ["instant"],
+        (9, 10): [],
+        (12, 13): ["range"],
+        (14, 20): ["range"],
+        (21, 30): ["later"],
+        (9, 30): ["instant", "range", "later"],
+    }
+
+
+@pytest.mark.parametrize(
+    ("body", "pointer"),
+    [
+        ({"from_h": 1.0}, "/text"),
+        ({"from_h": 1.0, "text": "   "}, "/text"),
+        ({"from_h": 1.0, "text": "x" * 2001}, "/text"),
+        ({"from_h": 1e8, "text": "late"}, "/from_h"),
+        ({"from_h": 2.0, "to_h": 1.0, "text": "backwards"}, ""),
+        ({"from_h": 2.0, "text": "B", "hour": 2.0}, "/hour"),
+    ],
+)
+def test_what_is_no_note_is_refused_and_nothing_is_stored(api, body, pointer):
+    before = listed(api)
+    answer = note(api, **body)
+    assert answer.status_code == 422, answer.text
+    assert answer.json()["errors"][0]["pointer"] == pointer
+    assert listed(api) == before
+
+
+def test_a_note_on_a_position_that_is_not_there_is_refused(api):
+    answer = note(api, from_h=1.0, position="Z", text="where?")
+    assert (answer.status_code, answer.json()["hint"]) == (
+        404,
+        "The positions are A, B, C, D; leave it out for the whole test.",
+    )

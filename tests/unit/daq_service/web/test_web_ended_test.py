@@ -1,0 +1,156 @@
+"""A test that nobody records: acknowledged by the service itself, and given no other orders."""
+
+import errno
+import os
+import time
+from pathlib import Path
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import served
+
+from daq_service.catalogue.rows import CommandRow
+from daq_service.orders.audit import read_audit
+from daq_service.processes.data_folder import LOCK_FILE
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H
+
+
+@pytest.fixture
+def ended(tmp_path):
+    filled = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
+    for index in range(2):
+        filled.add_set(index, stored=False)
+    filled.add_alarm("B", 1)
+    filled.say("schedule_done", filled.due[1].due_utc_ns)
+    filled.close()
+    with served(filled.settings, tmp_path) as service, service.client() as api:
+        yield filled, api
+
+
+def ordered(api, kind, **arguments):
+    return api.post("/api/v1/commands", json={"kind": kind, "author": "Ada", "arguments": arguments})
+
+
+def test_an_acknowledgement_is_done_when_the_answer_comes(ended):
+    filled, api = ended
+    answer = api.post("/api/v1/alarms/1/acknowledge", json={"author": "Ada", "note": "seen"})
+    assert (answer.status_code, answer.json()["state"], answer.json()["result"]) == (
+        202,
+        "done",
+        "acknowledged",
+    )
+    alarm = api.get("/api/v1/alarms/1").json()
+    assert (alarm["state"], alarm["acknowledged_by"]) == ("acknowledged", "Ada")
+    ((_, deed), *_) = read_audit(filled.folder, limit=1)[0]
+    assert (deed.what, deed.result, deed.command_id) == ("acknowledge_alarm", "done", 1)
+    again = api.post("/api/v1/alarms/1/acknowledge", json={})
+    assert (again.status_code, again.json()["detail"]) == (
+        409,
+        "Alarm 1 is acknowledged: there is nothing to acknowledge.",
+    )
+    assert api.post("/api/v1/alarms/9/acknowledge", json={}).status_code == 404
+    # The lock is free again: a recorder may come.
+    again = FilledFolder(filled.folder, filled.settings, begun=True)
+    assert [row.state for row in again.catalogue.rows(CommandRow)] == ["done"]
+    again.close()
+
+
+@pytest.mark.parametrize("said", [True, False])
+def test_other_orders_are_refused_with_what_would_help(ended, said):
+    filled, api = ended
+    if not said:  # killed: nothing tells that it has ended but the lock
+        again = FilledFolder(filled.folder, filled.settings, begun=True)
+        again.say("recorder_started")
+        again.close()
+    body = ordered(api, "hold", note="door open").json()
+    why = "The recorder has finished" if said else "Nobody records this test"
+    assert (body["status"], body["detail"]) == (409, f"{why}: nobody would carry this out.")
+    assert "solimon run" in body["hint"]
+    assert api.get("/api/v1/commands/1").status_code == 404
+
+
+def test_a_recorder_that_lingers_is_given_the_order(ended):
+    filled, api = ended
+    lingering = FilledFolder(filled.folder, filled.settings, begun=True)
+    lingering.say("schedule_done")
+    assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "pending"
+    lingering.close()
+
+
+def test_a_folder_that_cannot_be_written_is_served_and_says_so(ended, monkeypatch):
+    filled, api = ended
+    opened = Path.open
+
+    def read_only(path, mode="r", **named):
+        if path.parent == filled.folder and set(mode) & set("wa+"):
+            raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+        return opened(path, mode, **named)
+
+    monkeypatch.setattr(Path, "open", read_only)
+    refused = api.post("/api/v1/alarms/1/acknowledge", json={})
+    assert (refused.status_code, refused.headers["content-type"]) == (503, "application/problem+json")
+    assert LOCK_FILE in refused.json()["detail"]
+    assert api.get("/api/v1/alarms/1").json()["state"] == "unacknowledged"
+
+
+def shelve(api, **body):
+    given = {"author": "Ada", "for_h": 8.0, "reason": "known", **body}
+    return api.post("/api/v1/alarms/1/shelve", json=given)
+
+
+def test_a_shelved_alarm_is_counted_apart_everywhere_with_its_expiry(ended):
+    _, api = ended
+    assert shelve(api).json()["state"] == "done"
+    alarm = api.get("/api/v1/alarms/1").json()
+    told = (alarm["state"], alarm["suppressed"], alarm["suppressed_by"])
+    assert told == ("unacknowledged", "shelved", "Ada")
+    assert alarm["shelved_until_utc"] == "2024-01-01T09:00:00Z"
+    place = api.get("/api/v1/transducers/B").json()
+    assert (place["active_alarms"], place["suppressed_alarms"], place["state"]) == (0, 1, "learning")
+    assert place["shelved_until_utc"] == "2024-01-01T09:00:00Z"
+    assert 'state="unacknowledged",suppressed="shelved"} 1' in api.get("/metrics").text
+    assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "done"
+    answer = api.post("/api/v1/alarms/1/unshelve", json={"author": "ben", "note": "mended"})
+    assert answer.json()["state"] == "done"
+    assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
+    history = api.get("/api/v1/alarms/1/history").json()["items"]
+    assert [(row["kind"], row["who"], row["why"]) for row in history[1:]] == [
+        ("alarm_shelved", "Ada", "known"),
+        ("alarm_acknowledged", "operator", ""),
+        ("alarm_unshelved", "ben", "mended"),
+    ]
+
+
+def test_a_shelf_ends_in_real_time_though_nobody_records(ended, monkeypatch):
+    _, api = ended
+    shelve(api, for_h=8.0)
+    later_ns = time.time_ns() + 9 * NS_PER_H
+    monkeypatch.setattr("daq_service.processes.freshness.time.time_ns", lambda: later_ns)
+    assert api.get("/api/v1/alarms/1").json()["suppressed"] is None
+    assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
+    refused = api.post("/api/v1/alarms/1/unshelve", json={})
+    assert (refused.status_code, refused.json()["detail"]) == (409, "Alarm 1 is not shelved.")
+    assert shelve(api).json()["state"] == "done"
+
+
+@pytest.mark.parametrize("body", [{"for_h": 0.0}, {"for_h": 73.0}, {"reason": " "}, {"for_h": "inf"}])
+def test_a_shelf_has_an_end_and_a_reason(ended, body):
+    _, api = ended
+    assert shelve(api, **body).status_code == 422
+    assert api.get("/api/v1/alarms/1").json()["suppressed"] is None
+
+
+def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
+    filled, api = ended
+    again = FilledFolder(filled.folder, filled.settings, begun=True)
+    again.add_alarm("C", 0, severity="low", kind="no_data", state="acknowledged")
+    again.close()
+
+    def found(query):
+        return [row["id"] for row in api.get(f"/api/v1/alarms?{query}").json()["items"]]
+
+    assert found("") == [1, 2]
+    assert found("state=acknowledged") == found("severity=low") == found("kind=no_data") == [2]
+    assert found("from_h=0.9") == found("severity=high&position=B") == [1]
+    assert found("from_h=0.5&to_h=1.0") == [2]
