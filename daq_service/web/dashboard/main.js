@@ -12,7 +12,7 @@ import { Toolbar } from "./charts/toolbar.js";
 import { Audit } from "./control/audit.js";
 import { confirmed } from "./control/confirm.js";
 import { Control } from "./control/panel.js";
-import { may } from "./control/who.js";
+import { enter, may } from "./control/who.js";
 import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
@@ -364,7 +364,7 @@ Object.defineProperty(window, "solimonDashboard", {
   writable: false,
 });
 
-await admitted();
+enter(await admitted());
 new Audit();
 reading.begin((after) => events.open(after));
 const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));

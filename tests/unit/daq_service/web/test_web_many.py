@@ -386,6 +386,10 @@ def test_the_guard_stands_before_every_test(several):
         path = f"/tests/{test}/api/v1/commands"
         answer = several.client.post(path, json=order, headers={"Origin": "http://evil.example"})
         assert answer.status_code == 403
+    foreign = {"Sec-Fetch-Site": "cross-site"}
+    assert several.client.get("/tests/hole-nr-2/api/v1/stream", headers=foreign).status_code == 403
+    refused = several.client.put("/tests/hole-nr-2/api/v1/session")
+    assert (refused.status_code, refused.headers["allow"]) == (405, "DELETE, GET, POST")
     for path in (
         "/tests/../etc/passwd",
         "/tests/%2e%2e/api/v1/info",
