@@ -51,6 +51,7 @@ Seconds = Annotated[
     response_model=Waterfall,
     responses={
         200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
+        204: {"description": "No record of the position is stored; /api/v1/sets tells why"},
         304: UNCHANGED,
         **problems(404, 422, 503),
     },
@@ -100,10 +101,7 @@ def get_waterfall(
         index.first_files(),
     )
     if tiles is None:
-        raise not_found(
-            f"No record of position {position} is stored.",
-            "/api/v1/sets lists the sets, and why one is missed.",
-        )
+        return Response(status_code=204)
     first = catalogue.rows(SetRow, position=position, first_h=from_h, limit=1)
     last = catalogue.last_rows(SetRow, position, 1, last_h=last_h)
     wanted = Wanted(

@@ -15,6 +15,7 @@ export async function readPicture(position, query) {
   const parameters = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) if (value !== null) parameters.set(name, String(value));
   const buffer = await octets(`/waterfall/${position}?${parameters}`);
+  if (!buffer.byteLength) throw new Error(`No record of position ${position} is stored.`);
   const { header, start } = head(buffer);
   const n = header.rows * header.columns;
   return { header, least: new Float32Array(buffer, start, n), greatest: new Float32Array(buffer, start + 4 * n, n) };

@@ -179,6 +179,15 @@ def test_what_cannot_be_drawn_is_refused_with_the_way_out(api, path, status, wor
     assert word in answer.text
 
 
+def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
+    folder = FilledFolder(tmp_path, Settings())
+    folder.add_set(0, stored=False)
+    with served(folder.settings, folder.folder) as service, service.client() as client:
+        answer = client.get("/api/v1/waterfall/B")
+    folder.close()
+    assert (answer.status_code, answer.content) == (204, b"")
+
+
 def test_tiles_draw_the_same_and_the_service_writes_none(api, filled):
     queries = ["B?rows=50", "B?rows=3&align=isw", "A?columns=9&align=first_echo", "D?as=difference"]
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
