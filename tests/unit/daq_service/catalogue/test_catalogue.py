@@ -579,7 +579,7 @@ def test_an_alarm_with_its_id_is_changed(writer, reader):
 
 
 def test_an_alarm_that_does_not_exist_cannot_be_changed(writer, reader):
-    with pytest.raises(CatalogueConflictError, match="no alarm 4711"):
+    with pytest.raises(CatalogueConflictError, match="no row 4711 of table alarms"):
         writer.commit_set(SetCommit(sets=[set_row(0, "B")], alarms=[alarm_row(id=4711)]))
     assert reader.rows(SetRow) == []
 

@@ -140,7 +140,8 @@ def test_the_command_lines_are_ours(manager: str, config: Path) -> None:
         assert (program, dash_m, module) == (sys.executable, "-m", "daq_service.cli")
         assert safe == "-P", "no file beside the configuration is taken for a module"
         options = cli.commands[word].make_context(word, arguments).params
-        assert (options["config"], options["data_dir"]) == (config, config.parent / "solimon-data")
+        (named,) = options["paths"] if word == "serve" else [options["config"]]
+        assert (named, options["data_dir"]) == (config, config.parent / "solimon-data")
         words.append(word)
     assert words == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
 
