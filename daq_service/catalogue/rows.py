@@ -228,8 +228,8 @@ class AlarmRow(Row):
     ] = None
     suppressed_by: str | None = None
     suppressed_because: str | None = None
-    shelved_until_utc_ns: Annotated[int | None, "On the experiment's clock"] = None
-    shelved_until_wall_utc_ns: Annotated[int | None, "In real time; whichever comes first ends it"] = None
+    shelved_until_utc_ns: int | None = None  # on the experiment's clock
+    shelved_until_wall_utc_ns: int | None = None  # in real time; whichever comes first ends it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

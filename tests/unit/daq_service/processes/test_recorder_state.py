@@ -167,7 +167,9 @@ def test_status_orders_and_web_agree_that_nobody_is_there(folder: Path, left: Ca
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, "never started here")
     for kind in ("hold", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
-            give_order(kind, config=None, data_dir=folder, note="hands in the rig", author="ann", as_json=False)
+            give_order(
+                kind, config=None, data_dir=folder, note="hands in the rig", author="ann", as_json=False
+            )
     context = Context(Settings(), folder)
     health = json.loads(bytes(get_health(context).body))
     context.catalogue_access.close()
