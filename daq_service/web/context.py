@@ -160,6 +160,7 @@ class Context:
 
     def close_streams(self) -> None:
         """End every open stream; called before the server waits for its answers."""
+        self.waterfall.close()
         self.hub.close()
         self.live.close()
         self.notifications.close()

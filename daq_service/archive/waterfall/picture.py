@@ -100,6 +100,11 @@ class WaterfallReader:
         self._memory: OrderedDict[tuple[str, str, int], TileRow] = OrderedDict()
         self._n_bytes = 0
         self._tiles: dict[tuple[str, str], Tiles] = {}
+        self.closing = False
+
+    def close(self) -> None:
+        """Read no more records: an answer that is under way ends soon, and tells them as pending."""
+        self.closing = True
 
     def tiles(
         self,
@@ -231,7 +236,7 @@ class _Reading:
         remembered = self._reader.remembered(self.tiles, set_index)
         if remembered is not None:
             return remembered
-        if self._left == 0:
+        if self._left == 0 or self._reader.closing:
             self.pending += 1
             return None
         self._left -= 1

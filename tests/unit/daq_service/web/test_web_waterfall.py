@@ -16,6 +16,7 @@ from daq_service.catalogue.owner import experiment_identity
 from daq_service.judgement.results import results_in
 from daq_service.recording.tiling import tiles_again
 from daq_service.settings.tree import Settings
+from daq_service.web.context import context_of
 from daq_service.web.routes.waterfall import MOST_COLUMNS, MOST_ROWS
 
 N_SETS = 9
@@ -177,6 +178,13 @@ def test_what_cannot_be_drawn_is_refused_with_the_way_out(api, path, status, wor
     answer = api.get(f"/api/v1/waterfall/{path}")
     assert (answer.status_code, answer.headers["content-type"]) == (status, "application/problem+json")
     assert word in answer.text
+
+
+def test_a_service_that_closes_reads_no_more_records(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as client:
+        context_of(service.app).waterfall.close()
+        header, _ = read(client.get("/api/v1/waterfall/B?rows=7"))
+    assert (header["rows"], header["pending_sets"]) == (0, N_SETS - len(MISSED))
 
 
 def test_where_no_record_is_stored_there_is_nothing_to_draw(tmp_path):
