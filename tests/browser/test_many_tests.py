@@ -125,8 +125,9 @@ def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_
     until(lambda: key in dashboard(page, "charts")["tof"]["y"], "the address brings it back")
     page.locator("#tof .plot").scroll_into_view_if_needed()
     over = page.locator("#tof .u-over")
+    # While other series come the plot is made anew: there is none for a moment.
+    box = until(over.bounding_box, "the plot is there")
     low, high = dashboard(page, "charts.tof.span")
-    box = over.bounding_box()
     last = N_SETS + 2  # only the twin has got there
     over.click(
         position={"x": box["width"] * (twin.due[last].due_h - low) / (high - low), "y": box["height"] / 2}
