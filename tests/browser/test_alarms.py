@@ -62,7 +62,7 @@ def notes_drawn(page):
 
 
 def test_an_acknowledgement_of_an_ended_test_is_done_at_once(page):
-    alarm(page, 1).get_by_role("button", name="Acknowledge").click()
+    alarm(page, 1).get_by_role("button", name="Acknowledge:").click()
     expect(alarm(page, 1)).to_contain_text("acknowledged by dashboard")
     expect(alarm(page, 1).get_by_role("button", name="Acknowledge")).to_have_count(0)
 
