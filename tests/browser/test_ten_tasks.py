@@ -169,8 +169,9 @@ def is_who_held_it_yesterday(page, api, filled):
 
 def is_seen_by_whoever_gets_the_link(page, api, filled):
     expect(page.locator("#toolbar [role=status]")).to_have_text("Copied")
-    before = what_is_drawn(page)
-    page.goto(page.evaluate("navigator.clipboard.readText()"))
+    before, link = what_is_drawn(page), page.evaluate("navigator.clipboard.readText()")
+    assert link == page.url
+    page.goto(link)
     until(lambda: what_is_drawn(page) == before, "the charts are the same")
     span, lines = before["tof"]
     assert (span, "tof_pp_us D" in lines) == ([3, 27], True)
