@@ -75,6 +75,7 @@ def answer():
     stop.set()
 
 threading.Thread(target=answer, daemon=True).start()
+server.collect_garbage_seldom()
 server.serve(app, "127.0.0.1", 0, on_bound=lambda url: print(url, flush=True), stop=stop)
 """
 STAMP = re.compile(rb'"wall_utc": ?"([^"]+)"')
