@@ -108,7 +108,7 @@ def designed(baseline: ArrayLike, run_length: float) -> Chart:
     return Chart(
         mean=mean,
         phi=phi,
-        whitening=np.linalg.cholesky(np.linalg.inv(np.atleast_2d(covariance))),
+        whitening=np.asarray(np.linalg.cholesky(np.linalg.inv(np.atleast_2d(covariance))), dtype=np.float64),
         cap=math.sqrt(f_predictive_limit(n, p, CAP_RATE)),
         limit=estimated_limit(n, p, run_length),
     )

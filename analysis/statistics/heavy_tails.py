@@ -38,15 +38,19 @@ def tail_limit(distances_squared: ArrayLike, p: int, rate: float = NOMINAL_RATE)
     d = np.asarray(distances_squared, dtype=np.float64)
     n = d.size
     logs = np.log(np.maximum(left_out_distances(d) / predictive_scale(n - 1, p), 1e-300))
-    psi, trigamma = scipy.special.digamma, lambda x: scipy.special.polygamma(1, x)
-    spread = float(logs.var(ddof=1)) - float(trigamma(p / 2))
+    psi = scipy.special.digamma
+    spread = float(logs.var(ddof=1)) - _trigamma(p / 2)
     most = float(n - 1 - p)
-    if spread <= trigamma(most / 2):
+    if spread <= _trigamma(most / 2):
         degrees = most
-    elif spread >= trigamma(FEWEST_DEGREES / 2):
+    elif spread >= _trigamma(FEWEST_DEGREES / 2):
         degrees = FEWEST_DEGREES
     else:
-        degrees = float(scipy.optimize.brentq(lambda v: trigamma(v / 2) - spread, FEWEST_DEGREES, most))
+        degrees = float(scipy.optimize.brentq(lambda v: _trigamma(v / 2) - spread, FEWEST_DEGREES, most))
     expected = psi(p / 2) - np.log(p / 2) - psi(degrees / 2) + np.log(degrees / 2)
     factor = float(np.exp(logs.mean() - expected))
     return float(predictive_scale(n, p) * factor * scipy.special.fdtri(p, degrees, 1.0 - rate))
+
+
+def _trigamma(x: float) -> float:
+    return float(scipy.special.polygamma(1, x))

@@ -32,7 +32,7 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
     x = np.asarray(vectors, dtype=np.float64)
     if x.ndim != 2 or not 1 <= lag < x.shape[0]:
         raise InvalidInputError(f"lag {lag} of vectors of shape {x.shape}; it must lie in 1..n - 1")
-    complete = np.isfinite(x).all(axis=1)
+    complete = np.asarray(np.isfinite(x).all(axis=1))
     z = x - x[complete].mean(axis=0)
     pairs = complete[lag:] & complete[:-lag]
     n = int(complete.sum())
@@ -40,7 +40,7 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
         return np.zeros(x.shape[1])
     products = (z[lag:][pairs] * z[:-lag][pairs]).mean(axis=0) * (n - lag) / n
     variance = (z[complete] ** 2).mean(axis=0)
-    return np.divide(products, variance, out=np.zeros_like(products), where=variance > 0.0)
+    return np.asarray(np.divide(products, variance, out=np.zeros_like(products), where=variance > 0.0))
 
 
 def corrected(r: ArrayLike, n: int) -> FloatArray:

@@ -163,14 +163,14 @@ def _judged(
     *,
     textbooks: bool,
 ) -> Assessed:
-    complete = np.isfinite(x).all(axis=1)
+    complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
     n, p = rows.size, len(names)
     if n < MINIMUM_SETS:
         raise NotEnoughSetsError(_too_few(n, "complete rows"))
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
-    after = np.arange(len(x)) > ends
+    after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
     followed = np.where((healthy | after)[:, None], x, np.nan)
     judged = np.flatnonzero(after)
@@ -187,7 +187,7 @@ def _judged(
         of_residuals = fit_baseline(
             residuals[rows], rows.tolist(), name="baseline without memory", feature_names=names
         )
-        known = np.isfinite(residuals).all(axis=1)
+        known = np.asarray(np.isfinite(residuals).all(axis=1))
         default_distances = np.where(
             known, distance_squared(np.where(known[:, None], residuals, 0.0), of_residuals), np.nan
         )

@@ -35,9 +35,7 @@ def run_assess(
 ) -> None:
     """Judge every table; what cannot be judged is told as refused, with its reason."""
     if (baseline_rows is None) == (baseline_where is None):
-        raise UsageError(
-            "say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE"
-        )
+        raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
     where = None
     if baseline_where is not None:
         column, equals, value = baseline_where.partition("=")
