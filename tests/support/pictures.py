@@ -180,6 +180,8 @@ def _taken(page: Any, api: httpx.Client, picture: Picture) -> bytes:
     for chart, column in CHARTS.items():
         points = sum(value is not None for value in trend[column])
         expect(page.locator(chart)).to_have_attribute("data-points", str(points))
+    expect(page.locator("#waterfall")).to_have_attribute("data-drawn", re.compile(r"[1-9]"))
+    expect(page.locator("#waterfall")).not_to_contain_text("still being read")
     part = page.locator(picture.of)
     for text in picture.shows:
         expect(part).to_contain_text(text)
