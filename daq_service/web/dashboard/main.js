@@ -106,6 +106,12 @@ const waterfallHost = {
   trend,
 };
 waterfall.host = waterfallHost;
+alarmList.host = {
+  trend: (position) => reading.trends.get(position),
+  timeline,
+  open: openSet,
+  note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
+};
 notes.host = {
   span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
   positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
@@ -303,6 +309,7 @@ function redraw() {
   waveform.draw();
   if (reading.info) waterfall.update();
   panel.draw();
+  alarmList.redraw();
 }
 
 const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
@@ -317,7 +324,6 @@ byId("finish").addEventListener("click", async () => {
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
-alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 setInterval(() => tiles.tick(), 1000);
 // A shelf ends in real time, too: where nobody records, no event says so.
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
