@@ -142,6 +142,11 @@ export class SolimonAlarms extends HTMLElement {
     for (const { chart } of this.proofs.values()) chart?.draw();
   }
 
+  /** Sets have come. */
+  renew() {
+    for (const proof of this.proofs.values()) proof.renew();
+  }
+
   /** @param {any} alarm */
   whatNow(alarm) {
     const text = el("div", { class: "quiet" });

@@ -208,6 +208,7 @@ function onColumns() {
   compared.update(address.view);
   waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
   panel.update();
+  alarmList.renew();
 }
 
 function onOthers() {

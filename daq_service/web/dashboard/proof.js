@@ -74,6 +74,10 @@ export class Proof {
     this.sets = el("ul", { class: "proof-sets" });
     /** @type {import("./charts/chart.js").SolimonChart | null} */
     this.chart = null;
+    /** Hour of the newest set when the picture was read. */
+    this.newest = -Infinity;
+    /** Hours of the picture. @type {import("./charts/gestures.js").Span} */
+    this.range = [0, Infinity];
     const stored = el("details", {}, el("summary", { text: "As stored", "data-focus": `stored-${alarm.id}` }), this.raw);
     this.root = /** @type {HTMLDetailsElement} */ (el("details", { class: "proof-box" }, el("summary", { text: "Proof", "data-focus": `proof-${alarm.id}` }), this.sentences, this.trouble, this.sets, stored));
     this.root.addEventListener("toggle", () => void (this.root.open && this.read()));
@@ -87,28 +91,35 @@ export class Proof {
     setText(this.raw, JSON.stringify(alarm.proof, null, 1));
   }
 
+  /** Sets have come: draw those that belong to an open picture. */
+  renew() {
+    if (!this.root.open || this.alarm.position === null || this.newest > this.range[1]) return;
+    if ((this.host.trend(this.alarm.position)?.columns.due_h.at(-1) ?? this.newest) > this.newest) void this.read();
+  }
+
   /** Read the sets around the alarm, and draw them. */
   async read() {
     const { alarm, host } = this;
     const kind = KINDS[alarm.kind];
     const whole = alarm.position === null ? null : host.trend(alarm.position);
-    if (!kind || !whole) return;
+    if (!kind || !whole?.columns.due_h.length) return;
     // The plan's interval there, from the hours that the page knows.
     const { due_h: hours, set_index: sets } = whole.columns;
     const found = hours.findIndex((/** @type {number} */ one) => one >= alarm.raised_h);
     const at = found < 0 ? hours.length - 1 : Math.max(found, 1);
     const interval = hours.length > 1 ? (hours[at] - hours[at - 1]) / (sets[at] - sets[at - 1]) : 1;
     try {
-      const range = { from_h: Math.max(0, alarm.raised_h - (BEFORE + 0.5) * interval), to_h: alarm.raised_h + (BEHIND + 0.5) * interval };
-      this.show(kind, await kind.read(alarm, range), range, interval);
+      const [from_h, to_h] = (this.range = [Math.max(0, alarm.raised_h - (BEFORE + 0.5) * interval), alarm.raised_h + (BEHIND + 0.5) * interval]);
+      this.newest = hours[hours.length - 1];
+      this.show(kind, await kind.read(alarm, { from_h, to_h }), interval);
       setText(this.trouble, "");
     } catch (error) {
       setText(this.trouble, /** @type {Error} */ (error).message);
     }
   }
 
-  /** @param {typeof KINDS[string]} kind @param {Judged[]} judged @param {{from_h: number, to_h: number}} range @param {number} interval h */
-  show(kind, judged, range, interval) {
+  /** @param {typeof KINDS[string]} kind @param {Judged[]} judged @param {number} interval h */
+  show(kind, judged, interval) {
     const { alarm, host } = this;
     const { factor, unit } = shownUnit(kind.unit);
     const inUnit = (/** @type {number | null} */ value) => (value === null ? null : value * factor);
@@ -119,7 +130,7 @@ export class Proof {
     const told = `Position ${alarm.position}: ${beyond} of the last ${counted.length} judged sets beyond the limit when the alarm was raised`;
     const x = judged.map((one) => one.hour);
     const sets = judged.map((one) => one.set);
-    this.chart ??= this.makeChart(kind, range);
+    this.chart ??= this.makeChart(kind);
     this.chart.update({
       x,
       lines: [
@@ -133,7 +144,7 @@ export class Proof {
       alarms: [alarm.raised_h],
       opened: null,
       subtitle: told,
-      endHour: range.to_h,
+      endHour: this.range[1],
       taken: kind.taken ? { ...kind.taken, positions: [alarm.position] } : null,
     });
     this.sets.replaceChildren(
@@ -145,20 +156,19 @@ export class Proof {
     );
   }
 
-  /** @param {typeof KINDS[string]} kind @param {{from_h: number, to_h: number}} range */
-  makeChart(kind, range) {
+  /** @param {typeof KINDS[string]} kind */
+  makeChart(kind) {
     const chart = /** @type {import("./charts/chart.js").SolimonChart} */ (document.createElement("solimon-chart"));
     chart.id = `proof-chart-${this.alarm.id}`;
-    /** @type {import("./charts/gestures.js").Span} */
-    const whole = [range.from_h, range.to_h];
-    let span = whole;
+    /** @type {import("./charts/gestures.js").Span | null} */
+    let zoom = null;
     chart.configure(
       { title: `Sets around the alarm at ${this.alarm.position}, hour ${hour(this.alarm.raised_h)}: ${kind.short}`, log: kind.log, empty: "None of these sets is stored" },
       {
         ...this.host,
-        span: () => span,
+        span: () => zoom ?? this.range,
         show: (to) => {
-          span = to ?? whole;
+          zoom = to;
           chart.respan();
         },
         table: (_, shown) => chart.showTable(shown),
