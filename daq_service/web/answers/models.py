@@ -172,6 +172,10 @@ class AlarmRow(Answer):
     """One alarm with its proof."""
 
     proof: AlarmProof = Field(description="What it rests on")
+    proof_sentences: list[str] = Field(
+        description="The same for an operator: what was measured, by how much it passes which limit, the "
+        "features that contribute most, the rule, and when; the first one says most"
+    )
 
 
 @_of_row(rows.CommandRow)

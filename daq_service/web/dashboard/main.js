@@ -106,6 +106,12 @@ const waterfallHost = {
   trend,
 };
 waterfall.host = waterfallHost;
+alarmList.host = {
+  trend: (position) => reading.trends.get(position),
+  timeline,
+  open: openSet,
+  note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
+};
 notes.host = {
   span: () => address.span,
   positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
@@ -202,6 +208,7 @@ function onColumns() {
   compared.update(address.view);
   waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
   panel.update();
+  alarmList.renew();
 }
 
 function onOthers() {
@@ -303,6 +310,7 @@ function redraw() {
   waveform.draw();
   if (reading.info) waterfall.update();
   panel.draw();
+  alarmList.redraw();
 }
 
 const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
@@ -317,7 +325,6 @@ byId("finish").addEventListener("click", async () => {
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
-alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 setInterval(() => tiles.tick(), 1000);
 // A shelf ends in real time, too: where nobody records, no event says so.
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);

@@ -9,6 +9,7 @@ from html import escape
 from importlib.metadata import version
 from typing import Any
 
+from daq_service.alarms.proof import proof_sentences
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
@@ -237,7 +238,10 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
             f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
             f"<p>{escape(row.message)}</p>",
             f"<p class='note'>{escape(told)}</p>",
-            _table("Proof", (), proof),
+            "<ul>",
+            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row)),
+            "</ul>",
+            _table("Proof, as stored", (), proof),
             _table("History", ("Hour", "What", "State", "By"), history, "No event tells of it."),
             "</article>",
         ]

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from daq_service.alarms.proof import proof_sentences
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
@@ -33,7 +34,6 @@ ALWAYS = (
     *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )
 """What tells rows apart, and how good their numbers are: these are never left out."""
-QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
 
 Columns = Mapping[str, list[Any]]
 """Values of a page by column, as JSON has them, what is nested as JSON text; None: not available."""
@@ -50,7 +50,7 @@ class TableKind:
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
         """All of its columns."""
-        return told_columns(self.row) + ((QUALITY,) if self.row is VerdictRow else ())
+        return told_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
@@ -139,6 +139,9 @@ def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
                 }
                 for row, quality in zip(told, judged_qualities(catalogue, methods, kept), strict=True):
                     row["quality"] = quality
+            if kind.row is AlarmRow:
+                for row, alarm in zip(told, kept, strict=True):
+                    row["proof_sentences"] = proof_sentences(alarm)
             yield {name: [_plain(row[name]) for row in told] for name in names}
         if len(rows) < PAGE_ROWS:
             return
