@@ -191,7 +191,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
     alarms.get_by_text("Proof", exact=True).click()
-    alarms.get_by_role("button", name="Acknowledge").click()
+    alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)
     (command,) = filled.catalogue.open_commands()

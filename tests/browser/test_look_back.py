@@ -7,7 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import DESK, PHONE, expect
+from support.browser_pages import DESK, PHONE, at_hour, dashboard, expect, query
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -54,23 +54,8 @@ def service(filled):
         yield running
 
 
-def dashboard(page, what):
-    return page.evaluate(f"window.solimonDashboard.{what}")
-
-
 def wait_for(page, points=1):
     until(lambda: dashboard(page, "charts").get("tof", {"x": []})["x"][points - 1 :], "the trend is drawn")
-
-
-def query(page):
-    return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
-
-
-def at_hour(page, chart, hour, part=0.5):
-    """Page coordinates of an hour on a chart."""
-    box = page.locator(f"#{chart} .u-over").bounding_box()
-    low, high = dashboard(page, f"charts.{chart}.span")
-    return box["x"] + box["width"] * (hour - low) / (high - low), box["y"] + part * box["height"]
 
 
 def test_one_click_on_a_point_opens_its_set_with_everything_about_it(filled, service, open_page):

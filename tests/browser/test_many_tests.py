@@ -4,7 +4,7 @@ import re
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import PHONE, expect
+from support.browser_pages import PHONE, dashboard, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served_app
 from support.waiting import until
@@ -45,10 +45,6 @@ def service(tests, tmp_path_factory):
     )
     with served_app(app) as running:
         yield running
-
-
-def dashboard(page, what):
-    return page.evaluate(f"window.solimonDashboard.{what}")
 
 
 def drawn(page):

@@ -22,6 +22,7 @@ def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(rig={"supply": SUPPLY}))
     for index in range(3):
         folder.add_set(index, stored=False, shown=index == 2)
+    folder.add_alarm("B", 2)
     yield folder
     folder.close()
 
@@ -200,6 +201,10 @@ def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
         buttons = page.locator("#control button:visible")
         expect(buttons).to_have_count(6)
         expect(page.locator("#hold")).to_be_visible(visible=held)
+        expect(page.locator("#alarms [data-alarm]")).to_have_count(1)
+        expect(page.locator("#notes")).to_have_attribute("data-count", "0")
+        for order in ("Acknowledge:", "Shelve", "Add a note"):
+            expect(page.get_by_role("button", name=order)).to_be_visible(visible=held)
         assert [buttons.nth(n).is_enabled() for n in range(6)] == [control] * 6
         why = "" if control else f"ann is {role}: this role does not allow it."
         expect(page.locator("#control-why")).to_have_text(why)

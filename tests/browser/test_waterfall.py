@@ -2,18 +2,18 @@
 
 import base64
 from dataclasses import replace
-from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import PHONE, expect
+from support.browser_pages import PHONE, dashboard, expect, query
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
 
 from daq_service.archive.waterfall import picture
-from daq_service.catalogue.rows import FeatureRow, SetRow
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import EventRow, FeatureRow, SetRow
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -62,16 +62,12 @@ def service(filled):
 
 
 def shown(page):
-    return page.evaluate("window.solimonDashboard.waterfall")
+    return dashboard(page, "waterfall")
 
 
 def drawn(page, what="the waterfall is drawn"):
     until(lambda: shown(page)["ready"], what)
     return shown(page)
-
-
-def query(page):
-    return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
 
 
 def pixels(page, canvas="image"):
@@ -241,6 +237,48 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, ope
     assert "from_wf_us" not in query(page)
 
 
+def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
+    address = f"{service.url}?theme=light&position=B&from_h=4&to_h=8"
+    page = open_page(address, viewport=PHONE, has_touch=True)
+    drawn(page)
+    page.locator("#waterfall .plot").scroll_into_view_if_needed()
+    over = page.locator(".waterfall-over").bounding_box()
+    screen = page.context.new_cdp_session(page)
+
+    def touch(kind, *places):
+        points = [
+            {"x": over["x"] + x * over["width"], "y": over["y"] + y * over["height"], "id": k}
+            for k, (x, y) in enumerate(places)
+        ]
+        screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def under(x, y):
+        """Hour and seconds at a place of the picture."""
+        (from_h, to_h), (from_s, to_s) = shown(page)["hours"], shown(page)["seconds"]
+        return from_h + x * (to_h - from_h), from_s + y * (to_s - from_s)
+
+    def dragged(begin, end):
+        """Fingers keep what lies under them."""
+        held = [value for place in begin for value in under(*place)]
+        touch("touchStart", *begin)
+        touch("touchMove", *end)
+        touch("touchEnd")
+        # Rounding of microseconds in the address, far below a pixel.
+        wanted = pytest.approx(held, rel=1e-6, abs=1e-9)
+        until(lambda: [value for place in end for value in under(*place)] == wanted, "the picture follows")
+
+    dragged([(0.7, 0.5)], [(0.4, 0.5)])
+    assert shown(page)["hours"] == pytest.approx([5.2, 9.2])
+    dragged([(0.4, 0.4), (0.6, 0.6)], [(0.2, 0.3), (0.8, 0.9)])
+    told = drawn(page)
+    assert told["hours"][1] - told["hours"][0] == pytest.approx(4.0 / 3.0)
+    assert told["seconds"][1] - told["seconds"][0] == pytest.approx(np.ptp(told["header"]["whole_s"]) / 3.0)
+    hour, _ = under(0.5, 0.5)
+    page.touchscreen.tap(over["x"] + 0.5 * over["width"], over["y"] + 0.5 * over["height"])
+    newest = max(index for index in range(N_SETS) if filled.due[index].due_h <= hour)
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {newest}")
+
+
 def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, service, open_page):
     page = open_light(open_page, service)
     counts = {}
@@ -286,6 +324,28 @@ def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
         stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
         assert told["first_set"] == stored
         expect(page.locator("#waterfall")).not_to_contain_text("still being read")
+
+
+def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_path, open_page):
+    filled = FilledFolder(tmp_path, SETTINGS)
+    filled.add_set(0, judged=False)
+    with served(filled.settings, tmp_path) as fresh:
+        page = open_page(f"{fresh.url}?position=B&shown=difference")
+        empty = page.locator("#waterfall .empty")
+        expect(empty).to_have_text("Position B has no baseline yet to differ from")
+        due = filled.due[0]
+        event = EventRow(
+            utc_ns=due.due_utc_ns,
+            topic="verdicts",
+            kind="baseline_frozen",
+            position="B",
+            set_index=0,
+            payload={},
+        )
+        filled.catalogue.commit_set(SetCommit(verdicts=[filled.verdict("B", 0, due.due_h)], events=[event]))
+        until(lambda: shown(page)["ready"], "the difference is drawn once there is one")
+        assert shown(page)["header"]["baseline_sets"] == 1
+    filled.close()
 
 
 @pytest.mark.parametrize("viewport", [PHONE, WALL], ids=["390", "1920"])

@@ -1,12 +1,14 @@
-"""A headless Chromium, assertions on a page that wait until they hold, and how large a window is."""
+"""A headless Chromium, pages that may not complain, what the dashboard says, assertions that wait."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 from support.served_web import DEADLINE_S
 
@@ -49,6 +51,60 @@ def chromium() -> Iterator[Any]:
         running = playwright.chromium.launch(executable_path=find_browser(), args=ARGUMENTS)
         yield running
         running.close()
+
+
+@contextmanager
+def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Open pages; at the end none of them may have complained."""
+    contexts: list[Any] = []
+    complaints: list[str] = []
+
+    def open_(
+        url: str,
+        *,
+        viewport: dict[str, int] = DESK,
+        forgiven: str | None = None,
+        name: str | None = "dashboard",
+        **options: Any,
+    ) -> Any:
+        """None as `name`: this browser has never been here; `options` are Playwright's of a context."""
+        context = browser.new_context(viewport=viewport, **options)
+        contexts.append(context)
+        if name is not None:
+            context.add_init_script(f"localStorage.setItem('solimon-name', {name!r})")
+        page = context.new_page()
+        page.set_default_timeout(1000 * DEADLINE_S)
+
+        def complain(text: str) -> None:
+            if forgiven is None or not re.search(forgiven, text):
+                complaints.append(text)
+
+        page.on("console", lambda message: message.type in {"error", "warning"} and complain(message.text))
+        page.on("pageerror", lambda error: complain(str(error)))
+        page.goto(url)
+        return page
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def dashboard(page: Any, what: str) -> Any:
+    """What the dashboard tells of itself, e.g. ``charts.tof.x``."""
+    return page.evaluate(f"window.solimonDashboard.{what}")
+
+
+def query(page: Any) -> dict[str, str]:
+    """What the page's address says."""
+    return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
+
+
+def at_hour(page: Any, chart: str, hour: float, part: float = 0.5) -> tuple[float, float]:
+    """Page coordinates of an hour on a chart."""
+    box = page.locator(f"#{chart} .u-over").bounding_box()
+    low, high = dashboard(page, f"charts.{chart}.span")
+    return box["x"] + box["width"] * (hour - low) / (high - low), box["y"] + part * box["height"]
 
 
 def expect(locator: Any, *, within_s: float = DEADLINE_S) -> Any:

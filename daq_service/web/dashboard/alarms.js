@@ -2,8 +2,9 @@
 
 import { AlarmFilter } from "./alarm-filter.js";
 import { get, post } from "./api.js";
-import { author } from "./control/who.js";
-import { el, setText } from "./dom.js";
+import { confirmed } from "./control/confirm.js";
+import { author, may } from "./control/who.js";
+import { button, el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
 import { follow, order } from "./orders.js";
@@ -92,30 +93,27 @@ export class SolimonAlarms extends HTMLElement {
     this.proofs.set(alarm.id, proof);
     proof.update(alarm);
     const foot = el("div", { class: "alarm-foot" }, proof.root);
+    /** A button, for those whose role allows it. @param {string} key @param {string} what @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
+    const offer = (key, what, text, act, attributes = {}) => {
+      if (may(what)) foot.append(button(text, act, { "data-focus": `${key}-${alarm.id}`, ...attributes }));
+    };
     if (waiting) {
-      const button = el("button", { class: "button small", type: "button", "data-focus": `ack-${alarm.id}`, disabled: order !== undefined, text: order ?? "Acknowledge" });
-      button.setAttribute("aria-label", `Acknowledge: ${alarm.message}`);
-      button.addEventListener("click", () => this.acknowledge(alarm.id));
-      foot.append(button);
+      const disabled = order !== undefined;
+      offer("ack", "acknowledge_alarm", order ?? "Acknowledge", () => this.acknowledge(alarm.id, ""), { class: "button small", disabled, "aria-label": `Acknowledge: ${alarm.message}` });
+      offer("note", "acknowledge_alarm", "With a note", () => this.acknowledgeWithNote(alarm), { disabled, "aria-label": `Acknowledge with a note: ${alarm.message}` });
     }
-    if (alarm.suppressed) {
-      const button = /** @type {HTMLButtonElement} */ (el("button", { class: "button small", type: "button", "data-focus": `tell-${alarm.id}`, text: alarm.suppressed === "shelved" ? "Unshelve" : "Return to service" }));
-      button.addEventListener("click", () => this.tellAgain(alarm, button));
-      foot.append(button);
-    } else if (alarm.state !== "normal") {
-      const button = el("button", { class: "button ghost small", type: "button", "data-focus": `shelve-${alarm.id}`, text: "Shelve", "aria-label": `Shelve: ${alarm.message}` });
-      button.addEventListener("click", () => this.shelf.ask(alarm));
-      foot.append(button);
-    }
+    const again = (/** @type {HTMLButtonElement} */ pressed) => this.tellAgain(alarm, pressed);
+    if (alarm.suppressed === "shelved") offer("tell", "unshelve_alarm", "Unshelve", again, { class: "button small" });
+    else if (alarm.suppressed) offer("tell", "return_to_service", "Return to service", again, { class: "button small" });
+    else if (alarm.state !== "normal") offer("shelve", "shelve_alarm", "Shelve", () => this.shelf.ask(alarm), { "aria-label": `Shelve: ${alarm.message}` });
     foot.append(this.history(alarm.id), this.whatNow(alarm));
-    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) {
-      const button = /** @type {HTMLButtonElement} */ (el("button", { class: "button small", type: "button", "data-focus": `trust-${alarm.id}`, text: "The clock is right" }));
-      button.addEventListener("click", () => this.trustClock(button));
-      foot.append(button);
-    }
+    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) offer("trust", "trust_clock", "The clock is right", (pressed) => this.trustClock(pressed), { class: "button small" });
     if (alarm.position !== null && alarm.raised_set_index !== null) {
       foot.append(setLink(alarm.position, alarm.raised_set_index, "Open set", { "data-focus": `set-${alarm.id}`, "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` }, this.host.open));
     }
+    const at = `hour ${hour(alarm.raised_h)}`;
+    const show = () => this.dispatchEvent(new CustomEvent("show-hour", { detail: { position: alarm.position, hour: alarm.raised_h } }));
+    const goes = button(at, show, { class: "link", "data-focus": `hour-${alarm.id}`, "aria-label": `Show ${at} of ${alarm.position ?? "the test"} on the charts and the waterfall` });
     const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
     const item = el(
       "li",
@@ -124,7 +122,7 @@ export class SolimonAlarms extends HTMLElement {
         "div",
         { class: "alarm-head" },
         chip(SEVERITIES[alarm.severity] ?? SEVERITIES.low),
-        el("strong", { text: `${alarm.position ?? "Service"} · hour ${hour(alarm.raised_h)}` }),
+        el("strong", {}, `${alarm.position ?? "Service"} · `, goes),
         el("span", { class: "quiet", text: utc(alarm.raised_utc) }),
       ),
       el("p", { class: "alarm-message", text: alarm.message }),
@@ -153,8 +151,8 @@ export class SolimonAlarms extends HTMLElement {
     const box = /** @type {HTMLDetailsElement} */ (el("details", {}, el("summary", { text: "What now", "data-focus": `now-${alarm.id}` }), text));
     const read = async () => {
       try {
-        this.guidance ??= (await get("/guidance")).items;
-        const found = this.guidance.find((/** @type {any} */ one) => one.kind === alarm.kind);
+        const guidance = (this.guidance ??= /** @type {any[]} */ ((await get("/guidance")).items));
+        const found = guidance.find((/** @type {any} */ one) => one.kind === alarm.kind);
         const plain = (/** @type {string} */ words) => words.replace(/[`*]/g, "");
         if (!found) setText(text, "Nothing is written of this kind of alarm.");
         else text.replaceChildren(el("p", { text: `It says: ${plain(found.says)}. It does not say ${plain(found.does_not_say)}.` }), el("ol", {}, ...found.look_first.map((/** @type {string} */ step) => el("li", { text: plain(step) }))), el("p", { text: `Decides: ${plain(found.call)}.` }));
@@ -221,8 +219,19 @@ export class SolimonAlarms extends HTMLElement {
     }
   }
 
-  /** @param {number} id */
-  async acknowledge(id) {
+  /** @param {any} alarm */
+  async acknowledgeWithNote(alarm) {
+    const given = await confirmed({
+      title: "Acknowledge an alarm",
+      says: [`${alarm.position ?? "Service"}: ${alarm.message}.`, "The note stands beside the alarm and in its history."],
+      word: "Acknowledge",
+      fields: [{ name: "note", label: "Note", first: true, input: { required: true, maxlength: "2000", pattern: ".*\\S.*" } }],
+    });
+    if (given) await this.acknowledge(alarm.id, given.note);
+  }
+
+  /** @param {number} id @param {string} note */
+  async acknowledge(id, note) {
     const say = (/** @type {string} */ word) => {
       if (this.orders.get(id) === word) return;
       this.orders.set(id, word);
@@ -232,7 +241,7 @@ export class SolimonAlarms extends HTMLElement {
       const name = await author();
       say("Sending");
       // The recorder's event brings the new state.
-      await follow(await post(`/alarms/${id}/acknowledge`, { author: name }), say);
+      await follow(await post(`/alarms/${id}/acknowledge`, { author: name, note }), say);
     } catch (error) {
       this.orders.delete(id);
       this.render();

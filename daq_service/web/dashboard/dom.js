@@ -17,6 +17,13 @@ export function el(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** A small button. @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
+export function button(text, act, attributes = {}) {
+  const made = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text, ...attributes }));
+  made.addEventListener("click", () => act(made));
+  return made;
+}
+
 /** @param {string} id @returns {HTMLElement} */
 export function byId(id) {
   const element = document.getElementById(id);

@@ -1,7 +1,8 @@
 // What is on the screen for other programs: as files of the API, and as Python that reads the same.
 
 import { BASE, get } from "./api.js";
-import { el, setText } from "./dom.js";
+import { copyButton } from "./copy.js";
+import { el } from "./dom.js";
 
 /**
  * @typedef {object} Offer
@@ -145,17 +146,9 @@ async function fill(box, offer) {
   const text = program(offer.python);
   const code = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", readonly: true, rows: String(text.split("\n").length), "aria-label": "The same in Python", spellcheck: "false", wrap: "off" }));
   code.value = text;
-  const said = el("span", { class: "quiet small", role: "status" });
-  const copy = el("button", { class: "button ghost small", type: "button", text: "Copy as Python" });
-  copy.addEventListener("click", async () => {
-    try {
-      await navigator.clipboard.writeText(text);
-      setText(said, "Copied");
-    } catch {
-      // Over plain HTTP from elsewhere a page has no clipboard; a person has.
-      code.select();
-      setText(said, "Selected: copy it with Ctrl+C");
-    }
+  const copy = copyButton("Copy as Python", () => text, () => {
+    code.select();
+    return "Selected: copy it with Ctrl+C";
   });
-  return box.replaceChildren(el("p", { class: "quiet small", text: offer.says }), ...files, code, el("p", { class: "export-files" }, copy, said));
+  return box.replaceChildren(el("p", { class: "quiet small", text: offer.says }), ...files, code, el("p", { class: "export-files" }, copy.button, copy.said));
 }

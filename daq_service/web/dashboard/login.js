@@ -1,7 +1,7 @@
 // The way in: where the service asks for a token, nothing else begins before the page has one.
 
 import { get, post, remove } from "./api.js";
-import { byId, setText } from "./dom.js";
+import { byId, el, setText } from "./dom.js";
 
 /** @typedef {import("./control/who.js").Session} Session */
 
@@ -23,20 +23,32 @@ export async function admitted() {
 
 /** @returns {Promise<Session>} */
 function loggedIn() {
-  const dialog = /** @type {HTMLDialogElement} */ (byId("login"));
-  const token = /** @type {HTMLInputElement} */ (byId("login-token"));
+  const token = /** @type {HTMLInputElement} */ (el("input", { id: "login-token", class: "field", type: "password", maxlength: "200", autocomplete: "off", required: true }));
+  const trouble = el("p", { id: "login-trouble", role: "alert" });
+  const form = el(
+    "form",
+    {},
+    el("h2", { id: "login-title", text: "Log in" }),
+    el("p", { class: "quiet" }, "This service asks for a token: whoever runs it makes one with ", el("code", { text: "solimon token create" }), "."),
+    el("label", { for: "login-token", text: "Token" }),
+    token,
+    trouble,
+    el("div", { class: "dialog-actions" }, el("button", { class: "button", type: "submit", text: "Log in" })),
+  );
+  const dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "login-title" }, form));
   dialog.addEventListener("cancel", (event) => event.preventDefault());
+  document.body.append(dialog);
   dialog.showModal();
   token.focus();
   return new Promise((resolve) => {
-    byId("login-form").addEventListener("submit", async (event) => {
+    form.addEventListener("submit", async (event) => {
       event.preventDefault();
       try {
         const session = await post("/session", { token: token.value.trim() });
-        dialog.close();
+        dialog.remove();
         resolve(session);
       } catch (error) {
-        setText(byId("login-trouble"), /** @type {Error} */ (error).message);
+        setText(trouble, /** @type {Error} */ (error).message);
         token.select();
       }
     });

@@ -45,6 +45,9 @@ customElements.define("solimon-notes", SolimonNotes);
 const SUPPLY_MS = 5000;
 const NOTICE_MS = 60_000;
 const SHELF_MS = 30_000;
+const HOUR_MS = 3_600_000;
+/** Hours before and after an alarm or a note that a click on its hour shows. */
+const AROUND_H = 5;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let noticeTimer;
 
@@ -53,7 +56,7 @@ const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
-const state = { connected: false, hasSupply: false, recorder: "absent", shown: "" };
+const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, toldAt: 0 };
 
 const address = new Address(become);
 const reading = new Reading({ onBegin, onRead, onColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
@@ -73,7 +76,7 @@ const board = new Board(
   (feature) => address.go({ feature }),
 );
 const compared = new Compared(others, (part) => address.go(part));
-const toolbar = new Toolbar((part) => address.go(part));
+const toolbar = new Toolbar((part) => address.go(part), nowH);
 const tiles = new Tiles(byId("tiles"), select);
 const asked = new Asked();
 const hold = new Hold((text) => notice(text, "alarm"));
@@ -104,6 +107,7 @@ const waterfallHost = {
     return { gaps: ranges.filter((range) => range.word !== "baseline"), alarms, opened };
   },
   trend,
+  hasBaseline: () => reading.hasBaseline(address.view.position),
 };
 waterfall.host = waterfallHost;
 alarmList.host = {
@@ -112,16 +116,29 @@ alarmList.host = {
   open: openSet,
   note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
 };
-notes.host = {
+/** @type {import("./notes.js").Host} */
+const notesHost = {
   span: () => address.span,
   positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
-  show: ([from_h, to_h]) => address.go({ from_h, to_h }),
+  show: ([from_h, to_h]) => showHours(from_h, to_h),
+  now: nowH,
 };
+notes.host = notesHost;
 
 // ---- what is shown ----------------------------------------------------------------------------
 
 function timeline() {
   return new Timeline(address.view.axis, reading.info?.clock.epoch_utc ?? "1970-01-01T00:00:00Z");
+}
+
+/** Hour of the test by its own clock; a simulated one stands still between two readings. */
+function nowH() {
+  return state.now_h + (reading.info?.clock.kind === "wall" ? (performance.now() - state.toldAt) / HOUR_MS : 0);
+}
+
+/** Hours, and what lies around them. @param {number} from @param {number} to @param {Partial<import("./view.js").View>} [part] what else changes */
+function showHours(from, to, part = {}) {
+  address.go({ from_h: from - AROUND_H, to_h: to + AROUND_H, ...part });
 }
 
 /** Position of the solitary-wave charts: the chosen one where it has waves. */
@@ -131,11 +148,16 @@ function charted() {
   return [position, charts].find((one) => waves_.includes(one)) ?? waves_[0] ?? "";
 }
 
+/** What changes with the chosen position. @param {string} position @returns {Partial<import("./view.js").View>} */
+function chosen(position) {
+  if (position === address.view.position) return {};
+  const waves_ = reading.place(position)?.method === "solitary_wave";
+  return { position, charts: waves_ ? "" : charted(), set: null, shot: null, from_us: null, to_us: null };
+}
+
 /** @param {string} position */
 function select(position) {
-  if (!reading.place(position) || position === address.view.position) return;
-  const waves_ = reading.place(position).method === "solitary_wave";
-  address.go({ position, charts: waves_ ? "" : charted(), set: null, shot: null, from_us: null, to_us: null });
+  if (reading.place(position)) address.go(chosen(position));
 }
 
 /** @param {string} position @param {number} set */
@@ -145,10 +167,7 @@ function openSet(position, set) {
     location.assign(`/tests/${where.test}/?position=${where.position}&set=${set}`);
     return;
   }
-  const { view } = address;
-  const other = position !== view.position;
-  const waves_ = reading.place(position)?.method === "solitary_wave";
-  address.go({ position, charts: waves_ ? "" : charted(), set, shot: null, ...(other ? { from_us: null, to_us: null } : {}) });
+  address.go({ ...chosen(position), set, shot: null });
 }
 
 /** The baseline's set that lies nearest to its middle. @param {string} position */
@@ -268,7 +287,7 @@ function showClock(asOf) {
   setText(byId("hour"), `Hour ${hour(asOf.now_h)}`);
   setText(byId("utc"), `${utc(asOf.now_utc)} on the ${asOf.clock} clock`);
   /** @type {HTMLProgressElement} */ (byId("progress")).value = reading.info ? Math.min(1, asOf.now_h / reading.info.schedule.end_h) : 0;
-  state.recorder = asOf.recorder;
+  Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, toldAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
   hold.update(reading.info?.held ?? null, state.recorder);
   showConnection();
@@ -325,6 +344,11 @@ byId("finish").addEventListener("click", async () => {
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
+alarmList.addEventListener("show-hour", (event) => {
+  const { position, hour: at } = /** @type {CustomEvent} */ (event).detail;
+  showHours(at, at, position === null ? {} : chosen(position));
+  waterfall.scrollIntoView({ block: "nearest" });
+});
 setInterval(() => tiles.tick(), 1000);
 // A shelf ends in real time, too: where nobody records, no event says so.
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);

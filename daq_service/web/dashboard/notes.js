@@ -1,15 +1,12 @@
 // What people noted of hours of the test: the list, and the dialog that adds to it.
 
 import { post } from "./api.js";
-import { author } from "./control/who.js";
-import { el, setText } from "./dom.js";
+import { author, may } from "./control/who.js";
+import { button, el, setText } from "./dom.js";
 import { fixed, utc } from "./format.js";
 import { follow } from "./orders.js";
 
-/** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void}} Host */
-
-/** Hours around an instant that a click on it shows. */
-const AROUND_H = 5;
+/** @typedef {{span: () => [number, number] | null, positions: () => string[], show: (span: [number, number]) => void, now: () => number}} Host */
 
 /** @param {any} note */
 const hours = (note) => (note.from_h === note.to_h ? `Hour ${fixed(note.from_h, 1)}` : `Hours ${fixed(note.from_h, 1)} to ${fixed(note.to_h, 1)}`);
@@ -23,14 +20,15 @@ export class SolimonNotes extends HTMLElement {
     this.items = [];
     this.count = el("p", { "aria-live": "polite", text: "Reading" });
     this.list = el("ul", { class: "alarm-list", "aria-labelledby": "notes-title" });
-    this.adding = el("button", { class: "button ghost small", type: "button", hidden: true, text: "Add a note" });
+    this.adding = button("Add a note", () => this.ask(this.pointed ?? this.host.now(), ""), { hidden: true });
     const field = (/** @type {string} */ name, /** @type {string} */ type) => /** @type {HTMLInputElement} */ (el("input", { class: "field", id: `note-${name}`, type, step: "any" }));
     this.from = field("from", "number");
     this.to = field("to", "number");
     this.from.required = true;
     this.text = /** @type {HTMLTextAreaElement} */ (el("textarea", { class: "field", id: "note-text", rows: "3", maxlength: "2000", required: true }));
     this.position = /** @type {HTMLSelectElement} */ (el("select", { class: "field", id: "note-position" }));
-    this.shown = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "The hours shown" }));
+    this.shown = button("The hours shown", () => this.take(this.host.span()));
+    const now = button("Now", () => this.take([this.host.now(), this.host.now()]));
     this.trouble = el("p", { role: "alert" });
     const cancel = el("button", { class: "button ghost", type: "button", text: "Cancel" });
     const label = (/** @type {HTMLElement} */ input, /** @type {string} */ text) => [el("label", { for: input.id, text }), input];
@@ -42,7 +40,7 @@ export class SolimonNotes extends HTMLElement {
         ...label(this.text, "What is to be known"),
         ...label(this.from, "Hour of the test"),
         ...label(this.to, "Until hour (empty: an instant)"),
-        this.shown,
+        el("span", { class: "choices" }, now, this.shown),
         ...label(this.position, "Position"),
         this.trouble,
         el("div", { class: "dialog-actions" }, cancel, el("button", { class: "button", type: "submit", text: "Save the note" })),
@@ -50,14 +48,12 @@ export class SolimonNotes extends HTMLElement {
     );
     this.dialog = /** @type {HTMLDialogElement} */ (el("dialog", { "aria-labelledby": "note-title" }, this.form));
     cancel.addEventListener("click", () => this.dialog.close());
-    this.adding.addEventListener("click", () => this.ask(this.pointed, ""));
-    this.shown.addEventListener("click", () => this.take(this.host.span()));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
       void this.save();
     });
-    /** Hour that was last pointed at on a chart. */
-    this.pointed = 0;
+    /** Hour that was last pointed at on a chart. @type {number | null} */
+    this.pointed = null;
   }
 
   connectedCallback() {
@@ -69,7 +65,7 @@ export class SolimonNotes extends HTMLElement {
   /** @param {any[]} items those that are not withdrawn */
   update(items) {
     this.items = items;
-    this.adding.hidden = false; // the experiment's positions are known
+    this.adding.hidden = !may("annotate"); // from now on the experiment's positions are known
     this.dataset.count = String(items.length);
     setText(this.count, items.length ? `${items.length} on this test` : "None so far. On a chart, n notes something at the cursor.");
     this.list.hidden = !items.length;
@@ -79,9 +75,8 @@ export class SolimonNotes extends HTMLElement {
   /** @param {any} note @returns {HTMLElement} */
   item(note) {
     const goes = el("button", { class: "link", type: "button", text: hours(note), "aria-label": `Show ${hours(note).toLowerCase()} on the charts` });
-    goes.addEventListener("click", () => this.host.show([note.from_h - AROUND_H, note.to_h + AROUND_H]));
-    const withdraws = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "Withdraw", "aria-label": `Withdraw: ${note.text}` }));
-    withdraws.addEventListener("click", () => this.withdraw(note.id, withdraws));
+    goes.addEventListener("click", () => this.host.show([note.from_h, note.to_h]));
+    const withdraws = button("Withdraw", (pressed) => this.withdraw(note.id, pressed), { "aria-label": `Withdraw: ${note.text}`, hidden: !may("withdraw_annotation") });
     const item = el(
       "li",
       { class: "alarm" },

@@ -1,6 +1,7 @@
 // Who is told of alarms elsewhere: how each receiver stands, a trial, what was sent. Hidden where there is none.
 
 import { get, post } from "./api.js";
+import { may } from "./control/who.js";
 import { el, setText } from "./dom.js";
 import { duration, utc } from "./format.js";
 import { chip } from "./icons.js";
@@ -42,7 +43,7 @@ class Receiver {
     this.values = Object.fromEntries(["Last success", "Waiting", "Heartbeat"].map((term) => [term, el("dd")]));
     this.trouble = el("p", { role: "status" });
     this.result = el("p", { class: "quiet small", role: "status" });
-    this.button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", text: `Send a trial to ${this.name}` }));
+    this.button = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost", type: "button", hidden: !may("test_receiver"), text: `Send a trial to ${this.name}` }));
     this.button.addEventListener("click", () => this.#test(changed));
     const readouts = Object.entries(this.values).map(([term, value]) => el("div", {}, el("dt", { text: term }), value));
     this.element = el("div", { class: "environment-group" }, this.state, el("dl", { class: "readouts" }, ...readouts), this.button, this.trouble, this.result);
@@ -78,7 +79,7 @@ class Receiver {
 }
 
 export class Notifications {
-  /** @param {HTMLElement} root @param {(error: unknown) => void} fail */
+  /** @param {HTMLElement} root @param {(error: Error) => void} fail */
   constructor(root, fail) {
     this.root = root;
     this.fail = fail;
@@ -106,7 +107,7 @@ export class Notifications {
     try {
       this.#show(await get("/notifications"));
     } catch (error) {
-      this.fail(error);
+      this.fail(/** @type {Error} */ (error));
     }
   }
 
@@ -129,7 +130,7 @@ export class Notifications {
       const cells = (/** @type {any} */ row) => [utc(row.utc), row.receiver, row.what.replace("_", " "), row.told, row.event_ids.join(", ")];
       this.rows.replaceChildren(...items.map((/** @type {any} */ row) => el("tr", {}, ...cells(row).map((text) => el("td", { text })))));
     } catch (error) {
-      this.fail(error);
+      this.fail(/** @type {Error} */ (error));
     }
   }
 }

@@ -63,6 +63,13 @@ export class Reading {
     return this.info?.positions.find((/** @type {any} */ place) => place.position === position);
   }
 
+  /** Whether a position has something to differ from: a probe its first reading, whenever that came. @param {string} position */
+  hasBaseline(position) {
+    const probe = this.place(position)?.method === "pulse_echo";
+    const values = probe ? this.trends.get(position)?.columns.travel_time_s : this.baselines.get(position)?.columns.in_baseline;
+    return Boolean(values?.some((/** @type {number | boolean | null} */ value) => value !== null && value !== false));
+  }
+
   /** Read on until there is something to show. @param {(after: number) => void} follow opens the events from there on */
   async begin(follow) {
     try {

@@ -44,8 +44,8 @@ export class Compared {
   /** @param {any[]} offered @param {string[]} chosen */
   offer(offered, chosen) {
     const groups = offered.map(([test, name, places]) => {
-      const options = places.map(([position, label]) => [`${test}:${position}`, `${position} · ${label}`]).filter(([value]) => !chosen.includes(value));
-      return el("optgroup", { label: `${name} (${test})` }, ...options.map(([value, text]) => el("option", { value, text })));
+      const options = places.map((/** @type {string[]} */ [position, label]) => ({ value: `${test}:${position}`, text: `${position} · ${label}` }));
+      return el("optgroup", { label: `${name} (${test})` }, ...options.filter((/** @type {{value: string}} */ { value }) => !chosen.includes(value)).map((/** @type {{value: string, text: string}} */ option) => el("option", option)));
     });
     this.choice.replaceChildren(el("option", { value: "", text: "With another test …" }), ...groups);
     this.choice.value = "";

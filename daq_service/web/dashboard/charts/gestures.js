@@ -22,6 +22,11 @@ export function zoomed([from, to], whole, factor, centre) {
   return within([centre - (centre - from) * factor, centre + (to - centre) * factor], whole);
 }
 
+/** By how much a wheel zooms. @param {WheelEvent} event @param {number} turned */
+export function wheelFactor(event, turned = event.deltaY) {
+  return PER_NOTCH ** ((turned * (event.deltaMode === 1 ? LINE_PX : 1)) / NOTCH_PX);
+}
+
 /** @param {Span} span @param {Span} whole @param {number} by */
 export function panned([from, to], whole, by) {
   return within([from + by, to + by], whole);
@@ -71,8 +76,7 @@ export function attach(over, axis) {
     (event) => {
       if (!pointed && !event.ctrlKey) return;
       const span = axis.span();
-      const px = event.deltaY * (event.deltaMode === 1 ? LINE_PX : 1);
-      const next = zoomed(span, axis.whole(), PER_NOTCH ** (px / NOTCH_PX), valueAt(event.clientX, span));
+      const next = zoomed(span, axis.whole(), wheelFactor(event), valueAt(event.clientX, span));
       if (next === null && span[0] <= axis.whole()[0] && span[1] >= axis.whole()[1]) return;
       event.preventDefault();
       axis.show(next);

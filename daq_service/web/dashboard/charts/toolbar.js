@@ -1,14 +1,17 @@
 // What is drawn over what, against what, over which hours: one row for all charts.
 
-import { byId, el, setText } from "../dom.js";
+import { copyButton } from "../copy.js";
+import { button, byId, el, setText } from "../dom.js";
 import { exportMenu, testOffer } from "../export.js";
 import { fixed } from "../format.js";
 
 /** @typedef {import("../view.js").View} View */
 
+const DAY_H = 24;
+
 export class Toolbar {
-  /** @param {(part: Partial<View>) => void} go */
-  constructor(go) {
+  /** @param {(part: Partial<View>) => void} go @param {() => number} now hour of the test */
+  constructor(go, now) {
     this.root = byId("toolbar");
     this.go = go;
     this.over = el("span", { class: "choices", role: "group", "aria-label": "Draw over it" });
@@ -16,13 +19,19 @@ export class Toolbar {
     this.axis = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Time axis" }));
     for (const [value, text] of [["hours", "Hours of the test"], ["utc", "UTC"], ["local", "Local time"]]) this.axis.append(el("option", { value, text }));
     this.span = el("span", { class: "quiet small", "aria-live": "polite" });
-    this.whole = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text: "Whole test" }));
-    this.whole.addEventListener("click", () => go({ from_h: null, to_h: null }));
+    this.whole = button("Whole test", () => go({ from_h: null, to_h: null }));
+    const day = button("Last 24 h", () => {
+      // The set of this very hour is seen, too.
+      const to_h = Math.floor(now()) + 1;
+      go({ from_h: Math.max(0, to_h - DAY_H), to_h });
+    });
+    this.link = copyButton("Copy link", () => location.href, () => "The link is the page's address: copy it there");
     this.axis.addEventListener("change", () => go({ axis: /** @type {any} */ (this.axis.value) }));
-    this.root.append(this.over, this.relative, this.axis, this.whole, this.span, exportMenu("the test", () => testOffer(this.shown)));
+    this.root.append(this.over, this.relative, this.axis, day, this.whole, this.span, this.link.said, this.link.button, exportMenu("the test", () => testOffer(this.shown)));
     /** @type {[number, number] | null} */
     this.shown = null;
     this.made = "";
+    this.linked = "";
   }
 
   /** @param {View} view @param {string} charted @param {any} info @param {import("../time.js").Timeline} timeline */
@@ -34,9 +43,8 @@ export class Toolbar {
       const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.compare;
       const buttons = places.filter((/** @type {string} */ position) => position !== charted).map((/** @type {string} */ position) => {
         const chosen = view.compare.includes(position);
-        const button = el("button", { class: "button ghost small", type: "button", "aria-pressed": String(chosen), "data-compare": position, text: `with ${position}` });
-        button.addEventListener("click", () => this.go({ compare: chosen ? view.compare.filter((one) => one !== position) : [...view.compare, position] }));
-        return button;
+        const compare = chosen ? view.compare.filter((one) => one !== position) : [...view.compare, position];
+        return button(`with ${position}`, () => this.go({ compare }), { "aria-pressed": String(chosen), "data-compare": position });
       });
       this.over.replaceChildren(...buttons);
       if (focused) /** @type {HTMLElement | null} */ (this.over.querySelector(`[data-compare="${focused}"]`))?.focus();
@@ -48,6 +56,8 @@ export class Toolbar {
     this.shown = view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h];
     const text = view.from_h === null || view.to_h === null ? "" : `hour ${fixed(view.from_h, 1)} to ${fixed(view.to_h, 1)}${timeline.axis === "hours" ? "" : ` · ${timeline.text(view.from_h)} to ${timeline.text(view.to_h)}`}`;
     setText(this.span, text);
+    if (this.linked !== location.href) setText(this.link.said, "");
+    this.linked = location.href;
     this.root.hidden = false;
   }
 }

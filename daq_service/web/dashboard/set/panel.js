@@ -2,7 +2,7 @@
 
 import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
-import { el, setText } from "../dom.js";
+import { button, el, setText } from "../dom.js";
 import { exportMenu, setOffer } from "../export.js";
 import { duration, fixed, hour, utc } from "../format.js";
 import { SEVERITIES, chip } from "../icons.js";
@@ -51,11 +51,6 @@ export class SolimonSet extends HTMLElement {
     this.heading = el("h2", { id: "set-title", tabindex: "-1" });
     this.subtitle = el("p");
     this.chips = el("span", { class: "chips" });
-    const button = (/** @type {string} */ text, /** @type {() => void} */ act) => {
-      const made = /** @type {HTMLButtonElement} */ (el("button", { class: "button ghost small", type: "button", text }));
-      made.addEventListener("click", act);
-      return made;
-    };
     this.previous = button("‹ Previous set", () => this.step(-1));
     this.next = button("Next set ›", () => this.step(1));
     this.whole = button("Whole record", () => this.host.go({ from_us: null, to_us: null }));

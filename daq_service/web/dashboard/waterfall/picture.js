@@ -47,6 +47,15 @@ export function rowAt(header, hour) {
   return low > 0 && hour < header.until_h[low - 1] ? low - 1 : -1;
 }
 
+/** Set at an hour, of several in a row the one that is due next to it; null: a gap. @param {any} header @param {number} hour @returns {number | null} */
+export function setAt(header, hour) {
+  const row = rowAt(header, hour);
+  if (row < 0) return null;
+  const [first, last] = [header.first_set[row], header.last_set[row]];
+  const part = (hour - header.first_h[row]) / (header.until_h[row] - header.first_h[row]);
+  return Math.min(last, first + Math.floor(part * (last - first + 1)));
+}
+
 /** Column at a time; -1: beside the picture. @param {any} header @param {number} seconds after the anchor */
 export function columnAt(header, seconds) {
   const column = Math.floor((seconds - header.first_s) / header.cell_s);

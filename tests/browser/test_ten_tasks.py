@@ -1,0 +1,349 @@
+"""What people come for: ten tasks, from the page as it opens to the answer, in three clicks at most."""
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+from support.browser_pages import at_hour, dashboard, expect, query, watched_pages
+from support.filled_folder import FilledFolder
+from support.served_web import served
+from support.waiting import until
+
+from daq_service.clock import parse_utc
+from daq_service.orders.audit import Audit
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H
+
+pytestmark = pytest.mark.browser
+
+MOST_CLICKS = 3
+N_SETS, N_BASELINE, SHOTS = 52, 48, 2
+LAST, OUTLIERS = N_SETS - 1, (49, 50)
+OF_B, OF_C = 1, 2
+"""Alarms."""
+COUNT_PRESSES = """
+addEventListener("pointerdown", (event) => {
+  if (event.isTrusted) sessionStorage.presses = Number(sessionStorage.presses) + 1;
+}, true)
+"""
+"""Counted by the page before anything on it hears of them, and kept by the tab."""
+
+
+GO_TO = """view => {
+  history.pushState(null, "", location.pathname + view);
+  dispatchEvent(new PopStateEvent("popstate"));
+  sessionStorage.presses = 0;
+}"""
+
+
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory):
+    folder = FilledFolder(tmp_path_factory.mktemp("tasks"), Settings(), shots_per_set=SHOTS)
+    judged = folder.verdict
+
+    def with_outliers_at_c(position, index, hour):
+        row = judged(position, index, hour)
+        outlier = position == "C" and index in OUTLIERS
+        judgement = outlier if index >= N_BASELINE else None
+        return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=judgement)
+
+    folder.verdict = with_outliers_at_c
+    for index in range(N_SETS):
+        # Beside C's set the page draws one of the baseline: the first, where all have one distance.
+        folder.add_set(index, stored=index == 0 or index > 40)
+    for number, position in ((OF_B, "B"), (OF_C, "C")):
+        assert folder.add_alarm(position, LAST - 1) == number
+    folder.say("schedule_done", folder.due[LAST].due_utc_ns)
+    folder.recorder_ends()
+    yield folder
+    folder.close()
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        audit, noon = Audit(filled.folder), datetime.now().astimezone().replace(hour=12)
+        for who, what, days in (("old", "hold", 2), ("cleo", "hold", 1), ("ben", "log_in", 1)):
+            told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+            at = noon - timedelta(days=days)
+            audit.tell(**told, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
+        yield running
+
+
+@pytest.fixture(scope="module")
+def api(service):
+    with service.client() as client:
+        yield lambda path: client.get(f"/api/v1{path}").raise_for_status()
+
+
+@pytest.fixture(scope="module")
+def page(service, browser):
+    """One page for all tasks."""
+    with watched_pages(browser) as open_:
+        page = open_(service.url, name="ann", permissions=["clipboard-read", "clipboard-write"])
+        page.context.add_init_script(COUNT_PRESSES)
+        page.evaluate(COUNT_PRESSES)
+        until(lambda: dashboard(page, "charts.tof.x"), "the trend is drawn")
+        yield page
+
+
+# ---- steps, as a person does them ----------------------------------------------------------------
+
+
+def click(selector):
+    return "click", selector
+
+
+def point(chart, hour):
+    """Click on what a chart has at an hour."""
+    return "point", (chart, hour)
+
+
+def keys(text):
+    """Type without a click."""
+    return "type", text
+
+
+def do(page, step):
+    verb, what = step
+    if verb == "click":
+        page.locator(what).click()
+    elif verb == "point":
+        page.locator(f"#{what[0]} .plot").scroll_into_view_if_needed()
+        page.mouse.click(*at_hour(page, *what))
+    else:
+        page.keyboard.type(what)
+
+
+# ---- answers, compared with the service's --------------------------------------------------------
+
+
+def is_the_shot_of_the_first_outlier(page, api, filled):
+    verdicts = api("/verdicts?position=C&limit=1000").json()["items"]
+    first = min(row["set_index"] for row in verdicts if row["outlier"])
+    expect(page.locator("#set")).to_have_attribute("data-set", f"C {first}")
+    assert query(page) == {"position": "C", "set": str(first), "shot": "0"}
+    shown = until(lambda: dashboard(page, "set"), "its records are drawn")
+    volts = dict(zip(shown["labels"], shown["volts"], strict=True))["shot 1"]
+    (shot,) = [one for one in filled.records(first) if (one.key.position, one.key.shot_index) == ("C", 0)]
+    # The same linear polynomial, evaluated twice: rounding only.
+    np.testing.assert_allclose(volts, shot.waveform.volts(), rtol=0, atol=1e-12)
+    pressed = page.locator('#set tr:has([aria-pressed="true"])')
+    expect(pressed.locator("td").last).to_have_text(str(shot.sequence))
+
+
+def are_b_and_d_on_one_axis(page, api, filled):
+    lines = dashboard(page, "charts.tof.y")
+    for key, position in (("tof_pp_us", "B"), ("tof_pp_us D", "D")):
+        times = api(f"/trends/{position}?fields=tof_pp_s").json()["columns"]["tof_pp_s"]
+        # The page multiplies by the same double as here: equal to the last bit.
+        assert lines[key] == [1e6 * time for time in times]
+    for position in "BD":
+        expect(page.locator("#tof .legend")).to_contain_text(f"time of flight {position}")
+
+
+def is_shelved_for_eight_hours(page, api, filled):
+    alarm = page.locator(f'[data-alarm="{OF_C}"]')
+    expect(alarm).to_contain_text("Shelved")
+    shelved = api(f"/alarms/{OF_C}/history").json()["items"][-1]
+    assert (shelved["suppressed"], shelved["who"], shelved["why"]) == ("shelved", "ann", "known leak")
+    ends = shelved["shelved_until_utc"]
+    assert parse_utc(ends) - parse_utc(shelved["utc"]) == 8 * NS_PER_H
+    expect(alarm).to_contain_text(f"shelved until {ends[:10]} {ends[11:16]} UTC by ann: known leak")
+
+
+def is_who_held_it_yesterday(page, api, filled):
+    midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
+    day = {"from_utc": (midnight - timedelta(days=1)).isoformat(), "to_utc": midnight.isoformat()}
+    (held,) = api(f"/audit?{urlencode({'what': 'hold', **day})}").json()["items"]
+    rows = page.locator("#audit tbody tr")
+    expect(rows).to_have_count(1)
+    expect(rows.locator("td").nth(1)).to_have_text(held["who"])
+    assert held["who"] == "cleo"
+
+
+def is_seen_by_whoever_gets_the_link(page, api, filled):
+    expect(page.locator("#toolbar [role=status]")).to_have_text("Copied")
+    before, link = what_is_drawn(page), page.evaluate("navigator.clipboard.readText()")
+    assert link == page.url
+    page.goto(link)
+    until(lambda: what_is_drawn(page) == before, "the charts are the same")
+    span, lines = before["tof"]
+    assert (span, "tof_pp_us D" in lines) == ([3, 27], True)
+
+
+def what_is_drawn(page):
+    return {name: (chart["span"], chart["y"]) for name, chart in dashboard(page, "charts").items()}
+
+
+def is_the_file_of_what_is_shown(page, api, filled):
+    with page.expect_download() as getting:
+        page.get_by_role("link", name="Position B as CSV").click()
+    rows = list(csv.DictReader(getting.value.path().read_text(encoding="utf-8").splitlines()))
+    columns = api("/trends/B?from_h=4&to_h=12&fields=tof_pp_s").json()["columns"]
+    assert len(rows) == 16
+    assert [float(row["due_h"]) for row in rows] == columns["due_h"]
+    assert [float(row["tof_pp_s"]) for row in rows] == columns["tof_pp_s"]
+
+
+def is_acknowledged_with_its_note(page, api, filled):
+    expect(page.locator(f'[data-alarm="{OF_B}"]')).to_contain_text("acknowledged by ann: couplant renewed")
+    (alarm,) = [one for one in api("/alarms").json()["items"] if one["id"] == OF_B]
+    told = [alarm[name] for name in ("state", "acknowledged_by", "note")]
+    assert told == ["acknowledged", "ann", "couplant renewed"]
+
+
+def are_the_last_24_hours(page, api, filled):
+    to_h = math.floor(api("/info").json()["as_of"]["now_h"]) + 1
+    assert to_h > 24, "the test is longer"
+    for chart in ("distance", "tof", "thickness"):
+        assert dashboard(page, f"charts.{chart}.span") == [to_h - 24, to_h]
+    expect(page.locator("#toolbar")).to_contain_text(f"hour {to_h - 24}.0 to {to_h}.0")
+
+
+def is_the_waterfall_around_the_alarm(page, api, filled):
+    (alarm,) = [one for one in api("/alarms").json()["items"] if one["id"] == OF_C]
+    around = [alarm["raised_h"] - 5, alarm["raised_h"] + 5]
+    told = until(lambda: (found := dashboard(page, "waterfall"))["ready"] and found, "it is drawn")
+    assert told["hours"] == around
+    assert told["header"]["position"] == alarm["position"] == "C"
+    rows = api(f"/waterfall/C?from_h={around[0]}&to_h={around[1]}&columns=2&format=json").json()
+    assert told["header"]["first_set"] == rows["first_set"]
+    assert alarm["raised_set_index"] in rows["first_set"]
+    expect(page.locator("#waterfall .plot")).to_be_in_viewport()
+
+
+def is_noted_of_now(page, api, filled):
+    expect(page.locator("#notes [data-note]")).to_contain_text("bath refilled")
+    (note,) = api("/annotations").json()["items"]
+    now_h = api("/info").json()["as_of"]["now_h"]
+    told = [note[name] for name in ("author", "text", "from_h", "to_h")]
+    assert told == ["ann", "bath refilled", now_h, now_h]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """What a person wants to know or do.
+
+    Attributes
+    ----------
+    view
+        Where the person is, as the query of the page's address.
+    steps
+        Presses of a pointer and keys, in order.
+    seen
+        Asserts that the page says what the service does.
+    clicks
+        How many presses it takes, those in `seen` too.
+    """
+
+    question: str
+    steps: tuple[tuple[str, object], ...]
+    seen: Callable[..., None]
+    clicks: int
+    view: str = ""
+
+
+def of_alarm(number, name):
+    return click(f'[data-alarm="{number}"] >> role=button[name=/^{name}/]')
+
+
+TASKS = (
+    Task(
+        question="How did the first shot of C's first outlier look?",
+        steps=(
+            click('#tiles [data-position="C"]'),
+            point("distance", 25.0),
+            click('#set [data-shot="0"]'),
+        ),
+        seen=is_the_shot_of_the_first_outlier,
+        clicks=3,
+    ),
+    Task(
+        question="How do B and D compare?",
+        steps=(click('role=button[name="with D"]'),),
+        seen=are_b_and_d_on_one_axis,
+        clicks=1,
+    ),
+    Task(
+        question="Tell me nothing of C's alarm for 8 h",
+        steps=(
+            of_alarm(OF_C, "Shelve"),
+            keys("known leak"),
+            click('role=button[name="Shelve it"]'),
+        ),
+        seen=is_shelved_for_eight_hours,
+        clicks=2,
+    ),
+    Task(
+        question="Who held the test yesterday?",
+        steps=(
+            click("#audit summary"),
+            click('#audit >> role=button[name="Holds"]'),
+            click('#audit >> role=button[name="Yesterday"]'),
+        ),
+        seen=is_who_held_it_yesterday,
+        clicks=3,
+    ),
+    Task(
+        question="Send a colleague what I see",
+        steps=(click('role=button[name="Copy link"]'),),
+        seen=is_seen_by_whoever_gets_the_link,
+        clicks=1,
+        view="?compare=D&from_h=3&to_h=27",
+    ),
+    Task(
+        question="Give me these numbers as CSV",
+        steps=(click('summary[aria-label="Export: Time of flight"]'),),
+        seen=is_the_file_of_what_is_shown,
+        clicks=2,
+        view="?from_h=4&to_h=12",
+    ),
+    Task(
+        question="I have seen B's alarm; the next shift shall know why",
+        steps=(
+            of_alarm(OF_B, "Acknowledge with a note"),
+            keys("couplant renewed"),
+            click('dialog >> role=button[name="Acknowledge"]'),
+        ),
+        seen=is_acknowledged_with_its_note,
+        clicks=2,
+    ),
+    Task(
+        question="What happened in the last 24 h?",
+        steps=(click('role=button[name="Last 24 h"]'),),
+        seen=are_the_last_24_hours,
+        clicks=1,
+    ),
+    Task(
+        question="How did the waves change when C's alarm was raised?",
+        steps=(of_alarm(OF_C, "Show hour"),),
+        seen=is_the_waterfall_around_the_alarm,
+        clicks=1,
+    ),
+    Task(
+        question="Note that the bath was refilled just now",
+        steps=(
+            click('role=button[name="Add a note"]'),
+            keys("bath refilled"),
+            click('dialog >> role=button[name="Now"]'),
+            click('role=button[name="Save the note"]'),
+        ),
+        seen=is_noted_of_now,
+        clicks=3,
+    ),
+)
+
+
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.question)
+def test_it_takes_three_clicks_at_most(page, api, filled, task):
+    page.evaluate(GO_TO, task.view)
+    for step in task.steps:
+        do(page, step)
+    task.seen(page, api, filled)
+    assert int(page.evaluate("sessionStorage.presses")) == task.clicks <= MOST_CLICKS
