@@ -45,7 +45,7 @@ from daq_service.web.app import create_app
 folder, way = Path(sys.argv[1]), sys.argv[2]
 app = create_app(Settings(notifications=json.loads(sys.argv[3])), folder)
 if way == "nagle":
-    def bind(host, port):
+    def bind(host, port, **_):
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listener.bind((host, port))
         listener.listen(2048)
@@ -76,6 +76,7 @@ def answer():
     stop.set()
 
 threading.Thread(target=answer, daemon=True).start()
+server.collect_garbage_seldom()
 server.serve(app, "127.0.0.1", 0, on_bound=lambda url: print(url, flush=True), stop=stop)
 """
 STAMP = re.compile(rb'"wall_utc": ?"([^"]+)"')

@@ -293,7 +293,9 @@ def serve_alone(
 
 def serve_app(app: FastAPI, web: WebSettings, port: int | None, *, supervised: bool = False) -> int:
     """Serve an application where its settings say, until somebody says stop."""
-    from daq_service.web.server import serve
+    from daq_service.web.server import collect_garbage_seldom, serve
+
+    collect_garbage_seldom()
 
     def on_bound(url: str) -> None:
         if supervised:

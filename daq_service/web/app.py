@@ -178,5 +178,6 @@ def guard(app: FastAPI, context: Context, *, has_tests: bool = False) -> None:
     app.add_middleware(RequestTimes, times=app.state.answer_times)
     app.add_middleware(GZipMiddleware, minimum_size=SMALL_BYTES, compresslevel=1)
     app.add_middleware(Doorkeeper, doors=context.doors, has_tests=has_tests)
+    app.add_middleware(assets.AssetsFirst)
     names = context.settings.web.names_elsewhere
     app.add_middleware(RequestGuard, tell_refused=context.doors.tell_refused, names_elsewhere=names)

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import posixpath
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from fastapi import APIRouter, Request
 from starlette.responses import Response
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.problem import not_found
@@ -24,6 +29,9 @@ MEDIA_TYPES = {
     ".svg": "image/svg+xml",
     "": "text/plain; charset=utf-8",
 }
+PLACE = "/static/"
+PAGE, SCRIPT = "index.html", "main.js"
+IMPORTED = re.compile(rb'^(?:import|export)\b[^;"]*"(\.[^"]+)";', re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +39,7 @@ class Asset:
     """One file as it goes out."""
 
     content: bytes
+    compressed: bytes
     media_type: str
     etag: str
 
@@ -41,10 +50,32 @@ def assets() -> dict[str, Asset]:
     found = {}
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
-            content = read_shared(path)
-            etag = f'"{hashlib.sha256(content).hexdigest()[:20]}"'
-            found[path.relative_to(FOLDER).as_posix()] = Asset(content, MEDIA_TYPES[path.suffix], etag)
-    return found
+            found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
+    # Named in the page, all its modules are asked for at once, not each after whoever imports it was read.
+    links = (f'<link rel="modulepreload" href="{PLACE}{name}">' for name in modules(found, SCRIPT))
+    found[PAGE] = found[PAGE].replace(b"</head>", "".join([*links, "</head>"]).encode())
+    return {
+        name: Asset(
+            content,
+            gzip.compress(content, mtime=0),
+            MEDIA_TYPES[Path(name).suffix],
+            f'"{hashlib.sha256(content).hexdigest()[:20]}"',
+        )
+        for name, content in found.items()
+    }
+
+
+def modules(files: Mapping[str, bytes], script: str) -> list[str]:
+    """Names of all modules that a script imports, and what these import."""
+    found, waiting = {script: None}, [script]
+    while waiting:
+        name = waiting.pop()
+        for match in IMPORTED.findall(files[name]):
+            imported = posixpath.normpath(posixpath.join(posixpath.dirname(name), match.decode()))
+            if imported not in found:
+                found[imported] = None
+                waiting.append(imported)
+    return list(found)[1:]
 
 
 @router.get("/")
@@ -67,4 +98,25 @@ def answer_asset(name: str, request: Request) -> Response:
             f"The dashboard has no file {name!r}.", "The dashboard is at /, the API at /api/v1/openapi.json."
         )
     headers, known = unchanged(request, asset.etag)
-    return known or Response(asset.content, headers=headers, media_type=asset.media_type)
+    if known:
+        return known
+    headers["Vary"] = "Accept-Encoding"
+    if "gzip" not in request.headers.get("accept-encoding", ""):
+        return Response(asset.content, headers=headers, media_type=asset.media_type)
+    headers["Content-Encoding"] = "gzip"
+    return Response(asset.compressed, headers=headers, media_type=asset.media_type)
+
+
+class AssetsFirst:
+    """Answers with the dashboard's files before a route is looked for: a page asks for sixty at once."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer, or pass on what is no such file."""
+        answer: ASGIApp = self._app
+        if scope["type"] == "http" and scope["method"] == "GET" and scope["path"].startswith(PLACE):
+            name = scope["path"].removeprefix(PLACE)
+            answer = answer_asset(name, Request(scope)) if name in assets() else answer
+        await answer(scope, receive, send)

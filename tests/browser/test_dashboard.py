@@ -177,6 +177,7 @@ def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
         verdicts = [filled.verdict("B", index, filled.due[index].due_h) for index in range(3)]
         filled.catalogue.commit_set(SetCommit(verdicts=verdicts, events=[event]))
         expect(page.locator("#distance")).to_have_attribute("data-points", "3")
+        page.close()  # it reads fits, too
     filled.close()
 
 

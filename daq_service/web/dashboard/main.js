@@ -63,7 +63,7 @@ const board = new Board(
   reading,
   others,
   {
-    span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
+    span: () => address.span,
     show: (span, gesture) => address.go({ from_h: span?.[0] ?? null, to_h: span?.[1] ?? null }, { gesture }),
     timeline,
     open: openSet,
@@ -107,7 +107,7 @@ const waterfallHost = {
 };
 waterfall.host = waterfallHost;
 notes.host = {
-  span: () => (address.view.from_h === null || address.view.to_h === null ? null : [address.view.from_h, address.view.to_h]),
+  span: () => address.span,
   positions: () => reading.info?.positions.map((/** @type {any} */ place) => place.position) ?? [],
   show: ([from_h, to_h]) => address.go({ from_h, to_h }),
 };
@@ -171,7 +171,7 @@ function become(view, before) {
   }
   reading.choose(view.feature);
   others.choose(view);
-  reading.look(view.from_h === null || view.to_h === null ? null : [view.from_h, view.to_h]);
+  reading.look(address.span);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
   toolbar.update(view, charted(), reading.info, timeline());
@@ -366,6 +366,8 @@ Object.defineProperty(window, "solimonDashboard", {
 
 enter(await admitted());
 new Audit();
+reading.feature = address.view.feature;
+reading.span = address.span;
 reading.begin((after) => events.open(after));
 const notifications = new Notifications(byId("notifications"), (error) => failing.fail(error, reading.readAt));
 notifications.begin().catch((error) => failing.fail(error, reading.readAt));

@@ -82,14 +82,15 @@ export class Reading {
     this.reader.onWaiting("");
     // Events from here on are read again; those before are in what is read now.
     follow(this.info.last_event_id);
+    // Asked for before the page is built: what the service does meanwhile nobody waits for.
+    this.everything(0);
     this.reader.onBegin();
-    this.everything();
   }
 
-  everything() {
+  everything(within_ms = REFRESH_MS) {
     for (const place of this.info?.positions ?? []) this.wholly(place.position);
     this.dirty.alarms = this.dirty.notes = this.dirty.info = this.dirty.environment = true;
-    this.schedule();
+    this.schedule(within_ms);
   }
 
   /** @param {string} position */
@@ -148,13 +149,13 @@ export class Reading {
     this.schedule();
   }
 
-  schedule() {
+  schedule(within_ms = REFRESH_MS) {
     if (this.refreshing) {
       this.refreshAgain = true;
       return;
     }
     this.refreshing = true;
-    setTimeout(async () => {
+    const now = async () => {
       this.refreshAgain = false;
       try {
         await this.refresh();
@@ -164,7 +165,9 @@ export class Reading {
       }
       this.refreshing = false;
       if (this.refreshAgain || this.dirty.positions.size) this.schedule();
-    }, REFRESH_MS);
+    };
+    if (within_ms > 0) setTimeout(now, within_ms);
+    else void now();
   }
 
   async refresh() {
@@ -175,12 +178,13 @@ export class Reading {
     const gaps = [...dirty.gaps];
     this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
     const { onRead } = this.reader;
-    const readings = [...changed].map((position) => this.readTrend(position, whole.has(position)));
+    // First of all: what the tiles say is the first thing to be seen.
+    const readings = [get("/transducers").then((answer) => onRead({ transducers: answer }))];
+    readings.push(...[...changed].map((position) => this.readTrend(position, whole.has(position))));
     readings.push(...gaps.map((position) => this.readGaps(position)));
     if (alarms) readings.push(all("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
     if (notes) readings.push(all("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
     if (info) readings.push(get("/info").then((answer) => ((this.info = answer), onRead({ info: true }))));
-    readings.push(get("/transducers").then((answer) => onRead({ transducers: answer })));
     if (environment) readings.push(this.readEnvironment());
     await Promise.all(readings);
     for (const position of changed) this.dirty.fits.add(position);

@@ -97,6 +97,12 @@ export class Address {
     addEventListener("popstate", () => this.become(parse(location.search)));
   }
 
+  /** Hours that are looked at; null: the whole test. @returns {[number, number] | null} */
+  get span() {
+    const { from_h, to_h } = this.view;
+    return from_h === null || to_h === null ? null : [from_h, to_h];
+  }
+
   /**
    * Go to another view.
    *

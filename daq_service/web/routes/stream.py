@@ -152,7 +152,7 @@ async def frames(
                 yield chunk
             if cursor < hub.last_id:
                 await hub.turn()
-            elif not events:
+            else:
                 await hub.changed()
             reason = "the client was too slow"
         yield b"event: bye\ndata: {}\n\n"

@@ -19,13 +19,12 @@ class Followed:
         self._closed = False
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._tick: asyncio.Future[None] | None = None
+        self._waiting: list[asyncio.Future[None]] = []
         self.clients = 0
 
     async def start(self) -> None:
         """Follow from now on."""
         self._loop = asyncio.get_running_loop()
-        self._tick = self._loop.create_future()
         self._thread = threading.Thread(target=self._follow, name=self._thread_name, daemon=True)
         self._thread.start()
 
@@ -48,14 +47,16 @@ class Followed:
     async def changed(self) -> None:
         """Wait for the next change or the end."""
         if not self._closed:
-            assert self._tick is not None
-            await asyncio.shield(self._tick)
+            # One for each who waits: of a shared future, whoever leaves would take it from all.
+            waiter = self._loop.create_future()
+            self._waiting.append(waiter)
+            await waiter
 
     def _wake(self) -> None:
-        if self._tick is not None and not self._tick.done():
-            self._tick.set_result(None)
-            if not self._closed:
-                self._tick = self._loop.create_future()
+        woken, self._waiting = self._waiting, []
+        for waiter in woken:
+            if not waiter.done():
+                waiter.set_result(None)
 
     def _follow(self) -> None:
         """Body of the thread, until `_stop` is set."""

@@ -9,6 +9,9 @@ from support.served_web import served
 from daq_service.settings.tree import Settings
 from daq_service.web.assets import FOLDER, assets
 
+PRELOADED = re.compile(rb'<link rel="modulepreload" href="/static/([^"]+)">')
+OF_OTHER_PAGES = {"main.js", "setup.js", "tests.js", "events/worker.js"}
+"""Begun by a page itself, or by a worker."""
 TEXT = {name: asset.content.decode() for name, asset in assets().items()}
 OURS = [name for name in TEXT if not name.startswith("vendor/") and name != "LICENSE"]
 
@@ -33,9 +36,23 @@ def test_page_is_served_without_any_data(api):
 def test_every_file_is_served_with_its_type(api, name):
     answer = api.get(f"/static/{name}")
     assert answer.status_code == 200
-    assert answer.content == (FOLDER / name).read_bytes()
+    assert PRELOADED.sub(b"", answer.content) == (FOLDER / name).read_bytes()
     kind = {"js": "text/javascript", "css": "text/css", "html": "text/html", "svg": "image/svg+xml"}
     assert answer.headers["content-type"].startswith(kind.get(name.rpartition(".")[2], "text/plain"))
+
+
+def test_the_page_names_every_module_that_it_needs_at_once():
+    told = [name.decode() for name in PRELOADED.findall(assets()["index.html"].content)]
+    assert len(told) == len(set(told))
+    assert set(told) == {name for name in TEXT if name.endswith(".js")} - OF_OTHER_PAGES
+
+
+@pytest.mark.parametrize("accepted", ["gzip, br", "identity"])
+def test_a_file_is_compressed_for_those_who_take_it(api, accepted):
+    answer = api.get("/static/main.js", headers={"Accept-Encoding": accepted})
+    assert answer.headers.get("content-encoding") == ("gzip" if "gzip" in accepted else None)
+    assert answer.headers["vary"] == "Accept-Encoding"
+    assert answer.text == TEXT["main.js"]
 
 
 def test_browser_revalidates_by_etag(api):
