@@ -126,9 +126,11 @@ def measured(base: Path, tests: int, sets: int) -> dict[str, Any]:
                     client.get(f"{api}/{path}").raise_for_status()
             steps[f"asked {time_told}"] = served.use()
             with ExitStack() as streams:
+                followed = []  # whoever lets go of what it reads by ends the stream
                 for api in apis:
                     answer = streams.enter_context(client.stream("GET", f"{api}/stream"))
-                    next(answer.raise_for_status().iter_raw())
+                    followed.append(answer.raise_for_status().iter_raw())
+                    next(followed[-1])
                 steps[f"followed {time_told}"] = served.use()
             steps[f"left {time_told}"] = served.left_alone()
     memory = {step: told["memory_bytes"] / 1e6 for step, told in steps.items()}
