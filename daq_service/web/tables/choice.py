@@ -135,7 +135,9 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     while True:
         rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
         if rows or is_first:
-            kept = rows if by_set else [fresh.standing(row) for row in rows if _inside(choice, row)]
+            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            if not by_set:
+                kept = list(map(fresh.standing, kept))
             told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
             if kind.row is VerdictRow:
                 methods = {
