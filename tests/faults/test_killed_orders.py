@@ -221,5 +221,4 @@ def test_processes_killed_while_orders_come_do_each_once_or_not_at_all(tmp_path,
     assert {row.kind for row in orders if row.state == "done"} == EVENT_OF.keys()
     with capsys.disabled():
         became = dict(Counter(row.state for row in orders))
-        answered = f"{len(client.answered)} orders of {client.given} answered"
-        print(f"\n{dict(processes.kills)} killed, {answered}: {became}")
+        print(f"\n{dict(processes.kills)} killed, {len(client.answered)} orders answered: {became}")
