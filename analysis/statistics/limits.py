@@ -46,7 +46,8 @@ def _check(n: int, p: int) -> None:
         )
 
 
-def _predictive_scale(n: int, p: int) -> float:
+def predictive_scale(n: int, p: int) -> float:
+    """Factor between the squared distance of a new normal set and F(p, n - p)."""
     return p * (n + 1) * (n - 1) / (n * (n - p))
 
 
@@ -66,13 +67,13 @@ def f_predictive_limit(n: int, p: int, rate: float = NOMINAL_RATE) -> float:
     _check(n, p)
     if not 0.0 < rate < 1.0:
         raise InvalidInputError(f"rate is {rate}; it must lie between 0 and 1")
-    return float(_predictive_scale(n, p) * scipy.special.fdtri(p, n - p, 1.0 - rate))
+    return float(predictive_scale(n, p) * scipy.special.fdtri(p, n - p, 1.0 - rate))
 
 
 def false_alarm_rate(limit: float, n: int, p: int) -> float:
     """Chance that a new healthy normal set exceeds any fixed ``limit``, averaged over baselines of n sets."""
     _check(n, p)
-    return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / _predictive_scale(n, p)))
+    return float(scipy.special.fdtrc(p, n - p, max(limit, 0.0) / predictive_scale(n, p)))
 
 
 def paper_limit(baseline_distances_squared: ArrayLike) -> float:

@@ -577,6 +577,26 @@ def report(**options: Any) -> None:
     write_report(**options)
 
 
+@cli.command()
+@click.argument("tables", metavar="TABLE...", nargs=-1, required=True, type=FILE)
+@click.option("--baseline-rows", type=click.IntRange(min=1), help="The first so many rows are the baseline.")
+@click.option(
+    "--baseline-where", metavar="COLUMN=VALUE", help="Instead: the rows whose column has this value."
+)
+@click.option("--features", metavar="NAMES", help="These columns only, for example tof_pp_s; default: all.")
+@click.option(
+    "--budget", type=POSITIVE, default=0.2, show_default=True, help="False alarms a sensor and year."
+)
+@click.option("--sets-per-day", type=POSITIVE, default=24.0, show_default=True, help="Rows a day.")
+@click.option("--no-rows", is_flag=True, help="With --json: without a line for each row.")
+@JSON
+def assess(**options: Any) -> None:
+    """Judge tables of features (.csv, .parquet, .npy; a row a set, a sensor a table) as the service would."""
+    from daq_service.cli.offline.assess import run_assess
+
+    run_assess(**options)
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:

@@ -1,0 +1,160 @@
+"""The chart that decides: how a baseline's memory, tails and size make its limit, and when it alarms.
+
+Each set is freed of what it owes to the one before, whitened, cut back to the radius that a healthy set
+passes once in a hundred (so that one rogue set cannot alarm alone), and averaged (`mewma`). The limit keeps
+to a budget of false alarms. A short baseline cannot show slow memory: there it is taken to be larger.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy  # `scipy.special` comes when asked for
+from numpy.typing import ArrayLike
+
+from analysis.statistics.baseline_check import trend_probability
+from analysis.statistics.limits import f_predictive_limit
+from analysis.statistics.memory import (
+    LARGEST_PHI,
+    autocorrelation,
+    corrected,
+    guarded_phi,
+    prewhitened,
+    significant,
+)
+from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
+from analysis.waves.record_reduction import FloatArray
+
+CAP_RATE = 0.01
+ENOUGH_SETS = 150
+"""Fewer cannot show a memory of tens of sets: no rate is promised, and memory is taken to be larger."""
+WIDENED_BY, LITTLE_WIDENED_BY = 1.64, 0.5
+"""Standard errors of an autocorrelation, sqrt((1 - phi^2)/n), that are added to it: chosen by simulation of
+correlated features of unequal memory, to keep the budget (`benchmarks/false_alarms.py`)."""
+SLOW_RATE = 0.015
+"""Chance that a healthy baseline of independent sets is said to have a trend, or to wander."""
+BLOCKS = 10
+CHUNK = 512
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Chart:
+    """A chart designed for one baseline.
+
+    Attributes
+    ----------
+    mean, phi
+        Of the features, shape (p,).
+    whitening
+        Turns a prewhitened row, shape (p,), into one with covariance 1: row @ whitening.
+    cap
+        Longest whitened vector that enters the average.
+    limit
+        Of the statistic.
+    """
+
+    mean: FloatArray
+    phi: FloatArray
+    whitening: FloatArray
+    cap: float
+    limit: float
+
+    def whitened(self, vectors: ArrayLike) -> FloatArray:
+        """Give what enters the average, shape (n, p), of sets that begin with the baseline."""
+        w = prewhitened(vectors, self.mean, self.phi) @ self.whitening
+        length = np.sqrt((w**2).sum(axis=1, keepdims=True))
+        return np.asarray(w * np.minimum(1.0, self.cap / np.maximum(length, 1e-300)))
+
+    def run(self, whitened: FloatArray) -> tuple[FloatArray, list[int]]:
+        """Run from zero; after each alarm from zero again.
+
+        Returns
+        -------
+        statistic
+            Shape (n,); NaN where a row has one: the average stays as it was.
+        onsets
+            Rows of the alarms.
+        """
+        statistic = np.full(len(whitened), np.nan)
+        onsets: list[int] = []
+        rows = np.flatnonzero(np.isfinite(whitened).all(axis=1))
+        z, first = np.zeros(whitened.shape[1]), 0
+        while first < rows.size:
+            part = rows[first : first + CHUNK]
+            path = averages(whitened[part], z)
+            values = (2.0 - WEIGHT) / WEIGHT * (path**2).sum(axis=1)
+            beyond = np.flatnonzero(values > self.limit)
+            done = int(beyond[0]) + 1 if beyond.size else part.size
+            statistic[part[:done]] = values[:done]
+            z = path[done - 1]
+            if beyond.size:
+                onsets.append(int(part[done - 1]))
+                z = np.zeros_like(z)
+            first += done
+        return statistic, onsets
+
+
+def designed(baseline: ArrayLike, run_length: float) -> Chart:
+    """Design the chart of a baseline, shape (n, p); rows with a NaN are gaps and keep their place."""
+    x = np.asarray(baseline, dtype=np.float64)
+    complete = x[np.isfinite(x).all(axis=1)]
+    n, p = complete.shape
+    mean = complete.mean(axis=0)
+    phi = widened_phi(guarded_phi(x), n)
+    residuals = prewhitened(x, mean, phi)
+    covariance = np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False)
+    return Chart(
+        mean=mean,
+        phi=phi,
+        whitening=np.asarray(np.linalg.cholesky(np.linalg.inv(np.atleast_2d(covariance))), dtype=np.float64),
+        cap=math.sqrt(f_predictive_limit(n, p, CAP_RATE)),
+        limit=estimated_limit(n, p, run_length),
+    )
+
+
+def widened_phi(phi: FloatArray, n: int) -> FloatArray:
+    """Return memory somewhat larger than found, more so where the sets are few."""
+    z = WIDENED_BY if n < ENOUGH_SETS else LITTLE_WIDENED_BY
+    return np.asarray(np.minimum(phi + z * np.sqrt((1.0 - phi**2) / n), LARGEST_PHI))
+
+
+def unshown_memory(baseline: ArrayLike) -> str:
+    """Say why the chart's rate cannot be promised, empty where it can.
+
+    Parameters
+    ----------
+    baseline
+        Shape (n, p), as `designed` had it.
+    """
+    x = np.asarray(baseline, dtype=np.float64)
+    complete = np.isfinite(x).all(axis=1)
+    n = int(complete.sum())
+    if n < ENOUGH_SETS:
+        return f"{n} sets cannot show slow memory; {ENOUGH_SETS} and more can: extend the baseline"
+    if trend_probability(x[complete], np.flatnonzero(complete)) < SLOW_RATE:
+        return "the baseline has a trend: find its cause, or record another"
+    if wander_probability(_by_last_set(x)[complete]) < SLOW_RATE:
+        return "the baseline wanders more slowly than its memory from set to set explains: find the cause"
+    return ""
+
+
+def _by_last_set(baseline: FloatArray) -> FloatArray:
+    """Whiten a baseline, freed of the memory that shows from one set to the next and of no other."""
+    complete = np.isfinite(baseline).all(axis=1)
+    n = int(complete.sum())
+    phi = corrected(autocorrelation(baseline, 1), n)
+    phi = np.array([significant(one, n) for one in phi.tolist()])
+    residuals = prewhitened(baseline, baseline[complete].mean(axis=0), phi)
+    covariance = np.atleast_2d(np.cov(residuals[complete], rowvar=False))
+    return np.asarray(residuals @ np.linalg.cholesky(np.linalg.inv(covariance)))
+
+
+def wander_probability(whitened: FloatArray) -> float:
+    """Chance that means of `BLOCKS` stretches of independent sets scatter as much as these (chi-square)."""
+    n, p = whitened.shape
+    length = n // BLOCKS
+    means = whitened[: BLOCKS * length].reshape(BLOCKS, length, p).mean(axis=1)
+    spread = length * float(((means - means.mean(axis=0)) ** 2).sum())
+    return float(scipy.special.chdtrc((BLOCKS - 1) * p, spread))

@@ -1,0 +1,108 @@
+"""Memory of a sequence of healthy sets: how much of one set is still in the next, and taking it out.
+
+Phi is the coefficient of a first-order autoregression. Estimated from n sets it is too small by about
+(1 + 4 phi)/n, more for a known trend of the mean; `corrected` takes that out.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.errors import InvalidInputError
+from analysis.waves.record_reduction import FloatArray
+
+LARGEST_PHI = 0.95
+SIGNIFICANT = 1.64
+"""Times 1/sqrt(n): an autocorrelation of independent sets lies above in 5 %."""
+LAGS = 4
+"""The guard looks this far for memory that a lag of one set hides (slow wander under noise)."""
+
+
+def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
+    """Autocorrelation of each feature at one lag, shape (p,).
+
+    Parameters
+    ----------
+    vectors
+        Shape (n, p), a row a set in the order of time; rows with a NaN are gaps and keep their place.
+    """
+    x = np.asarray(vectors, dtype=np.float64)
+    if x.ndim != 2 or not 1 <= lag < x.shape[0]:
+        raise InvalidInputError(f"lag {lag} of vectors of shape {x.shape}; it must lie in 1..n - 1")
+    complete = np.asarray(np.isfinite(x).all(axis=1))
+    z = x - x[complete].mean(axis=0)
+    pairs = complete[lag:] & complete[:-lag]
+    n = int(complete.sum())
+    if not pairs.any():
+        return np.zeros(x.shape[1])
+    products = (z[lag:][pairs] * z[:-lag][pairs]).mean(axis=0) * (n - lag) / n
+    variance = (z[complete] ** 2).mean(axis=0)
+    return np.asarray(np.divide(products, variance, out=np.zeros_like(products), where=variance > 0.0))
+
+
+def corrected(r: ArrayLike, n: int) -> FloatArray:
+    """Autocorrelation freed of its bias from estimating the mean: (n r + 1)/(n - 4) within 0..0.95.
+
+    Source: Marriott and Pope (1954), "Bias in the estimation of autocorrelations", Biometrika 41, 390-402.
+    """
+    return np.clip((n * np.asarray(r, dtype=np.float64) + 1.0) / (n - 4.0), 0.0, LARGEST_PHI)
+
+
+def pooled_phi(vectors: ArrayLike) -> float:
+    """Memory from set to set that all features share: the corrected mean of their lag-1 autocorrelations."""
+    n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
+    return float(corrected(autocorrelation(vectors, 1).mean(), n))
+
+
+def significant(phi: float, n: int) -> float:
+    """Return ``phi`` where independent sets would hardly show it, else 0."""
+    return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
+
+
+def guarded_phi(vectors: ArrayLike) -> FloatArray:
+    """Memory of each feature, shape (p,), with a guard against memory slower than one lag shows.
+
+    Of lag k the corrected autocorrelation c_jk, 0 where not significant, stands for a memory of c_jk^(1/k).
+    A feature has at least the mean of the three largest of these over the features: a wander is in several.
+    """
+    x = np.asarray(vectors, dtype=np.float64)
+    n = int(np.isfinite(x).all(axis=1).sum())
+    c = np.stack([corrected(autocorrelation(x, lag), n) for lag in range(1, LAGS + 1)])
+    c[c <= SIGNIFICANT / math.sqrt(n)] = 0.0
+    slow = (c ** (1.0 / np.arange(1, LAGS + 1))[:, None]).max(axis=0)
+    common = float(np.sort(slow)[-3:].mean())
+    return np.asarray(np.maximum(c[0], common))
+
+
+def effective_sets(n: int, phi: float) -> float:
+    """Independent sets that tell as much of the mean as ``n`` with memory: n (1 - phi)/(1 + phi)."""
+    return n * (1.0 - phi) / (1.0 + phi)
+
+
+def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArray:
+    """Take out what each set owes to the one before: e_t = (z_t - phi^k z_(t-k)), scaled alike, z = x - mean.
+
+    k is the distance to the last complete set, infinite for the first: e has the same variance,
+    (1 - phi^2) times that of z, over any gap.
+
+    Parameters
+    ----------
+    vectors
+        Shape (n, p); rows with a NaN are gaps, and NaN in the result.
+    phi
+        A number, or one for each feature.
+    """
+    x = np.asarray(vectors, dtype=np.float64)
+    phi = np.broadcast_to(np.asarray(phi, dtype=np.float64), x.shape[1:])
+    complete = np.flatnonzero(np.isfinite(x).all(axis=1))
+    z = x[complete] - np.asarray(mean)
+    result = np.full_like(x, np.nan)
+    if complete.size == 0:
+        return result
+    power = phi ** np.diff(complete)[:, None]
+    result[complete[0]] = z[0] * np.sqrt(1.0 - phi**2)
+    result[complete[1:]] = (z[1:] - power * z[:-1]) * np.sqrt((1.0 - phi**2) / (1.0 - power**2))
+    return result

@@ -1,0 +1,161 @@
+"""``solimon assess``: judge tables of features as the service would, a sensor a table."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from analysis.statistics.sequence import Assessed, Budget, assess
+from daq_service.cli.offline.table_file import read_table
+from daq_service.cli.sweep.execution import opened_executor, usable_cores
+from daq_service.errors import UsageError
+
+FEW_FILES = 8
+"""Fewer are judged in this process: another one takes a second to begin."""
+FILES_A_TASK = 8
+
+
+def run_assess(
+    *,
+    tables: tuple[Path, ...],
+    baseline_rows: int | None,
+    baseline_where: str | None,
+    features: str | None,
+    budget: float,
+    sets_per_day: float,
+    no_rows: bool,
+    as_json: bool,
+) -> None:
+    """Judge every table; what cannot be judged is told as refused, with its reason."""
+    if (baseline_rows is None) == (baseline_where is None):
+        raise UsageError("say what is the baseline: --baseline-rows N or --baseline-where COLUMN=VALUE")
+    where = None
+    if baseline_where is not None:
+        column, equals, value = baseline_where.partition("=")
+        if not (column and equals):
+            raise UsageError(f"--baseline-where is {baseline_where!r}; it must be COLUMN=VALUE")
+        where = (column, value)
+    one = partial(
+        sensor,
+        features=tuple(name for name in (features or "").split(",") if name),
+        baseline_rows=baseline_rows,
+        baseline_where=where,
+        budget=Budget(alarms_per_year=budget, sets_per_day=sets_per_day),
+        with_rows=as_json and not no_rows,
+    )
+    found = list(_each(one, tables))
+    if as_json:
+        click.echo(json.dumps({"sensors": found}, allow_nan=False))
+        return
+    for told in found:
+        click.echo(in_words(told, budget, sets_per_day))
+
+
+def _each(one: Any, tables: tuple[Path, ...]) -> Iterator[dict[str, Any]]:
+    workers = min(usable_cores(), -(-len(tables) // FILES_A_TASK))
+    few = len(tables) < FEW_FILES or workers < 2
+    with nullcontext() if few else opened_executor("processes", workers) as executor:
+        if executor is None:
+            yield from map(one, tables)
+        else:
+            yield from executor.map(one, tables, chunksize=FILES_A_TASK)
+
+
+def sensor(
+    path: Path,
+    *,
+    features: tuple[str, ...],
+    baseline_rows: int | None,
+    baseline_where: tuple[str, str] | None,
+    budget: Budget,
+    with_rows: bool,
+) -> dict[str, Any]:
+    """Judge one table, as it is told."""
+    table = read_table(path, features=features, baseline_rows=baseline_rows, baseline_where=baseline_where)
+    found = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
+    told: dict[str, Any] = {"file": str(path), "refused": found.refused}
+    told["features_dropped"] = list(found.features_dropped)
+    if found.refused is not None:
+        return told | _nothing(with_rows=with_rows)
+    told |= {
+        "n": found.n,
+        "n_eff": found.n_eff,
+        "phi_pooled": found.phi_pooled,
+        "tail": found.tail,
+        "suspects": [{"row": row} for row in found.suspects],
+        "named": [{"kind": one.kind, "rows": list(one.rows)} for one in found.named],
+        "left_out": [{"row": row, "reason": reason} for row, reason in found.left_out],
+        "limits": dict(found.limits),
+        "default_because": found.default_because,
+        "count": dict(found.count),
+        "first": dict(found.first),
+        "alarm": {
+            "rows": list(found.onsets),
+            "rate_guaranteed": not found.why_not_guaranteed,
+            "why": found.why_not_guaranteed,
+            "limit": found.chart_limit,
+        },
+    }
+    return told | ({"rows": _rows(found)} if with_rows else {})
+
+
+def _nothing(*, with_rows: bool) -> dict[str, Any]:
+    lists = ("suspects", "named", "left_out", *(("rows",) if with_rows else ()))
+    return {
+        **dict.fromkeys(("n", "n_eff", "phi_pooled", "tail")),
+        **{name: [] for name in lists},
+        **{name: {} for name in ("limits", "count", "first")},
+        "alarm": {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
+    }
+
+
+def _rows(found: Assessed) -> list[dict[str, Any]]:
+    columns = {
+        "distance_squared": found.distances_squared,
+        "mewma_textbook": found.mewma_textbook,
+        "mcusum_textbook": found.mcusum_textbook,
+        "chart": found.chart,
+    }
+    told = {name: [_known(value) for value in column.tolist()] for name, column in columns.items()}
+    return [
+        {"row": row, **dict(zip(told, values, strict=True))}
+        for row, values in enumerate(zip(*told.values(), strict=True))
+    ]
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def in_words(told: dict[str, Any], budget: float, sets_per_day: float) -> str:
+    """Tell a sensor to a person."""
+    if told["refused"] is not None:
+        return f"{told['file']}: refused: {told['refused']}"
+    alarm, lines = told["alarm"], [told["file"]]
+    lines.append(
+        f"  baseline   {told['n']} sets, worth {told['n_eff']:.0f} independent ones"
+        f" (memory {told['phi_pooled']:.2f}), tails {told['tail']:.2f} x normal"
+    )
+    if told["features_dropped"]:
+        lines.append(f"  dropped    {', '.join(told['features_dropped'])}: constant in the baseline")
+    for one in told["named"]:
+        rows = one["rows"]
+        which = f"{rows[0]} to {rows[-1]}" if one["kind"] == "trend" else ", ".join(map(str, rows))
+        lines.append(f"  look at    {one['kind']}, rows {which}")
+    for name, limit in told["limits"].items():
+        first = told["first"][name]
+        since = "" if first is None else f", first row {first}"
+        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {told['count'][name]}{since}")
+    lines.append(f"  default    {told['default_because']}")
+    promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
+    kept = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
+    raised = ", ".join(map(str, alarm["rows"][:10])) + (" ..." if len(alarm["rows"]) > 10 else "")
+    lines.append(f"  alarms     {f'at rows {raised}' if alarm['rows'] else 'none'} ({kept})")
+    return "\n".join(lines)

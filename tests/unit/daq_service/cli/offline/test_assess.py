@@ -1,0 +1,177 @@
+"""``solimon assess``: tables of other people in, JSON or words out."""
+
+import json
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from click.testing import CliRunner
+from pyarrow import parquet
+from support.healthy_sequences import healthy
+
+from daq_service.cli.main import cli
+from daq_service.errors import UsageError
+
+NAMES = ["tof_pp_s", "tof_ac_s", "amplitude_ratio", "autocorrelation_coefficient", "psw_area_v_s"]
+TOLD = {
+    *("file", "refused", "features_dropped", "n", "n_eff", "phi_pooled", "tail", "suspects", "named"),
+    *("left_out", "limits", "count", "first", "alarm", "rows"),
+}
+LIMITS = {
+    *("paper_mean_3sd", "chi_square", "f_predictive", "f_budget", "phase_one"),
+    *("mewma_known", "mewma_textbook", "default"),
+}
+
+
+@pytest.fixture
+def vectors():
+    x = healthy("independent", 120, np.random.default_rng(0))
+    x[90:] += 4.0
+    return x
+
+
+@pytest.fixture
+def tables(tmp_path, vectors):
+    """The same sensor in each format."""
+    np.save(tmp_path / "sensor.npy", vectors)
+    parts = ["healthy" if row < 40 else "test" for row in range(len(vectors))]
+    parquet.write_table(
+        pa.table({"part": parts, **dict(zip(NAMES, vectors.T, strict=True))}), tmp_path / "sensor.parquet"
+    )
+    lines = [",".join([part, *map(repr, row)]) for part, row in zip(parts, vectors.tolist(), strict=True)]
+    text = "\n".join([",".join(["part", *NAMES]), *lines])
+    (tmp_path / "sensor.csv").write_text(text, encoding="utf-8")
+    return {path.suffix: path for path in tmp_path.iterdir()}
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, ["assess", *map(str, arguments)], catch_exceptions=False)
+
+
+def told(*arguments):
+    answer = run(*arguments, "--json")
+    assert answer.exit_code == 0, answer.output
+    return json.loads(answer.output)["sensors"]
+
+
+def refused(*arguments):
+    with pytest.raises(UsageError) as caught:
+        run(*arguments)
+    return str(caught.value)
+
+
+def test_every_format_says_the_same(tables):
+    (npy,) = told(tables[".npy"], "--baseline-rows", 40)
+    (csv_,) = told(tables[".csv"], "--baseline-where", "part=healthy")
+    (arrow,) = told(tables[".parquet"], "--baseline-where", "part=healthy")
+    assert set(npy) >= TOLD
+    assert set(npy["limits"]) == set(npy["count"]) == set(npy["first"]) == LIMITS
+    for other in (csv_, arrow):
+        assert {**other, "file": ""} == {**npy, "file": ""}
+    assert 90 <= npy["alarm"]["rows"][0] < 120
+    assert [row["row"] for row in npy["rows"]] == list(range(120))
+    assert npy["rows"][39]["chart"] is None
+    assert npy["rows"][40]["chart"] > 0.0
+    assert npy["alarm"]["rate_guaranteed"] is False
+    assert "40 sets" in npy["alarm"]["why"]
+
+
+def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
+    path = tmp_path / "sensor.csv"
+    lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["healthy,a,b,c", *lines]), encoding="utf-8")
+    (all_of_them,) = told(path, "--baseline-where", "healthy=1", "--no-rows")
+    (some,) = told(path, "--baseline-where", "healthy=1", "--features", "b,a", "--no-rows")
+    assert all_of_them["features_dropped"] == ["c"]
+    assert some["features_dropped"] == []
+    assert "rows" not in some
+    assert all_of_them["limits"] == pytest.approx(some["limits"])
+
+
+def test_empty_cells_are_missing_values(tmp_path, vectors):
+    path = tmp_path / "sensor.csv"
+    lines = [f"{a},{'' if row in (3, 70) else b}" for row, (a, b, *_) in enumerate(vectors.tolist())]
+    path.write_text("\n".join(["a,b", *lines]), encoding="utf-8")
+    (found,) = told(path, "--baseline-rows", 40)
+    assert found["n"] == 39
+    assert [one["row"] for one in found["left_out"]] == [3, 70]
+    assert found["rows"][70] == {
+        "row": 70,
+        "distance_squared": None,
+        "mewma_textbook": None,
+        "mcusum_textbook": None,
+        "chart": None,
+    }
+
+
+def test_many_sensors_are_judged_by_several_processes_alike(tmp_path, tables):
+    paths = []
+    for k in range(17):
+        paths.append(tmp_path / f"{k}.npy")
+        np.save(paths[-1], healthy("independent", 60, np.random.default_rng(k)))
+    alone = [told(path, "--baseline-rows", 20, "--no-rows")[0] for path in paths[:2]]
+    together = told(*paths, "--baseline-rows", 20, "--no-rows")
+    assert [one["file"] for one in together] == [str(path) for path in paths]
+    assert together[:2] == alone
+
+
+def test_a_sensor_that_cannot_be_judged_is_told_and_the_others_are_judged(tmp_path, tables):
+    np.save(tmp_path / "short.npy", np.random.default_rng(0).standard_normal((14, 5)))
+    short, good = told(tmp_path / "short.npy", tables[".npy"], "--baseline-rows", 40)
+    assert "14 rows" in short["refused"]
+    assert short["limits"] == {}
+    assert short["rows"] == []
+    assert good["refused"] is None
+
+
+def test_people_are_told_in_words(tables):
+    answer = run(tables[".npy"], "--baseline-rows", 40, "--budget", 1)
+    assert "baseline   40 sets" in answer.output
+    assert "f_predictive" in answer.output
+    assert "at rows 9" in answer.output
+    assert "1 false alarms a year at 24 sets a day not promised: 40 sets" in answer.output
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.csv", "", "empty"),
+        ("a.csv", "1,2\n3,4", "first line must name"),
+        ("a.csv", "a,a\n3,4", "name each column once"),
+        ("a.csv", "a,b\n3", "row 0 has 1 cells, the first line 2"),
+        ("a.csv", "a,b\nx,y", "no column of numbers"),
+        ("a.csv", b"a,b\n\xff\xfe,1", "no CSV file in UTF-8"),
+        ("a.npy", "no array", "no .npy file"),
+        ("a.parquet", "no table", "no Parquet file"),
+        ("a.txt", "1", "not .txt"),
+        ("a", "1", "one without ending"),
+    ],
+)
+def test_a_strangers_file_is_refused_with_what_it_is(tmp_path, name, content, words):
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert words in refused(path, "--baseline-rows", 20)
+
+
+@pytest.mark.parametrize(
+    "array", [np.zeros(5), np.array([["a"]]), np.zeros((2, 2), complex), np.empty((0, 5))]
+)
+def test_an_array_that_is_no_table_is_refused(tmp_path, array):
+    np.save(tmp_path / "a.npy", array)
+    assert "a.npy" in refused(tmp_path / "a.npy", "--baseline-rows", 20)
+
+
+def test_objects_are_not_unpickled(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
+    assert "no .npy file of numbers" in refused(tmp_path / "a.npy", "--baseline-rows", 20)
+
+
+def test_arguments_that_say_no_baseline_are_refused(tmp_path, tables):
+    path = tables[".csv"]
+    assert "say what is the baseline" in refused(path)
+    assert "say what is the baseline" in refused(path, "--baseline-rows", 3, "--baseline-where", "a=b")
+    assert "COLUMN=VALUE" in refused(path, "--baseline-where", "part")
+    assert "no column 'hour'" in refused(path, "--baseline-where", "hour=3")
+    assert "no column x; it has part" in refused(path, "--baseline-rows", 20, "--features", "x")
+    assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
+    assert "cannot read" in refused(tmp_path / "none.csv", "--baseline-rows", 20)
