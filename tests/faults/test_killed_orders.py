@@ -17,7 +17,7 @@ import pytest
 from support.killed_orders import EVENT_OF, alarm_orders, command, note, person, restart, wrong_with
 from support.refusing_files import needs_a_preload
 from support.small_experiment import SMALL
-from support.traced_files import MODELS, build, read_trace, states, tracing, write_state
+from support.traced_files import build, read_trace, states, tracing, write_state
 from support.waiting import WAIT_S, ended, until
 
 from daq_service.catalogue import open_catalogue
@@ -61,7 +61,8 @@ def calls(fast):
     [
         # What is durable changes with each sync: some six times an order, of which each kind shows others.
         pytest.param(("nothing",), 4, id="some syncs"),
-        pytest.param(MODELS, 1, id="each call", marks=pytest.mark.slow),
+        # Lost pages in the midst of lines that the history was given at once are damage, which `verify` tells.
+        pytest.param(("kill", "nothing", "torn"), 1, id="each call", marks=pytest.mark.slow),
     ],
 )
 def test_a_crash_behind_a_call_leaves_each_order_done_once_or_refused(calls, fast, models, every, capsys):
