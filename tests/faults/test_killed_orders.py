@@ -61,7 +61,7 @@ def calls(fast):
     [
         # What is durable changes with each sync: some six times an order, of which each kind shows others.
         pytest.param(("nothing",), 4, id="some syncs"),
-        # Lost pages in the midst of lines that the history was given at once are damage, which `verify` tells.
+        # Pages lost in the midst of lines that the history was given at once are damage: `verify` tells it.
         pytest.param(("kill", "nothing", "torn"), 1, id="each call", marks=pytest.mark.slow),
     ],
 )
