@@ -23,11 +23,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -42,7 +43,7 @@ from daq_service.web import server
 from daq_service.web.app import create_app
 
 folder, way = Path(sys.argv[1]), sys.argv[2]
-app = create_app(Settings(), folder)
+app = create_app(Settings(notifications=json.loads(sys.argv[3])), folder)
 if way == "nagle":
     def bind(host, port, **_):
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -104,9 +105,11 @@ class Service:
 
 
 @contextmanager
-def service(folder: Path, way: str = "ours") -> Iterator[Service]:
+def service(
+    folder: Path, way: str = "ours", *, notifications: Mapping[str, Any] = MappingProxyType({})
+) -> Iterator[Service]:
     """Serve a folder."""
-    command = [sys.executable, "-c", SERVER, str(folder), way]
+    command = [sys.executable, "-c", SERVER, str(folder), way, json.dumps(dict(notifications))]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None

@@ -15,6 +15,7 @@ returns it. It goes on through its states meanwhile, and is told apart (`as_it_s
 
 A latched alarm (a hole does not heal) never leaves by its condition, only by a person's reset.
 Severity is kept at the highest reached until the alarm is acknowledged.
+What holds an alarm back before it follows its condition is in `delays`.
 """
 
 from __future__ import annotations
@@ -47,7 +48,13 @@ RETIRING = ("hole", "retired")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """What one assessment says of one possible alarm."""
+    """What one assessment says of one possible alarm.
+
+    Attributes
+    ----------
+    times_limit
+        The measured quantity as a multiple of its limit, above 1 beyond it; None: it has none, or none now.
+    """
 
     position: str | None
     kind: str
@@ -56,6 +63,7 @@ class Condition:
     present: bool
     message: str
     latched: bool = False
+    times_limit: float | None = None
     proof: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -38,6 +38,8 @@ TAIL_BYTES = 4_000_000
 """What a start reads of a long one."""
 EVENTS_AT_ONCE = 5_000
 """A folder older than its history may have a million."""
+_HOLE = b"\0\0"
+"""No flipped bit makes two of them, and JSON has none."""
 _HEAD = b'{"crc32":"'
 _BODY = len(_HEAD) + 10
 
@@ -129,8 +131,10 @@ def parsed(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE) -> H
             history.take(number, table, row)
         except (TypeError, LookupError) as error:
             history.damage.append(f"{name}, line {number}: {error}")
-    if unreadable and (len(unreadable) > 1 or unreadable[0] != len(lines)):
-        # One line without an end was being written when the power went: its row is in the catalogue.
+    # One line without an end, or with a hole where a page was, was being written when the power went: nobody
+    # was told of its row yet.
+    torn = lines[-1] or (lines[-2] if len(lines) > 1 and _HOLE in lines[-2] else b"")
+    if unreadable and (len(unreadable) > 1 or lines[unreadable[0] - 1] is not torn):
         history.damage.append(f"{name} is damaged at line {unreadable[0]}, near its end")
     return history
 

@@ -5,11 +5,12 @@ Times are RFC 3339 text beside hours of the experiment; a unit is in the name of
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
-from daq_service.catalogue.rows import Row, columns_of
+from daq_service.catalogue.rows import AlarmRow, Row, VerdictRow, columns_of
 from hardware_drivers.units import unit_of
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
@@ -26,8 +27,15 @@ class ToldColumn:
     nullable: bool
 
 
+BESIDE: Mapping[type[Row], ToldColumn] = {
+    VerdictRow: ToldColumn(name="quality", form="text", unit="", nullable=True),
+    AlarmRow: ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),
+}
+"""What the service adds: the quality of what was judged, a proof in sentences."""
+
+
 def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
-    """Columns of a kind of row in their order, with the time of each hour behind them."""
+    """Columns of a kind of row in their order, the time of each hour and what is added behind them."""
     found: dict[str, ToldColumn] = {}
     for column in columns_of(kind):
         name, form = column.name, _form(column.type)
@@ -39,7 +47,7 @@ def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
         name = hours.name.removesuffix("_h") + "_utc"
         time = ToldColumn(name=name, form="time", unit="", nullable=hours.nullable)
         found.setdefault(name, time)
-    return tuple(found.values())
+    return (*found.values(), *([BESIDE[kind]] if kind in BESIDE else []))
 
 
 def _form(of_type: Any) -> Form:

@@ -57,7 +57,7 @@ class SetCommit:
     annotation_of_event
         As ``alarm_of_event``, with ``annotation_id``.
     order
-        An order that is carried out by storing this, with its answer; it gets its id.
+        An order that is carried out by storing this, with its answer; one with the id 0 gets its id.
     verdicts
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other verdict is final.
@@ -184,7 +184,7 @@ class RecorderCatalogue(Catalogue):
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
-            order_id = stored_command(connection, commit.order) if commit.order else None
+            order_id = _answer(connection, commit.order) if commit.order else None
         return Committed(
             event_ids=event_ids,
             alarm_ids=alarm_ids,
@@ -351,12 +351,18 @@ def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
 
 
 def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
-    if row.id is None:
-        return _ids(_insert(connection, [row]))[0]
+    return _changed(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
+
+
+def _answer(connection: Connection, row: CommandRow) -> int:
+    return _changed(connection, row, row.id) if row.id else stored_command(connection, row)
+
+
+def _changed(connection: Connection, row: Row, row_id: int) -> int:
     if not _change(connection, row):
-        what = f"row {row.id} of table {table_of(type(row)).name}"
+        what = f"row {row_id} of table {table_of(type(row)).name}"
         raise CatalogueConflictError(f"there is no {what} to change; nothing was stored")
-    return row.id
+    return row_id
 
 
 def _ids(rows: Iterable[Any]) -> list[int]:

@@ -70,12 +70,23 @@ def record_sizes(settings: Settings) -> tuple[RecordSize, RecordSize]:
 
 
 def stored_bytes(settings: Settings, n_sets: int) -> int:
-    """Bytes of the data folder after so many sets: files, catalogue, journal and reserve."""
+    """Bytes of the data folder after so many sets: files, tiles, catalogue, journal and reserve."""
     records = settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE)) + len(
         settings.names_of(PULSE_ECHO)
     )
     a_set = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
-    return round(n_sets * a_set) + FOLDER_BYTES + settings.storage.reserve_mb * 10**6
+    beside = FOLDER_BYTES + settings.storage.reserve_mb * 10**6
+    return round(n_sets * a_set) + tile_bytes(settings, n_sets) + beside
+
+
+def tile_bytes(settings: Settings, n_sets: int) -> int:
+    """Bytes of the waterfall's tiles after so many sets."""
+    from daq_service.archive.waterfall.cells import ALIGNMENTS, frame_of
+    from daq_service.archive.waterfall.tiles import planned_bytes
+
+    a_set = _set_of(settings, *record_sizes(settings), shots=1)
+    frames = [frame_of(taken.waveform, alignment) for taken in a_set.records for alignment in ALIGNMENTS]
+    return sum(planned_bytes(frame.n_cells, n_sets) for frame in frames)
 
 
 def built_set_bytes(settings: Settings) -> float:

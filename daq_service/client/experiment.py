@@ -20,13 +20,10 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
-from daq_service.catalogue.told import ToldColumn
 from daq_service.client.connection import Connection
 from daq_service.client.errors import ClientError, RefusedError
 from daq_service.client.frames import frame
 from daq_service.client.waves import read_waveforms
-
-QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,7 +104,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read squared distances, limits and outliers, with the quality of what was judged."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h}
-        return self._table(VerdictRow, "verdicts", QUALITY, **asked)
+        return self._table(VerdictRow, "verdicts", **asked)
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
@@ -193,6 +190,6 @@ class Experiment:
                 data=told,
             )
 
-    def _table(self, kind: type[Row], resource: str, *beside: ToldColumn, **asked: Any) -> pd.DataFrame:
+    def _table(self, kind: type[Row], resource: str, **asked: Any) -> pd.DataFrame:
         items, as_of = self._connection.pages(resource, **asked)
-        return frame(kind, items, as_of, *beside)
+        return frame(kind, items, as_of)

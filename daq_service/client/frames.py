@@ -13,15 +13,8 @@ from daq_service.catalogue.told import Form, ToldColumn, told_columns
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
 
-def frame(
-    kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any], *beside: ToldColumn
-) -> pd.DataFrame:
+def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any]) -> pd.DataFrame:
     """Make a table of rows; not available is NaN, NaT or NA.
-
-    Parameters
-    ----------
-    beside
-        Columns that the service adds to those of the row.
 
     Returns
     -------
@@ -29,7 +22,7 @@ def frame(
         ``attrs["units"]`` has the unit of each number, ``attrs["as_of"]`` when it was read and how the
         recorder was then.
     """
-    columns = [*told_columns(kind), *beside]
+    columns = list(told_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
         columns.append(ToldColumn(name="age_h", form="number", unit="h", nullable=False))
     table = pd.DataFrame({column.name: _series(column, items) for column in columns})

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.states import Condition, Moment
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
 from daq_service.corrosion_drive.charge import DriveState, restored_state
@@ -46,6 +46,8 @@ class DriveWatch:
     ----------
     alarms
         The recorder's current alarms by position and kind.
+    carry
+        Adds to a transaction what becomes of an alarm by a condition.
     store
         Stores a transaction and takes its alarms over.
     remote
@@ -58,10 +60,11 @@ class DriveWatch:
         rig: Rig,
         catalogue: Catalogue,
         alarms: Alarms,
+        carry: Callable[[Condition, Moment, Transaction], None],
         store: Callable[[Transaction], None],
         remote: RemoteDrive | None = None,
     ) -> None:
-        self._alarms = alarms
+        self._carry = carry
         self._store = store
         self._clock = rig.clock
         self._off_at_end = settings.driven is not None and settings.driven.off_at_end
@@ -103,11 +106,8 @@ class DriveWatch:
                 message=found.message,
                 proof=self.summary() if found.active else {},
             )
-            change = update(self._alarms.get((None, found.name)), condition, moment)
-            if change is not None:
-                transaction.add_alarm(change, moment)
-                log.warning("%s at hour %g: %s", change.event_kind, hour, found.message)
-        if transaction.alarms:
+            self._carry(condition, moment, transaction)
+        if transaction.events:
             try:
                 self._store(transaction)
             except StorageError as error:  # the next look tries again: what was not stored has not changed

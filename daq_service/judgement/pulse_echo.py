@@ -148,15 +148,16 @@ class PulseEchoAssessor:
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
             return None
-        return (
-            loss_m
-            > self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
-        )
+        return loss_m > self._limit_loss_m
+
+    @property
+    def _limit_loss_m(self) -> float:
+        return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
     def _condition(self, due: DueSet, row: ThicknessRow, interval: ThicknessInterval | None) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
-        remaining = row.thickness_m
+        remaining, loss_m = row.thickness_m, row.thickness_loss_m
         read = "" if remaining is None else f" (now {remaining * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
@@ -164,6 +165,7 @@ class PulseEchoAssessor:
             family="damage",
             severity="high",
             present=self._alarm.active,
+            times_limit=None if loss_m is None or self.too_thin(row) is None else loss_m / self._limit_loss_m,
             message=(
                 f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"

@@ -282,12 +282,14 @@ class SolitaryWaveAssessor:
         state, rule = self._state.alarm, self._rules.alarm
         baseline = self._state.baseline
         limit = None if baseline is None else baseline.limit(self._rules.limit)
+        distance = verdict.distance_squared
         return Condition(
             position=self.position,
             kind="wall_change",
             family="damage",
             severity="high",
             present=state.active,
+            times_limit=None if distance is None or limit is None else distance / limit,
             message=(
                 f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie "
                 f"beyond the limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has "
@@ -299,7 +301,7 @@ class SolitaryWaveAssessor:
                 "formula": FORMULA,
                 "rule": {"k": rule.k, "n": rule.n},
                 "set_index": due.set_index,
-                "distance_squared": verdict.distance_squared,
+                "distance_squared": distance,
                 "limit_name": verdict.limit_name,
                 "limit": limit,
                 "baseline_id": verdict.baseline_id,

@@ -196,6 +196,8 @@ class Order(Strict):
     """What a person asks of a test."""
 
     needs_recorder: ClassVar[bool] = True
+    rows_only: ClassVar[bool] = False
+    """It does nothing but store one transaction, in which its answer stands too."""
     kind: str
     author: Author = "operator"
     arguments: Any = NoArguments()
@@ -273,9 +275,10 @@ class Stop(Order):
 
 
 class DeskOrder(Order):
-    """An order that changes rows only: where nobody records, the web service carries it out."""
+    """An order about what is stored: where nobody records, the web service carries it out."""
 
     needs_recorder = False
+    rows_only = True
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         return self.carry_out_stored(test)
@@ -374,6 +377,7 @@ class WithdrawAnnotation(DeskOrder):
 class Hold(Order):
     """Strike nothing until the test is released, not even after a restart."""
 
+    rows_only = True
     kind: Literal["hold"]
     arguments: ReasonArguments
 
@@ -390,6 +394,7 @@ class Hold(Order):
 class Release(Order):
     """End a hold: the next due set is taken."""
 
+    rows_only = True
     kind: Literal["release"]
     arguments: NoteArguments = NoteArguments()
 
@@ -422,6 +427,7 @@ class TrustClock(Order):
 
 
 class _TransducerOrder(Order):
+    rows_only = True
     arguments: TransducerArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:

@@ -1,8 +1,10 @@
 """The recorder's side: orders are rows of ``commands``, carried out and answered one at a time.
 
-An order is marked as started before it is carried out, and what is found open at a start is closed: one that
-its recorder died over is told as failed, and nobody carries it out again. One that was not begun by its
-deadline, or before its recorder ended, expires.
+An order is marked as started before it is carried out, and what is found open at a start is closed: nobody
+carries it out again. What an order stores is stored together with its answer, so one that does nothing else
+is done or has expired. Of one that does more, such as to switch the supply, nobody knows how far its
+recorder came before it died: it is told as failed. One that was not begun by its deadline, or before its
+recorder ended, expires.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
 from daq_service.errors import StorageError, UsageError
+from daq_service.judgement.transaction import Transaction
 from daq_service.orders.deadline import as_it_stands, expired_because, left_now_s
-from daq_service.orders.every import read_order
-from daq_service.orders.kinds import Facts
+from daq_service.orders.every import KINDS, read_order
+from daq_service.orders.kinds import Facts, Order
 from daq_service.orders.running_test import RunningTest
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -81,7 +84,8 @@ class OrderListener:
     def close(self, why: str) -> None:
         """Answer every open order without carrying it out."""
         for row in self._catalogue.open_commands():
-            left_open = FAILED if row.state == "started" else ("expired", expired_because(why))
+            unknown = row.state == "started" and not KINDS.get(row.kind, Order).rows_only
+            left_open = FAILED if unknown else ("expired", expired_because(why))
             self._finish(row, self._answers.get(row.id, left_open))
 
     def listen(self) -> None:
@@ -93,11 +97,12 @@ class OrderListener:
         self._listened_ns = now_ns
         for row in self._catalogue.open_commands():
             # Once: an answer that the disk did not take must not switch a supply on a second time.
-            if row.id not in self._answers:
-                self._answers[row.id] = self._carried_out(row)
+            answer = self._answers.get(row.id) or self._carried_out(row)
             # What is stored says it, as after a restart.
             self._held = self._catalogue.held() or ""
-            self._finish(row, self._answers[row.id])
+            if answer is not None:
+                self._answers[row.id] = answer
+                self._finish(row, answer)
 
     def _finish(self, row: CommandRow, answer: Answer) -> None:
         self._catalogue.finish_command(row.id, *answer)
@@ -105,8 +110,8 @@ class OrderListener:
         if answer[0] in ("expired", "failed"):
             log.warning("order %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
-    def _carried_out(self, row: CommandRow) -> Answer:
-        """Carry an order out; its state and result."""
+    def _carried_out(self, row: CommandRow) -> Answer | None:
+        """Carry an order out; its state and result, None where they are stored with what it did."""
         if row.state == "pending" and self._left_s(row) > 0.0:
             try:
                 self._catalogue.start_command(row.id)
@@ -117,14 +122,20 @@ class OrderListener:
         standing = as_it_stands(replace(row, state="pending"), self._left_s(row))
         if standing.state == "expired":
             return "expired", standing.result or ""
+        told: list[Transaction] = []
         try:
             order = read_order(row.kind, row.author, row.arguments)
-            result = order.carry_out(self._test, row.id, self._facts())
+            result = order.carry_out(replace(self._test, store=told.append), row.id, self._facts())
         except (UsageError, ValueError) as error:
             log.warning("order %d (%s) refused: %s", row.id, row.kind, error)
             return "refused", str(error)
         log.info("order %d (%s) of %s: %s", row.id, row.kind, row.author, result)
-        return "done", result
+        if not told:
+            return "done", result
+        (transaction,) = told
+        transaction.order = replace(row, state="done", result=result, finished_wall_utc_ns=time.time_ns())
+        self._test.store(transaction)
+        return None
 
     def _facts(self) -> Facts:
         return Facts(

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from daq_service.acquisition.schedule import due_hours
+from daq_service.archive.waterfall.tiles import kept_cells, planned_bytes
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.settings.tree import Settings, StorageSettings
@@ -88,7 +89,8 @@ class Outlook:
     Attributes
     ----------
     needed_bytes
-        What the rest of the schedule will take, by the newest set's file; None before the first one.
+        What the rest of the schedule will take, by the newest set's file, the rows of the catalogue and the
+        tiles; None before the first file.
     full_at_h
         Hour of the test at which nothing more is stored; None: the rest of it fits, or nobody knows.
     """
@@ -110,8 +112,10 @@ def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage
         return found
     counts = catalogue.counts()
     done = counts["sets"] + counts["missed_sets"]
-    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
-    a_set = path.stat().st_size + (folder / FILE_NAME).stat().st_size / max(1, done)
+    planned = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    hours = planned[done:]
+    tiles = sum(planned_bytes(n_cells, len(planned)) for n_cells in kept_cells(folder)) / max(1, len(planned))
+    a_set = path.stat().st_size + tiles + (folder / FILE_NAME).stat().st_size / max(1, done)
     stop_bytes = storage.stop_free_fraction * min(space.total_bytes, storage.volume_gb * 1e9)
     fitting = int(max(0.0, space.free_bytes - stop_bytes) / a_set)
     return replace(

@@ -10,11 +10,12 @@ from dataclasses import replace
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
+from daq_service.alarms.delays import DELAY_EVENT, followed
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Condition, Moment, expired, retired_positions, update
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment
@@ -73,9 +74,14 @@ class Ledger:
             for position, place in settings.positions.items()
         }
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
+        self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
+        for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
+            self.take_delay(event)
         self.drive = None
         if rig is not None and (rig.supply or rig.climate or remote_drive):
-            self.drive = DriveWatch(settings.rig, rig, catalogue, self.alarms, self.commit, remote_drive)
+            self.drive = DriveWatch(
+                settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
+            )
 
     def passed(self, row: SetRow) -> None:
         """Take in the row of a set that gave not one record, as it was stored."""
@@ -165,7 +171,7 @@ class Ledger:
         """Store what becomes of an alarm that belongs to no set."""
         transaction = Transaction()
         self._carry_alarm(condition, moment, transaction)
-        if transaction.alarms:
+        if transaction.events:
             self.commit(transaction)
 
     def expire_shelves(self, moment: Moment) -> None:
@@ -179,13 +185,25 @@ class Ledger:
             self.commit(transaction)
 
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
-        change = update(self.alarms.get((condition.position, condition.kind)), condition, moment)
+        key = (condition.position, condition.kind)
+        row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
+        to_follow, now_since_ns = followed(row, condition, since_ns, moment, self._settings.alarms.kinds)
+        if now_since_ns != since_ns:
+            delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
+            transaction.tell(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
+        change = None if to_follow is None else update(row, to_follow, moment)
         if change is not None:
             if self.drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
                 # At once: through a hole the solution reaches what it should not, and the current with it.
                 self.drive.trip(condition.message, moment.due_h)
             transaction.add_alarm(change, moment)
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
+
+    def take_delay(self, event: EventRow) -> None:
+        """Take in since when an alarm is held back, once that is stored; other events say nothing of it."""
+        if event.kind == DELAY_EVENT:
+            told = event.payload
+            self._delayed_since_ns[(event.position, told["alarm_kind"])] = told["since_utc_ns"]
 
     def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
         """Add what supply and climate probe said since the last set."""
@@ -212,6 +230,8 @@ class Ledger:
 
     def _tell_news(self, transaction: Transaction) -> None:
         """Tell whoever started the test what is not as it should be, and what is again."""
+        for event in transaction.events:
+            self.take_delay(event)
         lacking: dict[tuple[int, str, str], list[str]] = {}
         for row in transaction.sets:
             if row.state in ("missed", "partial"):

@@ -17,6 +17,7 @@ import orjson
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
+from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
 from daq_service.catalogue import RecorderCatalogue
@@ -177,7 +178,8 @@ class _Replay:
                 self._ledger.reinstated(event.position)
 
     def _take_alarm(self, event: EventRow) -> None:
-        if event.topic == "alarms":
+        self._ledger.take_delay(event)
+        if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = _told_with_id(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
             self._ledger.alarms[(row.position, row.kind)] = row

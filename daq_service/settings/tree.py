@@ -18,6 +18,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
+from daq_service.settings.alarm_delays import AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.web import WebSettings
@@ -35,6 +36,7 @@ HASHED_OUT: Mapping[str, Any] = {
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
     "schedule": {"end_h"},
+    "alarms": {"kinds"},
     "storage": True,
     # Where instruments are reached and how long they are waited for: a replugged cable is no other test.
     "rig": {
@@ -216,6 +218,15 @@ class AlarmSettings(Section):
     """Such sets in a row that retire the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+    kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
+    """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
+
+    @field_validator("kinds")
+    @classmethod
+    def _kinds_may_wait(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
+        for kind, rule in kinds.items():
+            rule.require_fits(kind)
+        return kinds
 
     @model_validator(mode="after")
     def _k_of_n(self) -> Self:

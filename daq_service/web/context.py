@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
+from daq_service.alarms.proof import proof_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.picture import WaterfallReader
 from daq_service.catalogue.rows import AlarmRow, Row, SetRow, values
@@ -208,7 +209,8 @@ class Freshness(freshness.Freshness):
 
     def row(self, row: Row, **beside: Any) -> dict[str, Any]:
         """Row of the catalogue as it leaves the service: times as text, its age if an hour dates it."""
-        row = self.standing(row) if isinstance(row, AlarmRow) else row
+        if isinstance(row, AlarmRow):
+            row, beside = self.standing(row), {**beside, "proof_sentences": proof_sentences(row)}
         answer = with_utc({**values(row), **beside}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}

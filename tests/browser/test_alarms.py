@@ -22,6 +22,10 @@ def service(tmp_path_factory):
     for position in "BCD":
         filled.add_alarm(position, N_SETS - 2)
     filled.add_alarm(None, N_SETS - 1, severity="low", kind="disk_space", message="little is free")
+    thin = {"set_index": N_SETS - 2, "thickness_m": 6.2e-3, "limit_m": 6.3e-3, "rule": {"k": 3, "n": 5}}
+    filled.add_alarm("A", N_SETS - 2, kind="thickness", proof=thin)
+    poor = {"set_index": N_SETS - 2, "poor_sets_running": 2, "minimum_valid_shots": 7}
+    filled.add_alarm("D", N_SETS - 2, kind="no_data", severity="medium", proof=poor)
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     filled.close()
     with served(filled.settings, filled.folder) as running:
@@ -29,8 +33,9 @@ def service(tmp_path_factory):
 
 
 @pytest.fixture
-def page(service, open_page):
-    opened = open_page(service.url)
+def page(service, open_page, request):
+    # A test that opens a set forgives that no record of it is stored.
+    opened = open_page(service.url, forgiven=getattr(request, "param", None))
     charts = "window.solimonDashboard.charts"
     until(lambda: opened.evaluate(f"({charts}.tof ?? {{x: []}}).x.length") > 1, "the trend is drawn")
     return opened
@@ -115,9 +120,65 @@ def test_what_to_do_is_told_beside_the_alarm(page):
     expect(alarm(page, 4)).to_contain_text("Decides: who looks after the computer")
 
 
+@pytest.mark.parametrize("page", ["404"], indirect=True)
+def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(page):
+    box = alarm(page, 1)
+    box.get_by_text("Proof", exact=True).click()
+    expect(box).to_contain_text("a squared distance of 30.5 from the baseline, 1.26 times the limit of 24.3.")
+    expect(box).to_contain_text("time of flight between the peaks 70 %, amplitude ratio 30 %")
+    drawn = "document.getElementById('proof-chart-1')?.snapshot()"
+    until(lambda: page.evaluate(f"{drawn}?.drawn"), "the sets around the alarm are drawn")
+    asked = "fetch('/api/v1/verdicts?position=B&limit=1000').then((answer) => answer.json())"
+    rows = {row["set_index"]: row for row in page.evaluate(asked)["items"]}
+    shown = page.evaluate(drawn)
+    # The alarm is of the last set but one: twelve before it, and what there is behind.
+    assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
+    assert shown["y"]["judged"] == [rows[index]["distance_squared"] for index in shown["opens"]]
+    assert set(shown["y"]["limit"]) == {24.3}
+    links = box.locator(".proof-sets a")
+    # The baseline's sets are not judged: three are, and the alarm's is the last of them.
+    judged = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
+    said = links.all_inner_texts()
+    assert [text.partition(":")[0] for text in said] == [
+        f"Set {row['set_index']}, hour {row['due_h']:.1f}" for row in judged
+    ]
+    assert [text.endswith(", beyond the limit") for text in said] == [row["outlier"] for row in judged]
+    links.first.click()
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {judged[0]['set_index']}")
+    page.keyboard.press("Escape")
+    box.locator(".proof-box .plot").focus()
+    page.keyboard.press("Home")
+    page.keyboard.press("Enter")
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {N_SETS - 14}")
+    page.keyboard.press("Escape")
+    box.get_by_role("button", name="Table of: Sets around the alarm at B").click()
+    expect(box.locator("tbody tr")).to_have_count(14)
+    box.get_by_text("As stored").click()
+    expect(box).to_contain_text('"limit_name": "f_predictive"')
+
+
+@pytest.mark.parametrize(
+    ("number", "column", "factor", "limit", "sets"),
+    [(5, "thickness?position=A", 1e3, 6.3, 5), (6, "sets?position=D", 1, 7, 2)],
+    ids=["thickness", "no_data"],
+)
+def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, limit, sets):
+    alarm(page, number).get_by_text("Proof", exact=True).click()
+    drawn = f"document.getElementById('proof-chart-{number}').snapshot()"
+    expect(alarm(page, number).locator(".proof-sets a")).to_have_count(sets)
+    until(lambda: page.evaluate(drawn)["drawn"], "the sets around the alarm are drawn")
+    items = page.evaluate(f"fetch('/api/v1/{column}&limit=1000').then((answer) => answer.json())")["items"]
+    name = "thickness_m" if number == 5 else "n_valid"
+    values = {item["set_index"]: item[name] * factor for item in items}
+    shown = page.evaluate(drawn)
+    assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
+    assert shown["y"]["judged"] == pytest.approx([values[index] for index in shown["opens"]], rel=1e-12)
+    assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
+
+
 def test_the_list_is_filtered(page):
     shown = page.locator("#alarms [data-alarm]")
-    expect(shown).to_have_count(4)
+    expect(shown).to_have_count(6)
     page.get_by_label("Alarms by state").select_option("suppressed")
     expect(shown).to_have_count(2)
     page.get_by_label("Alarms by position").select_option("C")
@@ -134,6 +195,8 @@ def test_axe_finds_nothing(page, theme):
     page.goto(f"{page.url.split('?')[0]}?theme={theme}")
     expect(page.locator("#notes [data-note]")).to_have_count(1)
     expect(page.locator("#alarms .shelved")).to_have_count(2)
+    alarm(page, 1).get_by_text("Proof", exact=True).click()
+    expect(alarm(page, 1).locator(".proof-sets a")).to_have_count(3)
     assert Axe().run(page).response["violations"] == []
     alarm(page, 1).get_by_role("button", name="Shelve").click()
     assert Axe().run(page, context="dialog[open]").response["violations"] == []

@@ -190,6 +190,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     expect(alarms).to_contain_text("3 of the last 5 judged sets at B")
     expect(alarms).to_contain_text("hour 30.0")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-state", "alarm")
+    alarms.get_by_text("Proof", exact=True).click()
     alarms.get_by_role("button", name="Acknowledge:").click()
     acknowledging = alarms.locator('[data-focus^="ack-"]')
     expect(acknowledging).to_have_text(SENT)
@@ -198,6 +199,11 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(acknowledging).to_have_count(0)
+    # The proof stays open, and a new set comes into its picture.
+    last = f"document.getElementById('proof-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
+    until(lambda: page.evaluate(last) == N_SETS - 1, "the sets so far are drawn")
+    filled.add_set(N_SETS, stored=False)
+    until(lambda: page.evaluate(last) == N_SETS, "the new one, too")
 
 
 def test_a_doubted_clock_is_trusted_beside_its_alarm(filled, service, open_page):

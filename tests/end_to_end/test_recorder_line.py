@@ -20,10 +20,11 @@ from support.waiting import ended, until
 import daq_service.acquisition.taken_set
 from analysis.waves.features import extract_features, extract_from_average
 from daq_service.archive import FolderArchive
+from daq_service.archive.waterfall.tiles import n_bytes
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
-from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes
+from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -71,6 +72,8 @@ def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
     files = sum(path.stat().st_size for path in (finished / "sets").iterdir())
     # 5 %: temperature, drop height and thinning wall make pulses, so also their bytes, differ by shot.
     assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
+    # A record's pretrigger samples may take a cell more.
+    assert tile_bytes(settings, SETS) == pytest.approx(n_bytes(finished), rel=0.01)
     # The empty tables, 0.3 MB, weigh more beside ten records a set than in a test of months.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.4e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10

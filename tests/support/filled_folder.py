@@ -225,6 +225,7 @@ class FilledFolder:
         kind: str = "wall_change",
         message: str | None = None,
         state: str = "unacknowledged",
+        proof: dict[str, object] | None = None,
     ) -> int:
         due = self.due[index]
         row = AlarmRow(
@@ -240,10 +241,12 @@ class FilledFolder:
             message=message
             or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
             "wall or transducer has changed; inspect",
-            proof={
+            proof=proof
+            or {
                 "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
                 "rule": {"k": 3, "n": 5},
                 "set_index": index,
+                "distance_squared": 30.5,
                 "limit_name": "f_predictive",
                 "limit": LIMIT_F,
                 "contributions": {"tof_pp_s": 21.4, "amplitude_ratio": 9.1},

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -134,11 +135,10 @@ class Tiles:
 
     @property
     def _slot_bytes(self) -> int:
-        return _FACTS.size + 2 * 4 * self.frame.n_cells
+        return slot_bytes(self.frame.n_cells)
 
     def _path(self, level: int, tile: int) -> Path:
-        name = f"{FACTOR**level:04d}-{tile:06d}.tile"
-        return self.folder / TILES_FOLDER / self.position / self.alignment / name
+        return self.folder / TILES_FOLDER / self.position / self.alignment / _name(level, tile)
 
     def _read(self, level: int, tile: int, begin: int, end: int) -> memoryview:
         """Bytes of slots, as many as there are; none of a tile that is not one of these."""
@@ -189,6 +189,10 @@ class Tiles:
             file.write(slot)
 
 
+def _name(level: int, tile: int) -> str:
+    return f"{FACTOR**level:04d}-{tile:06d}.tile"
+
+
 @lru_cache(maxsize=64)
 def _header(tiles: Tiles) -> bytes:
     told = {
@@ -199,6 +203,29 @@ def _header(tiles: Tiles) -> bytes:
         **asdict(tiles.frame),
     }
     return json.dumps(told, separators=(",", ":")).encode().ljust(_HEADER_BYTES)
+
+
+def slot_bytes(n_cells: int) -> int:
+    """Bytes of a row."""
+    return _FACTS.size + 2 * 4 * n_cells
+
+
+def planned_bytes(n_cells: int, n_sets: int) -> int:
+    """Bytes of the tiles of a position at one alignment after so many sets."""
+    rows = [math.ceil(n_sets / FACTOR**level) for level in range(LEVELS)]
+    return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * slot_bytes(n_cells) for n in rows)
+
+
+def kept_cells(folder: Path) -> list[int]:
+    """Cells of a row of each position and alignment that has tiles; what cannot be read is left out."""
+    found = []
+    for path in (folder / TILES_FOLDER).glob(f"*/*/{_name(0, 0)}"):
+        try:
+            with path.open("rb") as file:
+                found.append(int(json.loads(file.read(_HEADER_BYTES))["n_cells"]))
+        except (OSError, ValueError, LookupError) as error:  # a hint: whoever draws goes on without it
+            log.debug("%s cannot be read now: %s", path, error)
+    return found
 
 
 def n_bytes(folder: Path) -> int:

@@ -31,6 +31,7 @@ from daq_service.clock import format_utc
 from daq_service.errors import StorageError
 from daq_service.orders.audit import AUDIT_FILE
 from daq_service.shared_file import read_shared
+from daq_service.web.notifications.delivery_log import LOG_FILE
 from hardware_drivers.nanoseconds import NS_PER_H
 
 KINDS = {
@@ -46,6 +47,7 @@ KINDS = {
     "experiment": "experiment.json is damaged, or tells of another experiment than the catalogue",
     "history": "lines of history.jsonl are damaged or missing",
     "audit": "lines of audit.jsonl are damaged or missing",
+    "notifications": "lines of notifications.jsonl are damaged or missing",
 }
 """Kinds of damage."""
 
@@ -53,6 +55,14 @@ TABLES = ("sets", "shots", "features", "verdicts", "thickness")
 """Whose rows belong to a position and a set."""
 BACK = "bring it back from a backup: solimon repair --from BACKUP"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
+LOGS = {
+    "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),
+    "notifications": (
+        LOG_FILE,
+        "who was told what is known by the receivers alone now, and a message may go out once more: keep it",
+    ),
+}
+"""By the kind of damage: a file of numbered lines, and what to do about one that is damaged."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,17 +161,17 @@ def check_experiment(look: Look) -> Iterator[Finding]:
         yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=told)
 
 
-def check_audit(look: Look) -> Iterator[Finding]:
-    """Look whether a line of who did what was changed or taken away."""
-    try:
-        damage = parsed(read_shared(look.folder / AUDIT_FILE), name=AUDIT_FILE).damage
-    except FileNotFoundError:
-        return
-    except OSError as error:
-        damage = [f"{AUDIT_FILE} cannot be read: {error}"]
-    for line in damage:
-        told = f"{line}; nothing else knows who did what: keep it, and look at a backup"
-        yield Finding(kind="audit", file=AUDIT_FILE, shot_id=None, told=told)
+def check_logs(look: Look) -> Iterator[Finding]:
+    """Look whether a line of who did what, or of who was told, was changed or taken away."""
+    for kind, (file, remedy) in LOGS.items():
+        try:
+            damage = parsed(read_shared(look.folder / file), name=file).damage
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            damage = [f"{file} cannot be read: {error}"]
+        for line in damage:
+            yield Finding(kind=kind, file=file, shot_id=None, told=f"{line}; {remedy}")
 
 
 def check_frames(look: Look) -> Iterator[Finding]:
@@ -287,7 +297,7 @@ def check_references(look: Look) -> Iterator[Finding]:
 CHECKS: tuple[Callable[[Look], Iterator[Finding]], ...] = (
     check_catalogue,
     check_experiment,
-    check_audit,
+    check_logs,
     check_frames,
     check_sets,
     check_references,

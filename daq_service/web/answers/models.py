@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import LimitName, Quality, ReadingQuality, Severity, SupplyState
+from daq_service.orders.audit import Result
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
 
@@ -172,6 +173,10 @@ class AlarmRow(Answer):
     """One alarm with its proof."""
 
     proof: AlarmProof = Field(description="What it rests on")
+    proof_sentences: list[str] = Field(
+        description="The same for an operator: what was measured, by how much it passes which limit, the "
+        "features that contribute most, the rule, and when; the first one says most"
+    )
 
 
 @_of_row(rows.CommandRow)
@@ -677,7 +682,7 @@ class AuditEntry(Answer):
     source: str = Field(description="Network address, or `terminal`")
     what: str = Field(description="Kind of order, or operation; `enter`: a wrong token, or none")
     arguments: dict[str, Any]
-    result: Literal["accepted", "done", "refused", "failed"]
+    result: Result
     why: str
     command_id: int | None
     left_out: int = Field(description="Refusals before this line that were too many to be told")

@@ -8,6 +8,7 @@ import { button, el, setText } from "./dom.js";
 import { hour, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
 import { follow, order } from "./orders.js";
+import { Proof, setLink } from "./proof.js";
 import { ShelfDialog, suppressedText, tellAgain } from "./shelf.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
@@ -30,8 +31,10 @@ export class SolimonAlarms extends HTMLElement {
     this.items = [];
     /** @type {Map<number, string>} what became of our orders, by alarm */
     this.orders = new Map();
-    /** @type {Set<number>} alarms whose proof is open */
-    this.opened = new Set();
+    /** @type {Map<number, Proof>} by alarm; each keeps what is open of it */
+    this.proofs = new Map();
+    /** @type {import("./proof.js").Host} */
+    this.host = /** @type {any} */ (null);
     /** @type {Map<number, HTMLElement>} histories that are open, by alarm */
     this.histories = new Map();
     /** @type {Set<number>} alarms whose guidance is open */
@@ -74,19 +77,22 @@ export class SolimonAlarms extends HTMLElement {
   }
 
   render() {
-    const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.focus;
+    const active = /** @type {HTMLElement | null} */ (document.activeElement);
+    const focused = active?.dataset?.focus;
     this.list.replaceChildren(...this.items.filter((item) => this.filter.shows(item)).map((item) => this.item(item)));
     if (focused) /** @type {HTMLElement | null} */ (this.list.querySelector(`[data-focus="${focused}"]`))?.focus();
+    // A proof stays the same element, with what is in it.
+    else if (active && this.list.contains(active)) active.focus({ preventScroll: true });
   }
 
   /** @param {any} alarm @returns {HTMLElement} */
   item(alarm) {
     const waiting = WAITING.has(alarm.state);
     const order = this.orders.get(alarm.id);
-    const proof = el("details", {}, el("summary", { text: "Proof", "data-focus": `proof-${alarm.id}` }), el("pre", { class: "proof", tabindex: "0", text: JSON.stringify(alarm.proof, null, 1) }));
-    /** @type {HTMLDetailsElement} */ (proof).open = this.opened.has(alarm.id);
-    proof.addEventListener("toggle", () => (/** @type {HTMLDetailsElement} */ (proof).open ? this.opened.add(alarm.id) : this.opened.delete(alarm.id)));
-    const foot = el("div", { class: "alarm-foot" }, proof);
+    const proof = this.proofs.get(alarm.id) ?? new Proof(alarm, this.host);
+    this.proofs.set(alarm.id, proof);
+    proof.update(alarm);
+    const foot = el("div", { class: "alarm-foot" }, proof.root);
     /** A button, for those whose role allows it. @param {string} key @param {string} what @param {string} text @param {(button: HTMLButtonElement) => void} act @param {Record<string, string | boolean>} [attributes] */
     const offer = (key, what, text, act, attributes = {}) => {
       if (may(what)) foot.append(button(text, act, { "data-focus": `${key}-${alarm.id}`, ...attributes }));
@@ -103,14 +109,7 @@ export class SolimonAlarms extends HTMLElement {
     foot.append(this.history(alarm.id), this.whatNow(alarm));
     if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) offer("trust", "trust_clock", "The clock is right", (pressed) => this.trustClock(pressed), { class: "button small" });
     if (alarm.position !== null && alarm.raised_set_index !== null) {
-      // A link, so that it can be copied and sent as any other view.
-      const link = el("a", { class: "small", href: `?position=${alarm.position}&set=${alarm.raised_set_index}`, "data-focus": `set-${alarm.id}`, text: "Open set", "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` });
-      link.addEventListener("click", (event) => {
-        if (event.ctrlKey || event.metaKey || event.shiftKey) return;
-        event.preventDefault();
-        this.dispatchEvent(new CustomEvent("open-set", { detail: { position: alarm.position, set: alarm.raised_set_index } }));
-      });
-      foot.append(link);
+      foot.append(setLink(alarm.position, alarm.raised_set_index, "Open set", { "data-focus": `set-${alarm.id}`, "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` }, this.host.open));
     }
     const at = `hour ${hour(alarm.raised_h)}`;
     const show = () => this.dispatchEvent(new CustomEvent("show-hour", { detail: { position: alarm.position, hour: alarm.raised_h } }));
@@ -134,6 +133,16 @@ export class SolimonAlarms extends HTMLElement {
     item.dataset.alarm = String(alarm.id);
     item.dataset.open = String(alarm.state !== "normal");
     return item;
+  }
+
+  /** Draw what is open anew, e.g. in the colours of another theme. */
+  redraw() {
+    for (const { chart } of this.proofs.values()) chart?.draw();
+  }
+
+  /** Sets have come. */
+  renew() {
+    for (const proof of this.proofs.values()) proof.renew();
   }
 
   /** @param {any} alarm */

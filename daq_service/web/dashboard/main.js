@@ -110,6 +110,12 @@ const waterfallHost = {
   hasBaseline: () => reading.hasBaseline(address.view.position),
 };
 waterfall.host = waterfallHost;
+alarmList.host = {
+  trend: (position) => reading.trends.get(position),
+  timeline,
+  open: openSet,
+  note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
+};
 /** @type {import("./notes.js").Host} */
 const notesHost = {
   span: () => address.span,
@@ -221,6 +227,7 @@ function onColumns() {
   compared.update(address.view);
   waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
   panel.update();
+  alarmList.renew();
 }
 
 function onOthers() {
@@ -322,6 +329,7 @@ function redraw() {
   waveform.draw();
   if (reading.info) waterfall.update();
   panel.draw();
+  alarmList.redraw();
 }
 
 const theme = new Theme(() => address.view.theme, (next) => address.go({ theme: /** @type {any} */ (next) }, { step: true }), redraw);
@@ -336,7 +344,6 @@ byId("finish").addEventListener("click", async () => {
 });
 alarmList.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
 notes.addEventListener("trouble", (event) => notice(/** @type {CustomEvent} */ (event).detail, "alarm"));
-alarmList.addEventListener("open-set", (event) => openSet(/** @type {CustomEvent} */ (event).detail.position, /** @type {CustomEvent} */ (event).detail.set));
 alarmList.addEventListener("show-hour", (event) => {
   const { position, hour: at } = /** @type {CustomEvent} */ (event).detail;
   showHours(at, at, position === null ? {} : chosen(position));

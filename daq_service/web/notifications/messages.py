@@ -12,6 +12,7 @@ from urllib.parse import urlencode
 import orjson
 
 from daq_service.alarms.guidance import GUIDANCE
+from daq_service.alarms.proof import evidence
 from daq_service.alarms.states import SEVERITIES
 from daq_service.catalogue.rows import EventRow, ExperimentRow
 from daq_service.clock import format_utc
@@ -39,7 +40,13 @@ _SAID: Mapping[What, str] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class News:
-    """A change of an alarm, as its event tells it."""
+    """A change of an alarm, as its event tells it.
+
+    Attributes
+    ----------
+    evidence
+        The sentence of its proof that says most; empty where it has none.
+    """
 
     event_id: int
     what: What
@@ -52,6 +59,7 @@ class News:
     changed_utc_ns: int
     raised_h: float
     set_index: int | None
+    evidence: str
 
 
 def news_of(event: EventRow) -> News | None:
@@ -74,6 +82,7 @@ def news_of(event: EventRow) -> News | None:
         changed_utc_ns=event.utc_ns,
         raised_h=told["raised_h"],
         set_index=told["raised_set_index"],
+        evidence=next(iter(evidence(told["kind"], told.get("proof") or {})), ""),
     )
 
 
@@ -206,6 +215,7 @@ def _item(test: Test, item: News, quality: str | None, now_ns: int) -> dict[str,
         f"This change is of {format_utc(item.changed_utc_ns, 0)} and was stored {_age(age_s)} ago.",
     ]
     if item.what != "over":
+        sentences += [item.evidence] if item.evidence else []
         guidance = GUIDANCE.get(item.kind)
         sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its proof.'}")
     link = _link(test, item)

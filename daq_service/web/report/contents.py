@@ -17,6 +17,7 @@ from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters, LastWord
 from daq_service.catalogue.rows import (
     AlarmRow,
+    AnnotationRow,
     CommandRow,
     EventRow,
     ExperimentRow,
@@ -29,6 +30,7 @@ from daq_service.errors import UsageError
 from daq_service.judgement.restored import thickness_interval_m
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
 from daq_service.orders.audit import Deed, read_audit
+from daq_service.orders.deadline import as_it_stands, left_now_s
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
@@ -40,7 +42,7 @@ log = logging.getLogger(__name__)
 MOST_SETS = 20_000
 """Of a position: each is a point of every figure."""
 MOST_LINES = 500
-"""Of alarms, orders and the audit each; the newest are shown."""
+"""Of alarms, annotations, orders and the audit each; the newest are shown."""
 OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_VERDICTS = ("due_h", "distance_squared", "limit_f", "limit_paper", "limit_name", "outlier", "in_baseline")
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
@@ -122,6 +124,7 @@ class Contents:
     gaps: Sequence[Gap]
     alarms: Sequence[AlarmRow]
     history: Mapping[int, Sequence[EventRow]]
+    annotations: Sequence[AnnotationRow]
     orders: Sequence[CommandRow]
     audit: Sequence[Deed] | None
 
@@ -167,7 +170,9 @@ def read_contents(
         ]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         told = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
-        alarms = [row for row in catalogue.rows(AlarmRow) if _stood(row, experiment, begin_h, end_h)]
+        alarms = [
+            fresh.standing(row) for row in catalogue.rows(AlarmRow) if _stood(row, experiment, begin_h, end_h)
+        ]
         started = catalogue.last_told("recorder_started")
         return Contents(
             experiment=experiment,
@@ -190,7 +195,8 @@ def read_contents(
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
             alarms=alarms[-MOST_LINES:],
             history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
-            orders=catalogue.rows(CommandRow)[-MOST_LINES:],
+            annotations=catalogue.rows(AnnotationRow, **asked)[-MOST_LINES:],
+            orders=[as_it_stands(row, left_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]],
             audit=[deed for _, deed in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
         )
 

@@ -142,13 +142,18 @@ def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: An
 
 
 def _mark(contents: Contents, place: Place, axis: Axes) -> None:
-    """Shade gaps, and draw a line where an alarm was raised."""
+    """Shade gaps, and draw a line where an alarm was raised, and where an annotation begins and ends."""
     for gap in contents.gaps:
         if gap.position == place.name:
             axis.axvspan(gap.from_h, gap.to_h, color=GREY, alpha=0.2, linewidth=1.0)
     for alarm in contents.alarms:
         if alarm.position in (place.name, None) and contents.from_h <= alarm.raised_h < contents.to_h:
             axis.axvline(alarm.raised_h, color=VERMILLION, linewidth=0.9, linestyle=(0, (5, 2)))
+    for note in contents.annotations:
+        if note.position in (place.name, None) and note.withdrawn_utc_ns is None:
+            for hour in sorted({note.from_h, note.to_h}):
+                if contents.from_h <= hour < contents.to_h:
+                    axis.axvline(hour, color=GREEN, linewidth=0.9, linestyle=":")
 
 
 def _within_a_page(svg: str, prefix: str) -> str:

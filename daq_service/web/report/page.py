@@ -9,6 +9,8 @@ from html import escape
 from importlib.metadata import version
 from typing import Any
 
+from daq_service.alarms.proof import proof_sentences
+from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.clock import format_utc
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
@@ -53,6 +55,7 @@ def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
         ),
         "gaps": ("Gaps", _gaps(contents)),
         "alarms": ("Alarms", _alarms(contents)),
+        "annotations": ("Annotations", _annotations(contents)),
         "orders": ("Orders", _orders(contents)),
         **({} if contents.audit is None else {"audit": ("Audit", _audit(contents))}),
         "configuration": ("Configuration", _configuration(contents)),
@@ -151,7 +154,7 @@ def _position(contents: Contents, place: Place, figure: str) -> str:
         f"<article><h3>Position {escape(place.name)}</h3>",
         f"<p class='note'>Sets in the range: {states}.</p>",
     ]
-    shaded = "Gaps are shaded, dashed lines are alarms."
+    shaded = "Gaps are shaded, dashed lines are alarms, dotted ones annotations."
     if figure:
         what = (
             "wall thickness"
@@ -227,32 +230,59 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
     place = "The test as a whole" if row.position is None else f"Position {row.position}"
     by = row.acknowledged_by or "nobody"
     note = f", {row.note}" if row.note else ""
-    told = (
-        f"Raised at hour {row.raised_h:.2f}, now {row.state.replace('_', ' ')}; acknowledged by {by}{note}."
-    )
+    told = f"Raised at hour {row.raised_h:.2f}, now {row.state.replace('_', ' ')}; acknowledged by {by}{note}"
+    if row.suppressed:
+        told += f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_because}"
     history = [_event(contents, event) for event in contents.history.get(row.id or 0, ())]
     proof = [(name, _plain(value)) for name, value in row.proof.items()]
     return "\n".join(
         [
             f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
             f"<p>{escape(row.message)}</p>",
-            f"<p class='note'>{escape(told)}</p>",
-            _table("Proof", (), proof),
-            _table("History", ("Hour", "What", "State", "By"), history, "No event tells of it."),
+            f"<p class='note'>{escape(told)}.</p>",
+            "<ul>",
+            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row)),
+            "</ul>",
+            _table("Proof, as stored", (), proof),
+            _table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),
             "</article>",
         ]
     )
 
 
 def _event(contents: Contents, event: EventRow) -> Row:
-    hour = (event.utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H
-    told = event.payload
+    told = transition(event)
+    states = ", ".join(filter(None, (told["state"], told["suppressed"])))
     return (
-        f"{hour:.2f}",
+        _hour(contents, event.utc_ns),
         event.kind.replace("_", " "),
-        str(told.get("state", "")).replace("_", " "),
-        str(told.get("acknowledged_by") or ""),
+        states.replace("_", " "),
+        told["who"] or "",
+        (told["why"] or "") if told["who"] else "",  # else the alarm's message, which stands above
     )
+
+
+def _hour(contents: Contents, utc_ns: int) -> str:
+    return f"{(utc_ns - contents.experiment.epoch_utc_ns) / NS_PER_H:.2f}"
+
+
+def _annotations(contents: Contents) -> list[str]:
+    rows = [
+        (
+            f"{row.from_h:.2f}",
+            f"{row.to_h:.2f}",
+            row.position or "the whole test",
+            row.text,
+            f"{row.author}, at hour {_hour(contents, row.written_utc_ns)}",
+            f"{row.withdrawn_by}, at hour {_hour(contents, row.withdrawn_utc_ns)}"
+            if row.withdrawn_utc_ns is not None
+            else "",
+        )
+        for row in contents.annotations
+    ]
+    head = ("From hour", "To hour", "Position", "Text", "Written by", "Withdrawn by")
+    caption = f"Of any hour of the range, the newest {MOST_LINES} at most"
+    return [_table(caption, head, rows, "Nobody noted anything of this range.")]
 
 
 def _orders(contents: Contents) -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Depends, Path, Request
 from pydantic import Field
 from starlette.responses import Response
 
@@ -16,12 +17,9 @@ from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
 from daq_service.errors import BusyError, StorageError
 from daq_service.orders.audit import Result
 from daq_service.orders.deadline import look_at_order
-from daq_service.orders.every import AnyOrder
+from daq_service.orders.every import KINDS, AnyOrder
 from daq_service.orders.kinds import (
     LARGEST_ID,
-    AcknowledgeAlarm,
-    AlarmArguments,
-    Annotate,
     AnnotationArguments,
     Author,
     DeskOrder,
@@ -29,19 +27,8 @@ from daq_service.orders.kinds import (
     Order,
     OrderRefusedError,
     Strict,
-    WithdrawalArguments,
-    WithdrawAnnotation,
 )
-from daq_service.orders.suppressing import (
-    OutOfServiceArguments,
-    Reason,
-    ReturnToService,
-    ShelfArguments,
-    ShelfHours,
-    ShelveAlarm,
-    TakeOutOfService,
-    UnshelveAlarm,
-)
+from daq_service.orders.suppressing import Reason, ShelfHours
 from daq_service.orders.unattended import carry_out_unattended
 from daq_service.processes.data_folder import is_owned
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
@@ -58,25 +45,28 @@ router = APIRouter(tags=["commands"])
 AlarmId = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 
 
-class Acknowledgement(Strict):
-    """Body of an acknowledgement."""
+class Authored(Strict):
+    """Who gives an order."""
 
     author: Author = "operator"
+
+
+class Acknowledgement(Authored):
+    """Body of an acknowledgement."""
+
     note: str = Field(default="", max_length=2000)
 
 
-class Shelving(Strict):
+class Shelving(Authored):
     """Body of a shelving."""
 
-    author: Author = "operator"
     for_h: ShelfHours
     reason: Reason
 
 
-class OutOfService(Strict):
+class OutOfService(Authored):
     """Body of taking an alarm out of service."""
 
-    author: Author = "operator"
     reason: Reason
 
 
@@ -86,144 +76,79 @@ class Annotation(AnnotationArguments):
     author: Author = "operator"
 
 
-class Withdrawal(Strict):
+class Withdrawal(Authored):
     """Body of a withdrawal."""
 
-    author: Author = "operator"
+
+Give = Callable[[Order], Response]
+"""Writes an order in the name of who gives it, or carries it out, and answers with its row."""
 
 
-ACCEPTED = problems(400, 403, 404, 409, 413, 422, 503)
+async def _give_of(context: ContextOf, request: Request, person: PersonOf) -> Give:
+    return partial(_audited, context, request, person)
 
 
-@router.post(
-    "/commands", operation_id="create_command", status_code=202, response_model=CommandRow, responses=ACCEPTED
-)
-def create_command(command: AnyOrder, context: ContextOf, request: Request, person: PersonOf) -> Response:
+GiveOf = Annotated[Give, Depends(_give_of)]
+ACCEPTS: Any = {
+    "status_code": 202,
+    "response_model": CommandRow,
+    "responses": problems(400, 403, 404, 409, 413, 422, 503),
+}
+
+
+@router.post("/commands", operation_id="create_command", **ACCEPTS)
+def create_command(command: AnyOrder, give: GiveOf) -> Response:
     """Write an order; the recorder carries it out within 60 s, or it expires (see its `state`).
 
     Where nobody records the test, an order that changes no more than what is stored (an acknowledgement) is
     done when this answers; any other is refused (409).
     With a token the author is the token's, whatever the body says.
     """
-    return _audited(context, request, person, command)
+    return give(command)
 
 
-@router.post(
-    "/alarms/{alarm_id}/acknowledge",
-    operation_id="acknowledge_alarm",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def acknowledge_alarm(
-    alarm_id: AlarmId,
-    body: Acknowledgement,
-    context: ContextOf,
-    request: Request,
-    person: PersonOf,
-) -> Response:
+@router.post("/alarms/{alarm_id}/acknowledge", operation_id="acknowledge_alarm", **ACCEPTS)
+def acknowledge_alarm(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
     """Say that an operator has seen an alarm; the same as the command `acknowledge_alarm`."""
-    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
-    order = AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("acknowledge_alarm", body, alarm_id=alarm_id))
 
 
-@router.post(
-    "/alarms/{alarm_id}/shelve",
-    operation_id="shelve_alarm",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def shelve_alarm(
-    alarm_id: AlarmId, body: Shelving, context: ContextOf, request: Request, person: PersonOf
-) -> Response:
+@router.post("/alarms/{alarm_id}/shelve", operation_id="shelve_alarm", **ACCEPTS)
+def shelve_alarm(alarm_id: AlarmId, body: Shelving, give: GiveOf) -> Response:
     """Be told nothing of an alarm for a while; the same as the command `shelve_alarm`."""
-    arguments = ShelfArguments(alarm_id=alarm_id, for_h=body.for_h, reason=body.reason)
-    order = ShelveAlarm(kind="shelve_alarm", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("shelve_alarm", body, alarm_id=alarm_id))
 
 
-@router.post(
-    "/alarms/{alarm_id}/unshelve",
-    operation_id="unshelve_alarm",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def unshelve_alarm(
-    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
-) -> Response:
+@router.post("/alarms/{alarm_id}/unshelve", operation_id="unshelve_alarm", **ACCEPTS)
+def unshelve_alarm(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
     """Be told of a shelved alarm again; the same as the command `unshelve_alarm`."""
-    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
-    order = UnshelveAlarm(kind="unshelve_alarm", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("unshelve_alarm", body, alarm_id=alarm_id))
 
 
-@router.post(
-    "/alarms/{alarm_id}/out-of-service",
-    operation_id="take_alarm_out_of_service",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def take_alarm_out_of_service(
-    alarm_id: AlarmId, body: OutOfService, context: ContextOf, request: Request, person: PersonOf
-) -> Response:
+@router.post("/alarms/{alarm_id}/out-of-service", operation_id="take_alarm_out_of_service", **ACCEPTS)
+def take_alarm_out_of_service(alarm_id: AlarmId, body: OutOfService, give: GiveOf) -> Response:
     """Be told nothing of an alarm until it is returned; the same as the command `take_out_of_service`."""
-    arguments = OutOfServiceArguments(alarm_id=alarm_id, reason=body.reason)
-    order = TakeOutOfService(kind="take_out_of_service", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("take_out_of_service", body, alarm_id=alarm_id))
 
 
-@router.post(
-    "/alarms/{alarm_id}/return-to-service",
-    operation_id="return_alarm_to_service",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def return_alarm_to_service(
-    alarm_id: AlarmId, body: Acknowledgement, context: ContextOf, request: Request, person: PersonOf
-) -> Response:
+@router.post("/alarms/{alarm_id}/return-to-service", operation_id="return_alarm_to_service", **ACCEPTS)
+def return_alarm_to_service(alarm_id: AlarmId, body: Acknowledgement, give: GiveOf) -> Response:
     """Be told again of an alarm that was out of service; the same as the command `return_to_service`."""
-    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
-    order = ReturnToService(kind="return_to_service", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("return_to_service", body, alarm_id=alarm_id))
 
 
-@router.post(
-    "/annotations",
-    operation_id="create_annotation",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
-def create_annotation(body: Annotation, context: ContextOf, request: Request, person: PersonOf) -> Response:
+@router.post("/annotations", operation_id="create_annotation", **ACCEPTS)
+def create_annotation(body: Annotation, give: GiveOf) -> Response:
     """Note something of an hour of the test, or of a range; the same as the command `annotate`."""
-    arguments = AnnotationArguments(**body.model_dump(exclude={"author"}))
-    order = Annotate(kind="annotate", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("annotate", body))
 
 
-@router.post(
-    "/annotations/{annotation_id}/withdraw",
-    operation_id="withdraw_annotation",
-    status_code=202,
-    response_model=CommandRow,
-    responses=ACCEPTED,
-)
+@router.post("/annotations/{annotation_id}/withdraw", operation_id="withdraw_annotation", **ACCEPTS)
 def withdraw_annotation(
-    annotation_id: Annotated[int, Path(ge=1, le=LARGEST_ID)],
-    body: Withdrawal,
-    context: ContextOf,
-    request: Request,
-    person: PersonOf,
+    annotation_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Withdrawal, give: GiveOf
 ) -> Response:
     """Take an annotation back; it stays stored, with who withdrew it."""
-    arguments = WithdrawalArguments(annotation_id=annotation_id)
-    order = WithdrawAnnotation(kind="withdraw_annotation", author=body.author, arguments=arguments)
-    return _audited(context, request, person, order)
+    return give(_order("withdraw_annotation", body, annotation_id=annotation_id))
 
 
 @router.get(
@@ -235,6 +160,12 @@ def withdraw_annotation(
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Tell what became of an order."""
     return JsonAnswer(_row(context, command_id))
+
+
+def _order(kind: str, body: Authored | Annotation, **about: int) -> Order:
+    """Make an order of what a path and a body say."""
+    arguments = about | body.model_dump(exclude={"author"})
+    return KINDS[kind].model_validate({"kind": kind, "author": body.author, "arguments": arguments})
 
 
 def _audited(context: Context, request: Request, person: Person, order: Order) -> Response:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
@@ -12,7 +12,7 @@ from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX, FromHour, ToHour
-from daq_service.web.routes.tables import FILES, accepted, alone
+from daq_service.web.routes.tables import FILES, Form, accepted, alone
 from daq_service.web.tables.formats import FORMATS
 from daq_service.web.tables.record_formats import exported_records
 from daq_service.web.tables.records import NoRecordError, RecordChoice, read_slice
@@ -36,10 +36,7 @@ def get_waveforms(
     to_h: ToHour = None,
     first_set: Annotated[int | None, Query(ge=0, le=LARGEST_INDEX, description="First set, included")] = None,
     last_set: Annotated[int | None, Query(ge=0, le=LARGEST_INDEX, description="Last set, included")] = None,
-    form: Annotated[
-        Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
-        Query(alias="format", description="Absent: by the header Accept, else csv"),
-    ] = None,
+    form: Form = None,
 ) -> Response:
     """Export the accepted records of a range in volts, with hour, flags and quality of each.
 

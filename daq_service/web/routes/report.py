@@ -32,7 +32,7 @@ _making = threading.Lock()
 def get_report(
     context: ContextOf, person: PersonOf, from_h: FromHour = None, to_h: ToHour = None
 ) -> Response:
-    """Make a report: what was tested, how it stands, trends, gaps, alarms with proof and history, orders.
+    """Make a report: what was tested, how it stands, trends, gaps, alarms with proof, annotations, orders.
 
     Who may read the audit finds it inside. One is made at a time, in a process of its own.
     """

@@ -28,6 +28,10 @@ _making = threading.BoundedSemaphore(AT_ONCE)
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 FILES = {kind.media_type: _BINARY for kind in FORMATS.values()}
 """What an exported file can be, as OpenAPI says it."""
+Form = Annotated[
+    Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
+    Query(alias="format", description="Absent: by the header Accept, else csv"),
+]
 
 
 @router.get("/tables", operation_id="list_tables", response_model=TableList)
@@ -60,10 +64,7 @@ def get_table(
     fields: Annotated[
         str | None, Query(max_length=1000, description="Comma-separated columns; absent: all of the table")
     ] = None,
-    form: Annotated[
-        Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
-        Query(alias="format", description="Absent: by the header Accept, else csv"),
-    ] = None,
+    form: Form = None,
 ) -> Response:
     """Export a table or a range of it; hour, quality and what tells rows apart are always in it."""
     if table not in TABLES:

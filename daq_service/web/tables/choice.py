@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from daq_service.alarms.proof import proof_sentences
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
@@ -23,6 +24,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.told import ToldColumn, told_columns
 from daq_service.errors import UsageError
+from daq_service.processes.freshness import Freshness
 from daq_service.web.answers.json_answer import with_utc
 from daq_service.web.tables.quality import judged_qualities
 
@@ -33,7 +35,6 @@ ALWAYS = (
     *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )
 """What tells rows apart, and how good their numbers are: these are never left out."""
-QUALITY = ToldColumn(name="quality", form="text", unit="", nullable=True)
 
 Columns = Mapping[str, list[Any]]
 """Values of a page by column, as JSON has them, what is nested as JSON text; None: not available."""
@@ -50,7 +51,7 @@ class TableKind:
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
         """All of its columns."""
-        return told_columns(self.row) + ((QUALITY,) if self.row is VerdictRow else ())
+        return told_columns(self.row)
 
 
 TABLES: Mapping[str, TableKind] = {
@@ -119,8 +120,11 @@ def chosen(
     return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names)
 
 
-def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
-    """Read what was chosen, `PAGE_ROWS` rows at a time, in the order of the table; at least one page."""
+def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
+    """Read what was chosen, `PAGE_ROWS` rows at a time, in the order of the table; at least one page.
+
+    Alarms are told as they stand at the moment of ``fresh``, as everywhere else.
+    """
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
     asked: Filters = {**kind.fixed, "position": choice.position}
@@ -129,9 +133,11 @@ def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
         asked |= {"first_h": choice.from_h, "last_h": last_inside(choice.to_h)}
     is_first = True
     while True:
-        rows = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
+        rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
         if rows or is_first:
-            kept: Sequence[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            if not by_set:
+                kept = list(map(fresh.standing, kept))
             told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
             if kind.row is VerdictRow:
                 methods = {
@@ -139,10 +145,13 @@ def pages(catalogue: Catalogue, choice: Choice) -> Iterator[Columns]:
                 }
                 for row, quality in zip(told, judged_qualities(catalogue, methods, kept), strict=True):
                     row["quality"] = quality
+            if kind.row is AlarmRow:
+                for row, alarm in zip(told, kept, strict=True):
+                    row["proof_sentences"] = proof_sentences(alarm)
             yield {name: [_plain(row[name]) for row in told] for name in names}
         if len(rows) < PAGE_ROWS:
             return
-        asked["after_id"] = rows[-1].id  # type: ignore[attr-defined] # each of these kinds has one
+        asked["after_id"] = rows[-1].id
         is_first = False
 
 

@@ -32,7 +32,7 @@ def exported(
         There are more rows, or a package for the format is missing; before the first part.
     """
     kind = FORMATS[form]
-    read = pages(catalogue, choice)
+    read = pages(catalogue, fresh, choice)
     if kind.whole and most_rows is not None:
         read = _bounded(read, form, most_rows)
     about = {

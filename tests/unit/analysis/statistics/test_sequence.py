@@ -4,9 +4,10 @@ from support.healthy_sequences import healthy
 
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.baseline_check import named_in
-from analysis.statistics.chart import unshown_memory
+from analysis.statistics.chart import designed, unshown_memory
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import left_out_distances
+from analysis.statistics.memory import guarded_phi
 from analysis.statistics.sequence import Budget, assess
 
 NAMES = list("abcde")
@@ -137,6 +138,21 @@ def test_bad_sets_of_a_baseline_are_named_by_their_rows():
     trend = healthy("independent", 48, np.random.default_rng(13)) + 3.0 * np.linspace(0, 1, 48)[:, None]
     assert [one.kind for one in named_in(trend)] == ["trend"]
     assert named_in(healthy("independent", 48, np.random.default_rng(14))) == ()
+
+
+def test_few_healthy_baselines_have_something_named():
+    named = sum(
+        bool(named_in(healthy("independent", 48, np.random.default_rng([15, k])))) for k in range(150)
+    )
+    assert 0 < named <= 20  # 7 % of 150 are 11, and one SD is 3
+
+
+@pytest.mark.parametrize(("n", "standard_errors"), [(48, 1.64), (400, 0.5)])
+def test_memory_is_taken_to_be_larger_than_found(n, standard_errors):
+    x = healthy("AR .6", n, np.random.default_rng(16))
+    found = guarded_phi(x)
+    more = designed(x, 1000.0).phi - found
+    assert more == pytest.approx(standard_errors * np.sqrt((1.0 - found**2) / n))
 
 
 @pytest.mark.parametrize(

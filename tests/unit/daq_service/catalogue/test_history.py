@@ -222,3 +222,18 @@ def test_the_end_of_a_long_one_is_enough(catalogue, follower, tmp_path, monkeypa
     HistoryFollower(tmp_path, catalogue).begin()
     history = read_history(tmp_path)
     assert (len(history.events), history.last_number, history.damage) == (51, 52, [])
+
+
+@pytest.mark.parametrize(
+    ("last", "is_damage"),
+    [
+        (b"\0" * 60 + b'e"}}\n', False),  # a page that the power's end kept from the disk
+        (b'{"crc32":"00000000","n":2}\n', True),
+        (b'{"crc32":"00000000","n":2', False),
+    ],
+    ids=["with a hole", "changed", "without an end"],
+)
+def test_only_a_last_line_that_was_being_written_is_no_damage(last, is_damage):
+    first = line_of(1, "files", {"file": "a", "file_sha256": "b"})
+    assert bool(parsed(first + last).damage) is is_damage
+    assert parsed(first + last + line_of(3, "files", {"file": "c", "file_sha256": "d"})).damage

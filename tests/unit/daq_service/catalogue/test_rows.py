@@ -87,6 +87,8 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
         answer["age_h"] = 0.0
     if kind is rows.VerdictRow:
         answer["quality"] = "good"
+    if kind is rows.AlarmRow:
+        answer["proof_sentences"] = ["Raised at hour 1.50 of the test."]
     if kind is rows.CommandRow:
         answer["expires_in_s"] = 1.0
     model = getattr(models, kind.__name__)

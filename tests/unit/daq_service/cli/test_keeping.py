@@ -32,6 +32,7 @@ from daq_service.judgement.results import results_in
 from daq_service.orders.audit import Audit
 from daq_service.processes.data_folder import own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
+from daq_service.web.notifications.delivery_log import Delivery, DeliveryLog
 
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {
@@ -175,6 +176,23 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
     ]
 
 
+def audit_three(folder):
+    for who in ("ann", "ben", "cleo"):
+        Audit(folder).tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+
+
+def notify_three(folder):
+    for receiver in ("ann", "ben", "cleo"):
+        DeliveryLog(folder).tell(Delivery(receiver=receiver, what="sent", told="a hole at B"))
+
+
+@pytest.mark.parametrize(
+    ("write_three", "kind", "file", "remedy"),
+    [
+        (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
+        (notify_three, "notifications", "notifications.jsonl", "a message may go out once more"),
+    ],
+)
 @pytest.mark.parametrize(
     ("harm", "told"),
     [
@@ -184,19 +202,17 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
     ],
     ids=["changed", "taken away", "torn"],
 )
-def test_a_changed_or_missing_line_of_the_audit_is_damage(folder, harm, told):
-    audit = Audit(folder)
-    for who in ("ann", "ben", "cleo"):
-        audit.tell(who=who, role="admin", source="terminal", what="hold", result="accepted")
+def test_a_changed_or_missing_line_of_a_log_is_damage(folder, harm, told, write_three, kind, file, remedy):
+    write_three(folder)
     assert kinds(folder) == []
-    path = folder / "audit.jsonl"
+    path = folder / file
     path.write_bytes(b"".join(harm(path.read_bytes().splitlines(keepends=True))))
     code, said = solimon("verify", "--data-dir", folder)
     assert code == 4
     (damage,) = said["damage"]
-    assert (damage["kind"], damage["file"]) == ("audit", "audit.jsonl")
+    assert (damage["kind"], damage["file"]) == (kind, file)
     assert told in damage["told"]
-    assert "keep it, and look at a backup" in damage["told"]
+    assert remedy in damage["told"]
 
 
 def test_files_that_are_not_ours_are_noted_and_no_damage(folder):

@@ -60,7 +60,13 @@ def watched(*alarms, off_at_end=False):
     )
     rig = Rig(kind="simulated", clock=clock, striker=None, digitizer=None, supply=supply)
     known = {(row.position, row.kind): row for row in alarms}
-    return DriveWatch(settings, rig, NothingBefore(), known, stored.append), supply, stored
+
+    def carry(condition, moment, transaction):
+        change = update(known.get((condition.position, condition.kind)), condition, moment)
+        if change is not None:
+            transaction.add_alarm(change, moment)
+
+    return DriveWatch(settings, rig, NothingBefore(), known, carry, stored.append), supply, stored
 
 
 @pytest.mark.parametrize("acknowledged", [False, True])

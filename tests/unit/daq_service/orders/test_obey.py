@@ -152,6 +152,25 @@ def test_an_order_whose_answer_is_not_stored_is_carried_out_once(
     assert [what for what, *_ in bench.switch.done] == ["on"]
 
 
+def test_what_an_order_stores_is_stored_with_its_answer(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is killed behind the deed has given the answer."""
+    orders = [
+        bench.write("annotate", from_h=1.0, text="couplant renewed"),
+        bench.write("hold", note="door open"),
+        bench.write("retire", position="C"),
+    ]
+
+    def killed(*answer: object) -> None:
+        raise AssertionError(f"a commit of its own for {answer}")
+
+    monkeypatch.setattr(bench.catalogue, "finish_command", killed)
+    bench.listener.listen()
+    assert [bench.answer(order_id)[0] for order_id in orders] == ["done"] * 3
+    assert bench.listener.held == "held by ann: door open"
+
+
 def test_an_order_past_its_deadline_expires_and_is_not_carried_out(bench: Bench) -> None:
     bench.left_s = 0.0
     state, words = bench.obey("supply_on")
@@ -181,7 +200,9 @@ def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
     bench: Bench, begin: bool
 ) -> None:
     begun, waiting = bench.write("supply_on"), bench.write("release")
-    bench.catalogue.start_command(begun)  # ... and killed
+    rows_only = bench.write("hold", note="why")
+    for order_id in (begun, rows_only):
+        bench.catalogue.start_command(order_id)  # ... and killed
     bench.restart(begin=begin)
     if not begin:  # the disk did not take it
         bench.listener.listen()
@@ -189,8 +210,10 @@ def test_what_an_earlier_recorder_left_open_is_closed_and_never_carried_out(
         "failed",
         "the recorder ended while carrying it out; look before you give it again",
     )
-    state, words = bench.answer(waiting)
-    assert (state, "it was given before this recorder began" in words) == ("expired", True)
+    for order_id in (waiting, rows_only):
+        state, words = bench.answer(order_id)
+        assert (state, "it was given before this recorder began" in words) == ("expired", True)
+    assert bench.listener.held == "", "what it would have stored is not there"
     assert bench.switch is not None
     assert bench.switch.done == []
     assert bench.obey("supply_on") == ("done", "the supply is on")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from support.life_of_a_test import lived, run
-from support.memory_line import Line, healthy, memory_settings
+from support.memory_line import Line, healthy, memory_settings, silent
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
 
@@ -23,6 +23,7 @@ from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.judgement.results import results_in
 from daq_service.recording.experiment import foreign_because
 from daq_service.recording.rebuild import BUILDING, lost_catalogue, rebuild
+from hardware_drivers.measurement import ShotKey
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,39 @@ def test_from_the_files_alone_come_all_rows_of_the_sets_that_have_one(line):
     assert [(row.set_index, row.position, row.n_taken) for row in after] == [
         (row.set_index, row.position, row.n_taken) for row in before
     ]
+
+
+def test_an_alarm_that_was_held_back_is_raised_by_the_same_set_after_a_restart_and_again(tmp_path):
+    kinds = {"no_data": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
+    stop = threading.Event()
+
+    def script(key):
+        if key == ShotKey(position="D", set_index=4, shot_index=3):
+            stop.set()
+        return silent("noisy") if key.position == "D" and 2 <= key.set_index < 8 else healthy(key)
+
+    line = Line(
+        tmp_path / "delayed",
+        memory_settings(alarms={"kinds": kinds}, quality={"retire_after_sets": 0, "restrikes_per_set": 0}),
+        script,
+    )
+    line.folder.mkdir()
+    run(line, stop=stop)
+    assert line.rows("alarms") == []
+    run(line)
+    before = line.rows("alarms")
+    # Two poor sets make the condition, 3,000 s are two intervals; the first good set is 8.
+    (alarm,) = before
+    assert (alarm.kind, alarm.raised_set_index, alarm.state) == ("no_data", 5, "returned_unacknowledged")
+    told = [(event.kind, event.set_index) for event in line.rows("events") if event.topic == "alarms"]
+    assert told == [
+        *[("alarm_delay", 3), ("alarm_delay", 5), ("alarm_raised", 5)],
+        *[("alarm_delay", 8), ("alarm_delay", 10), ("alarm_cleared", 10)],
+    ]
+    for beside in ((), (EXPERIMENT_FILE, HISTORY_FILE)):
+        lose_catalogue(line.folder, *beside)
+        assert made_again(line).warnings == []
+        assert line.rows("alarms") == before
 
 
 def test_a_lost_line_of_the_history_costs_that_line_alone_and_is_told(line):

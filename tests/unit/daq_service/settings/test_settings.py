@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from daq_service.errors import UsageError
-from daq_service.settings.file import config_file, load_settings
+from daq_service.settings.file import checked_settings, config_file, load_settings
 from daq_service.settings.schema import settings_schema
+from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
 
 
@@ -180,3 +181,27 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
     assert load_settings(write(tmp_path, fits)).schedule.shots_per_set == 10
     with pytest.raises(UsageError, match=r"sets overlap: 3 .* take 181.25 s, .* one due every 180 s"):
         load_settings(write(tmp_path, too_long))
+
+
+@pytest.mark.parametrize(
+    ("kinds", "told"),
+    [
+        ({"hole": {"on_delay_s": 60.0}}, r"'hole' has neither delays nor .*these have: wall_change"),
+        ({"supply_lost": {"on_delay_s": 60.0}}, r"supply_lost.on_delay_s is 60 s; .*at most 10 s"),
+        ({"no_data": {"off_delay_s": 1e5}}, r"no_data.off_delay_s: .*equal to 86400.*100000"),
+        ({"no_data": {"dead_band_fraction": 0.1}}, r"is 0.1; only these kinds .*: wall_change, thickness"),
+        ({"thickness": {"dead_band_m": 1e-4}}, r"thickness.dead_band_m: unknown key; did you mean dead"),
+    ],
+)
+def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(kinds, told, tmp_path) -> None:
+    with pytest.raises(UsageError, match=told):
+        checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
+
+
+def test_delays_of_alarms_change_no_test() -> None:
+    """They may be changed while it runs: what is measured stays the same."""
+    kinds = {"thickness": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
+    settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})
+    assert settings.configuration_hash() == Settings().configuration_hash()
+    stored = Settings().model_dump(mode="json")
+    assert differences(stored, settings) == differences(settings.model_dump(mode="json"), Settings()) == []

@@ -2,14 +2,16 @@
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from support.filled_folder import FilledFolder
-from support.served_web import served
+from support.served_web import served, served_app
 
 from daq_service.settings.tree import Settings
+from daq_service.web.many.app import create_app_of_many
 
 ROOT = Path(__file__).parents[4]
 DASHBOARD = json.loads((ROOT / "examples/grafana/solimon.json").read_text(encoding="utf-8"))
@@ -20,25 +22,43 @@ TARGETS = [
 ]
 RULES = re.findall(r"^\| `(.+?)` \|", (ROOT / "docs/how-to/grafana.md").read_text(encoding="utf-8"), re.M)
 OF_PROMETHEUS = {"instance", "job"}
+OF_SEVERAL = "test"
+"""A label of each sample of a test where the service has several."""
+OF_THE_SERVICE = "solimon_http_"
+"""Metrics that are about no test."""
 FUNCTIONS = {"absent", "histogram_quantile", "increase", "label_values", "rate", "sum"}
 SELECTOR = re.compile(r"(?P<name>[A-Za-z_:][\w:]*)(?:\{(?P<labels>[^}]*)\})?(?P<range>\[\w+\])?")
 GROUPING = re.compile(r"\bby \((?P<labels>[^)]*)\)")
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
-    """What a service tells whose test has everything: families by name, and label sets by sample."""
+def folder(tmp_path_factory):
+    """A test that has everything."""
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
     for index in range(60):
         folder.add_set(index, stored=index == 0)
     folder.add_alarm("B", 55)
     folder.catalogue.add_command("ann", "hold", {"note": "hands"})
-    with served(folder.settings, folder.folder) as service, service.client() as api:
-        for path in ("tables/sets", "waveforms/B"):
-            assert api.get(f"/api/v1/{path}").status_code == 200
-        families = list(text_string_to_metric_families(api.get("/metrics").text))
+    yield folder
     folder.close()
-    return families
+
+
+@pytest.fixture(scope="module", params=["one test", "several tests"])
+def told(request, folder, tmp_path_factory):
+    """What a service of one test tells, and one of this and its copy: families of metrics."""
+    below = [""]
+    if request.param == "one test":
+        service = served(folder.settings, folder.folder)
+    else:
+        copy = tmp_path_factory.mktemp("copy") / "data"
+        shutil.copytree(folder.folder, copy)
+        app = create_app_of_many([folder.folder, copy], Settings(), tmp_path_factory.mktemp("own"))
+        service, below = served_app(app), [f"/tests/{name}" for name in app.state.tests.all]
+    with service as running, running.client() as api:
+        for prefix in below:
+            for path in ("tables/sets", "waveforms/B"):
+                assert api.get(f"{prefix}/api/v1/{path}").status_code == 200
+        return list(text_string_to_metric_families(api.get("/metrics").text))
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +74,9 @@ def selectors(expression):
     """Name, label matchers and range of each series that is asked for."""
     bare = GROUPING.sub("", expression)
     for match in SELECTOR.finditer(bare):
-        if bare[match.end() :].lstrip().startswith("(") or match["name"] in OF_PROMETHEUS:
-            assert match["name"] in FUNCTIONS | OF_PROMETHEUS, f"no function of PromQL: {match['name']}"
+        labels = OF_PROMETHEUS | {OF_SEVERAL}
+        if bare[match.end() :].lstrip().startswith("(") or match["name"] in labels:
+            assert match["name"] in FUNCTIONS | labels, f"no function of PromQL: {match['name']}"
         elif not re.search(rf"[\d.]{re.escape(match['name'])}", bare):
             matchers = re.findall(r'(\w+)(=~|!~|!=|=)"([^"]*)"', match["labels"] or "")
             yield match["name"], matchers, match["range"]
@@ -68,7 +89,7 @@ def check(expression, label_sets):
     for name, matchers, _ in asked:
         assert name in label_sets, f"{name} is not told"
         for label, sign, value in matchers:
-            if label in OF_PROMETHEUS:
+            if label in OF_PROMETHEUS or (label, value) == (OF_SEVERAL, "$test"):
                 continue
             values = {labels.get(label) for labels in label_sets[name]}
             assert None not in values, f"{name} has no label {label}"
@@ -79,19 +100,27 @@ def check(expression, label_sets):
         label.strip() for found in GROUPING.finditer(expression) for label in found["labels"].split(",")
     }
     common = set.intersection(*({*labels} for name, _, _ in asked for labels in label_sets[name]))
-    assert groups <= common, f"{groups - common} is no label there"
+    assert groups - {OF_SEVERAL} <= common, f"{groups - common} is no label there"
     is_summed = re.search(r"\bsum\b", expression)
     return (groups if is_summed else common | OF_PROMETHEUS), asked
 
 
 @pytest.mark.parametrize(("title", "expression", "legend"), TARGETS)
 def test_every_query_of_the_dashboard_finds_its_metrics_and_labels(title, expression, legend, label_sets):
-    labels, _ = check(expression, label_sets)
-    assert set(re.findall(r"\{\{(\w+)\}\}", legend)) <= labels, f"the legend of {title!r}"
+    labels, asked = check(expression, label_sets)
+    assert set(re.findall(r"\{\{(\w+)\}\}", legend)) <= labels | {OF_SEVERAL}, f"the legend of {title!r}"
+    tests = {labels[OF_SEVERAL] for labels in label_sets["solimon_has_data"] if OF_SEVERAL in labels}
+    for name, matchers, _ in asked:
+        chosen = (OF_SEVERAL, "=~", "$test") in matchers
+        assert chosen is not name.startswith(OF_THE_SERVICE), f"{title!r} shows the tests that are chosen"
+        if chosen:  # "All" is ".*", which in Prometheus also finds what has no such label
+            assert {labels.get(OF_SEVERAL) for labels in label_sets[name]} == (tests or {None})
 
 
-@pytest.mark.parametrize("expression", [*RULES, DASHBOARD["templating"]["list"][1]["query"]])
-def test_every_rule_and_the_variable_find_theirs_too(expression, label_sets):
+@pytest.mark.parametrize(
+    "expression", [*RULES, *(variable["query"] for variable in DASHBOARD["templating"]["list"][1:])]
+)
+def test_every_rule_and_the_variables_find_theirs_too(expression, label_sets):
     check(expression, label_sets)
 
 
@@ -137,3 +166,4 @@ def test_the_dashboard_can_be_imported():
         assert max(x for x, _ in cells) < 24
         taken |= cells
     assert len(RULES) == 6
+    assert [variable["allValue"] for variable in DASHBOARD["templating"]["list"][1:]] == [".*", ".*"]

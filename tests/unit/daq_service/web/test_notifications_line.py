@@ -41,13 +41,15 @@ def changes(message):
 
 def test_an_alarm_is_told_as_sentences_with_unit_age_quality_and_guidance(made):
     bench = made()
-    event_id = bench.alarms.change(message="D is 41.2, limit 24.3 (3 of 5)")
+    proof = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
+    event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", proof=proof)
     bench.mono_s += 240.0
     (message,) = bench.run()
     assert message.title == "HIGH wall_change at B has come - test"
     assert message.text == (
-        "HIGH wall_change at B has come: D is 41.2, limit 24.3 (3 of 5). First raised at hour 36.00 of the "
+        "HIGH wall_change at B has come: 3 of 5 sets lie beyond the limit. First raised at hour 36.00 of the "
         "test, set 72, quality unknown. This change is of 1970-01-02T12:00:00Z and was stored 4.0 min ago. "
+        "Set 72 lies at a squared distance of 41.2 from the baseline, 1.7 times the limit of 24.3. "
         "Look first: Does the control position move, too? Then which feature contributes; temperature."
     )
     assert message.key.endswith(f".duty.{event_id}")

@@ -20,7 +20,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.doors.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
-from daq_service.web.report.figures import figure_of
+from daq_service.web.report.figures import GREEN, figure_of
 from daq_service.web.report.make import report_page
 from daq_service.web.report.page import quantity, significant
 from daq_service.web.routes import report as route
@@ -42,7 +42,9 @@ def filled(tmp_path_factory):
         folder.add_set(index, stored=index in (0, N_SETS - 1))
     alarm = folder.add_alarm("B", 52)
     folder.acknowledge(alarm, Order(author="ann", arguments={"note": NOTE}, id=give(folder)))
-    folder.add_alarm("C", 10)
+    folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
+    folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
+    folder.annotate(20.0, "door open")
     for index in (N_SETS, N_SETS + 1, N_SETS + 3):
         folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
     yield folder
@@ -184,11 +186,25 @@ def test_it_tells_gaps_alarms_proof_history_and_orders(page):
     ]
     alarm = page.tables["Position B: wall change, high"]
     assert ["limit", "24.3"] in alarm
+    assert (
+        "What contributes most to the distance: time of flight between the peaks 70 %, amplitude ratio 30 %."
+        in page.words
+    )
     assert ["contributions", "tof_pp_s 21.4, amplitude_ratio 9.1"] in alarm
     assert [row[1:] for row in alarm if row[0] == "26.50"][-1] == [
         "alarm acknowledged",
         "acknowledged",
         "ann",
+        NOTE,
+    ]
+    shelved = page.tables["Position C: wall change, high"]
+    assert [row[1:] for row in shelved if row[0] == "5.50"][-1] == [
+        *("alarm shelved", "unacknowledged, shelved", "ann", "a new coil comes")
+    ]
+    assert "unacknowledged; acknowledged by nobody." in " ".join(page.words), "its shelf has expired"
+    assert page.tables["Annotations"][1:] == [
+        ["3.00", "5.50", "B", "couplant <renewed>", "ann, at hour 0.50", ""],
+        ["20.00", "20.00", "the whole test", "door open", "ann, at hour 0.50", ""],
     ]
     (order,) = [row for row in page.tables["Orders"] if row[1] == "ann"]
     assert order[2:] == ["acknowledge alarm", "alarm_id 1", "done", "acknowledged"]
@@ -225,6 +241,7 @@ def test_some_hours_are_chosen(filled, tmp_path):
     ]
     assert "Position C: wall change, high" in part.tables, "it stood then"
     assert "Position B: wall change, high" not in part.tables, "it was raised later"
+    assert [row[3] for row in part.tables["Annotations"][1:]] == ["couplant <renewed>"]
 
 
 def test_a_configuration_leads_to_its_folder(filled, tmp_path):
@@ -278,6 +295,13 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
                 assert (busy.status_code, busy.headers["retry-after"]) == (503, "1")
         with service.client(Authorization=f"Bearer {tokens['admin']}") as api:
             assert "audit" in Page(api.get("/api/v1/report?from_h=5&to_h=10").content).ids
+
+
+def test_annotations_are_drawn_where_they_begin_and_end(filled):
+    told = read_contents(filled.folder)
+    drawn = {place.name: figure_of(told, place).count(GREEN.lower()) for place in told.places}
+    # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
+    assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
 
 
 def test_text_of_a_figure_is_text(filled):

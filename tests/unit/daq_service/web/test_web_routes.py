@@ -376,7 +376,9 @@ def test_health_counts_what_is_stored(api):
 def test_alarm_filter_by_activity(api):
     assert len(get(api, "/api/v1/alarms?active=true")["items"]) == 2
     assert get(api, "/api/v1/alarms?active=false")["items"] == []
-    assert get(api, "/api/v1/alarms/1")["proof"]["limit"] == LIMIT_F
+    alarm = get(api, "/api/v1/alarms/1")
+    assert alarm["proof"]["limit"] == LIMIT_F
+    assert alarm["proof_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from scipy.io import loadmat
 from support.filled_folder import FilledFolder
 from support.served_web import served
 
+from daq_service.catalogue.rows import AlarmRow
 from daq_service.settings.tree import Settings
 from daq_service.web.routes import tables
 from daq_service.web.tables import choice
@@ -34,10 +35,11 @@ def filled(tmp_path_factory):
     for index in range(N_SETS):
         folder.add_set(index, stored=index == 0, judged=index != 7)
         folder.add_environment(index)
-    folder.add_alarm("B", 55)
+    folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
     folder.annotate(4.0, "an instant")
-    folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space", message="Ø, 5 %")
+    whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
+    folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
     yield folder
     folder.close()
 
@@ -166,6 +168,16 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
     alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv", from_h=26.0)))
     assert alarms["raised_h"].tolist() == [28.0]
     assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
+
+
+def test_a_shelf_that_has_expired_is_none_in_a_file(filled, api):
+    stored = {row.suppressed for row in filled.catalogue.rows(AlarmRow)}
+    assert stored == {"shelved"}, "nobody has noted yet that one is over"
+    alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv")), keep_default_na=False)
+    assert dict(zip(alarms["kind"], alarms["suppressed"], strict=True)) == {
+        "wall_change": "",
+        "disk_space": "shelved",
+    }
 
 
 def test_viewers_plot_the_chosen_number_over_the_hour(api, tmp_path):
