@@ -110,12 +110,14 @@ const waterfallHost = {
   hasBaseline: () => reading.hasBaseline(address.view.position),
 };
 waterfall.host = waterfallHost;
-alarmList.host = {
+/** @type {import("./proof.js").Host} */
+const proofHost = {
   trend: (position) => reading.trends.get(position),
   timeline,
   open: openSet,
   note: (at, ask) => (ask ? notes.ask(at, address.view.position) : void (notes.pointed = at)),
 };
+alarmList.host = proofHost;
 /** @type {import("./notes.js").Host} */
 const notesHost = {
   span: () => address.span,
