@@ -136,6 +136,7 @@ def test_a_click_brings_the_file_of_what_is_shown(page, tmp_path):
     np.testing.assert_array_equal(table["tof_pp_s"] * 1e6, expected[:, 1])
 
 
+@pytest.mark.slow
 def test_every_link_of_every_menu_leads_to_its_file(page, service):
     with service.client() as api:
         formats = api.get("/api/v1/tables").json()["formats"]
