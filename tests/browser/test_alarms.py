@@ -26,6 +26,8 @@ def service(tmp_path_factory):
     filled.add_alarm("A", N_SETS - 2, kind="thickness", proof=thin)
     poor = {"set_index": N_SETS - 2, "poor_sets_running": 2, "minimum_valid_shots": 7}
     filled.add_alarm("D", N_SETS - 2, kind="no_data", severity="medium", proof=poor)
+    hole = {"set_index": N_SETS - 2, "shots_without_psw": 10, "rule": {"shots": 7, "consecutive_sets": 2}}
+    filled.add_alarm("C", N_SETS - 2, kind="hole", proof=hole)
     filled.say("schedule_done", filled.due[-1].due_utc_ns)
     filled.close()
     with served(filled.settings, filled.folder) as running:
@@ -176,9 +178,17 @@ def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, li
     assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
 
 
+def test_the_picture_of_a_kind_without_a_limit_of_its_own_counts_nothing(page):
+    alarm(page, 7).get_by_text("Proof", exact=True).click()
+    until(lambda: page.evaluate("document.getElementById('proof-chart-7')?.snapshot().drawn"), "it is drawn")
+    box = alarm(page, 7).locator(".proof-box")
+    expect(box.locator(".card-head p").first).to_have_text("Position C")
+    expect(box).not_to_contain_text("judged sets")
+
+
 def test_the_list_is_filtered(page):
     shown = page.locator("#alarms [data-alarm]")
-    expect(shown).to_have_count(6)
+    expect(shown).to_have_count(7)
     page.get_by_label("Alarms by state").select_option("suppressed")
     expect(shown).to_have_count(2)
     page.get_by_label("Alarms by position").select_option("C")

@@ -127,7 +127,8 @@ export class Proof {
     const upTo = alarm.raised_set_index ?? Infinity;
     const counted = judged.filter((one) => one.beyond !== null && one.set <= upTo).slice(-(alarm.proof.rule?.n ?? alarm.proof.poor_sets_running ?? 1));
     const beyond = counted.filter((one) => one.beyond).length;
-    const told = `Position ${alarm.position}: ${beyond} of the last ${counted.length} judged sets beyond the limit when the alarm was raised`;
+    // A kind without a limit of its own (hole) is only drawn.
+    const told = !counted.length ? `Position ${alarm.position}` : `Position ${alarm.position}: ${beyond} of the last ${counted.length} judged sets beyond the limit when the alarm was raised`;
     const x = judged.map((one) => one.hour);
     const sets = judged.map((one) => one.set);
     this.chart ??= this.makeChart(kind);

@@ -155,7 +155,10 @@ def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, recei
         raise_alarm(filled, "hole")
         deaf.next()
         raise_alarm(filled, "no_data")
-        assert [receiver.next().message["alarms"][0]["kind"] for _ in range(2)] == ["hole", "no_data"]
+        told: list[str] = []
+        while len(told) < 2:  # one message, if both were there when its line looked
+            told += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
+        assert told == ["hole", "no_data"]
         quick = [client.get("/healthz").status_code for _ in range(20)]
         assert quick == [200] * 20
         service.stop.set()
