@@ -258,6 +258,8 @@ def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
     """Rows without numbers and times of shots and what depends on them, in an order that does not, either."""
 
     def bare(told: Any) -> Any:
+        if isinstance(told, float):
+            return float(f"{told:.12g}")  # a mean depends on the order of what it is of, by its last digits
         if not isinstance(told, dict):
             return told
         depends = ("sequence", "file_sha256", "id")

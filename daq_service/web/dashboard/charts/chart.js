@@ -144,9 +144,9 @@ export class SolimonChart extends HTMLElement {
     else this.plot.setData(dataOf(this.series));
   }
 
-  /** Draw what nobody saw. */
+  /** Draw at once what nobody saw. */
   catchUp() {
-    if (this.late && this.plot) this.plot.setData(dataOf(this.series));
+    if (this.late && this.plot) this.plot.batch(() => this.plot.setData(dataOf(this.series)));
     this.late = false;
   }
 
