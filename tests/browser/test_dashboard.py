@@ -396,6 +396,7 @@ def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
         filled.add_set(0, stored=False, shown=True)
         expect(page.locator("#tof")).to_have_attribute("data-points", "1")
         expect(page.locator("#notice")).to_be_hidden()
+        page.close()
         filled.close()
 
 

@@ -87,7 +87,7 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
     yield open_
     for context in contexts:
         context.close()
-    assert complaints == []
+    assert complaints == [], complaints
 
 
 def dashboard(page: Any, what: str) -> Any:

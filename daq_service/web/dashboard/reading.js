@@ -19,6 +19,7 @@ const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_p
 
 /**
  * @typedef {object} Reader
+ * @property {() => string[]} drawn positions that the address shows
  * @property {() => void} onBegin the experiment is known: its positions may be chosen now
  * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
  * @property {() => void} onColumns columns or fits of a position are new
@@ -92,6 +93,7 @@ export class Reading {
       return;
     }
     this.reader.onWaiting("");
+    this.drawn = this.reader.drawn();
     // Events from here on are read again; those before are in what is read now.
     follow(this.info.last_event_id);
     // Asked for before the page is built: what the service does meanwhile nobody waits for.
@@ -212,7 +214,14 @@ export class Reading {
     const { onRead } = this.reader;
     // First of all: what the tiles say is the first thing to be seen.
     const readings = [get("/transducers").then((answer) => onRead({ transducers: answer }))];
-    readings.push(...[...changed].map((position) => this.readTrend(position, whole.has(position))));
+    const trendsOf = (/** @type {string[]} */ positions) => positions.map((position) => this.readTrend(position, whole.has(position)));
+    const firstly = [...changed].filter((position) => this.drawn.includes(position) && !this.trends.has(position));
+    if (firstly.length) {
+      for (const position of firstly) this.dirty.fits.add(position);
+      await Promise.all([...readings.splice(0), ...trendsOf(firstly), this.readFits()]);
+      this.reader.onColumns();
+    }
+    readings.push(...trendsOf([...changed].filter((position) => !firstly.includes(position))));
     readings.push(...gaps.map((position) => this.readGaps(position)));
     if (alarms) readings.push(all("/alarms?limit=200").then((items) => onRead({ alarms: (this.alarms = items) })));
     if (notes) readings.push(all("/annotations?withdrawn=false&limit=1000").then((items) => onRead({ notes: (this.notes = items) })));
