@@ -402,6 +402,8 @@ class Settings(BaseSettings):
         for key in ("holdoff_s", "watchdogs"):
             if rig["daqmx"] is not None and rig["daqmx"][key] is None:
                 del rig["daqmx"][key]
+        if self.twin.nuisance == "none":
+            del values["twin"]["nuisance"]
         if self.rig.kind == "mixed":
             rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
         else:

@@ -1,4 +1,4 @@
-"""Voltages that no wave made: mains hum and electrical spikes at the digitizer's input."""
+"""Voltages that no wave made: hum, spikes and what rings at the digitizer's input."""
 
 from __future__ import annotations
 
@@ -55,3 +55,25 @@ class Interference:
             widths = (t[first:last] - peak_s) / self.spike_fwhm_s
             volts[first:last] += height_v * np.exp(-4.0 * math.log(2.0) * widths**2)
         return volts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ringing:
+    """A knock or an electrical burst: ``V sin(2 pi f t) exp(-t / tau)`` from its start on.
+
+    Attributes
+    ----------
+    start_s
+        From the striker's contact.
+    """
+
+    start_s: float
+    height_v: float
+    frequency_hz: float
+    decay_s: float
+
+    def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
+        """Voltage of ``n_samples`` samples, the first of them ``first_s`` after the contact."""
+        t = np.maximum(first_s - self.start_s + np.arange(n_samples) / sample_rate_hz, 0.0)
+        ring = np.sin(2.0 * math.pi * self.frequency_hz * t) * np.exp(-t / self.decay_s)
+        return np.asarray(self.height_v * ring)

@@ -20,6 +20,7 @@ from hardware_drivers.bounds import bounded, check_pair
 from simulator.parameters.echo import EchoParameters as EchoParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters
+from simulator.parameters.nuisance import NuisanceLevel
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
 TWIN_VERSION = "1"
@@ -164,6 +165,9 @@ class TwinParameters:
     """The same seed gives the same numbers, whatever the order of the shots."""
     update_interval_s: Annotated[float, Ge(1.0), Le(1e6)] = 600.0
     """Depth and temperature hold for this long, so that a set has one of each (corrosion is slow)."""
+    nuisance: NuisanceLevel = "none"
+    """What else disturbs a healthy rig, on top of scatter, drift and noise (`parameters.nuisance`): `none`,
+    `laboratory`, `workshop` or `plant`."""
     scatter: ScatterParameters = field(default_factory=ScatterParameters)
     """Differences between shots."""
     drift: DriftParameters = field(default_factory=DriftParameters)
