@@ -25,6 +25,7 @@ from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
+from daq_service.cli.offline.twin_line import judged_sets
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -165,6 +166,21 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
     assert all(row.outlier is not None and row.limit_f is not None for row in judged)
     assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in judged)
+
+
+def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
+    rows, judged = rows_of(finished), list(judged_sets(small_settings(), "B"))
+    of_sets = [found.assessment.features[-1] for found in judged]
+    stored = [row for row in rows["set_features"] if row.position == "B"]
+    names = {"id": None, "sequence": None}
+    assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
+    verdicts = {row.set_index: row for found in judged for row in found.assessment.verdicts}
+    told = [row for row in rows["verdicts"] if row.position == "B"]
+    assert len(told) == SETS
+    for row in told:
+        ours = verdicts[row.set_index]
+        assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
+        assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
 
 
 def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:

@@ -135,7 +135,8 @@ def test_a_chain_of_another_kind_of_model_is_refused():
 
 def test_a_shot_has_the_same_digits_alone_and_in_any_order_and_after_a_restart():
     twin = TwinParameters(thinning={}, nuisance="plant")
-    strikes = [(key(k, j, name), 0.5 * k) for k in (0, 63, 64, 400) for j in (0, 7) for name in "BD"]
+    # Five of a set: enough to run side by side.
+    strikes = [(key(k, j, name), 0.5 * k) for k in (0, 64, 400) for j in range(5) for name in "BD"]
     together = specimen(twin).solitary_waves(strikes)
     for drawn in DRAWN:
         drawn.cache_clear()
