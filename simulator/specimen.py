@@ -31,15 +31,13 @@ from simulator.experiment.faults import (
     interference_of_shot,
 )
 from simulator.experiment.nuisance import (
-    Climate,
     ShotNuisance,
     TransducerNuisance,
-    climate,
     disturbed_noise,
     disturbed_strike,
-    transducer_nuisance,
 )
 from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
+from simulator.experiment.seating import Climate, climate
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -401,8 +399,8 @@ def build_specimen(
     if twin.nuisance != "none":
         weather = climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
         for name, place in transducers.items():
-            nuisances[name] = transducer_nuisance(
-                twin.nuisance, weather, seed=twin.seed, position=name, chain=place.chain
+            nuisances[name] = TransducerNuisance(
+                level=twin.nuisance, seed=twin.seed, position=name, chain=place.chain, climate=weather
             )
     return Specimen(
         twin=twin,

@@ -12,6 +12,9 @@ from simulator.numerics.arrays import FloatArray
 SPIKE_REACH_FWHM = 3.0
 """A spike is drawn this far to both sides of its peak: beyond, a Gaussian is below 2e-11 of it."""
 
+RING_REACH_DECAYS = 20.0
+"""A ring is drawn so long: what is left then is 2e-9 of it."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Interference:
@@ -74,6 +77,11 @@ class Ringing:
 
     def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
         """Voltage of ``n_samples`` samples, the first of them ``first_s`` after the contact."""
-        t = np.maximum(first_s - self.start_s + np.arange(n_samples) / sample_rate_hz, 0.0)
-        ring = np.sin(2.0 * math.pi * self.frequency_hz * t) * np.exp(-t / self.decay_s)
-        return np.asarray(self.height_v * ring)
+        volts = np.zeros(n_samples)
+        begins_s = self.start_s - first_s
+        ends_s = begins_s + RING_REACH_DECAYS * self.decay_s
+        first = min(max(math.ceil(begins_s * sample_rate_hz), 0), n_samples)
+        last = min(max(math.ceil(ends_s * sample_rate_hz), first), n_samples)
+        t = np.arange(first, last) / sample_rate_hz - begins_s
+        volts[first:last] = np.sin(2.0 * math.pi * self.frequency_hz * t) * np.exp(-t / self.decay_s)
+        return np.asarray(self.height_v * volts)

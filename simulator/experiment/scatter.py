@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def scattered_strike(
     shots share it.
     """
     set_key = ShotKey(position=key.position, set_index=key.set_index, shot_index=0)
-    set_part = _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
+    set_part = _set_draws(seed, set_key)
     shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
@@ -100,6 +101,11 @@ def scattered_strike(
             * np.exp(drift.sensitivity_per_k * warmer_k - sensor.tilt_loss_per_rad * tilt_rad)
         ),
     )
+
+
+@lru_cache(maxsize=256)
+def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
+    return _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 
 def _unit_draws(random: np.random.Generator) -> tuple[float, float]:

@@ -290,11 +290,13 @@ class ShotModel:
         return depth
 
     def _struck(self, impact: Impact) -> Chain:
-        chain = self._chain
-        if impact.drop_height_m is not None:
-            chain = replace(chain, drop_height_m=float(impact.drop_height_m))
-        if impact.tilt_rad is not None:
-            chain = replace(chain, tilt_rad=float(impact.tilt_rad))
+        chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
+        if height_m is not None or tilt_rad is not None:
+            chain = replace(  # checks the bounds
+                chain,
+                drop_height_m=chain.drop_height_m if height_m is None else float(height_m),
+                tilt_rad=chain.tilt_rad if tilt_rad is None else float(tilt_rad),
+            )
         struck = self._nominal if chain is self._chain else struck_again(self._nominal, chain)
         if impact.contacts is not None:
             struck = reseated(struck, impact.contacts)

@@ -12,8 +12,8 @@ from analysis.waves.features import FEATURE_NAMES, extract_features, mean_featur
 from hardware_drivers.measurement import ShotKey
 from simulator.chain.spheres import Contacts
 from simulator.errors import SpecimenError
-from simulator.experiment import nuisance, processes
-from simulator.experiment.nuisance import climate
+from simulator.experiment import nuisance, processes, seating
+from simulator.experiment.seating import climate
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import (
@@ -43,7 +43,7 @@ QUIET = TwinParameters(
     drift=DriftParameters(enabled=False),
 )
 YEAR_H = 8_766.0
-DRAWN = (nuisance._seat_of_set, processes._innovations, processes._reseats, processes.wander, processes.noisy)
+DRAWN = (seating.seat_of_set, processes._innovations, processes._reseats, processes.wander, processes.noisy)
 
 
 def specimen(twin=QUIET, model=MODEL):
@@ -58,8 +58,9 @@ def only(monkeypatch):
 
     def made(twin=QUIET, **sizes):
         level = f"only {next(names)}"
-        monkeypatch.setattr(nuisance, "NUISANCE", {**nuisance.NUISANCE, level: NuisanceParameters(**sizes)})
-        for kept in (nuisance._sources, nuisance._seat_of_set):
+        for module in (nuisance, seating):
+            monkeypatch.setattr(module, "NUISANCE", {**module.NUISANCE, level: NuisanceParameters(**sizes)})
+        for kept in (seating._sources, seating.seat_of_set):
             kept.cache_clear()
         return specimen(replace(twin, nuisance=level))
 
