@@ -206,6 +206,18 @@ def test_another_seed_gives_other_numbers(pair: dict[str, Any], tmp_path: Path) 
     assert all(a.tof_pp_s != b.tof_pp_s for a, b in zip(ours, other, strict=False))
 
 
+def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) -> None:
+    settings = pair_settings(twin={"nuisance": "plant"}, schedule={"end_h": 1.0})
+    assert run(settings, tmp_path)
+    sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
+    # As without nuisance.
+    assert built_set_bytes(settings) * len(sizes) == pytest.approx(sum(sizes), rel=0.05)
+    (struck,) = (found for found in judged_sets(settings, "B") if found.due.set_index == 1)
+    stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
+    assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
+    assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 11 + 2 * 9
+
+
 @contextmanager
 def _stopping_rig(stop: threading.Event, key: ShotKey) -> Iterator[Any]:
     def disturb(taken: ShotKey, acquired: Acquired) -> Acquired:
