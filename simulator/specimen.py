@@ -37,7 +37,7 @@ from simulator.experiment.nuisance import (
     disturbed_strike,
 )
 from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
-from simulator.experiment.seating import Climate, climate
+from simulator.experiment.seating import Climate, climate, liquid_factors
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -118,6 +118,8 @@ class Specimen:
         By position: the far wall as each ultrasonic probe sees it, None where it stays smooth.
     climate, nuisances
         Of the level of nuisance: None and empty where there is none; one a transducer.
+    wet
+        By position of a wet plate and by the liquid's depth over the full one: the transducer there.
     stray
         Added at the digitizer's input, which the trigger sees too.
     """
@@ -132,6 +134,7 @@ class Specimen:
     echo_calibration: Calibration
     climate: Climate | None
     nuisances: Mapping[str, TransducerNuisance]
+    wet: Mapping[str, Mapping[float, Transducer]]
     stray: Stray | None = None
 
     def hour_h(self, elapsed_ns: int) -> float:
@@ -220,15 +223,16 @@ class Specimen:
 
     def _forces(self, blows: Sequence[_Blow]) -> Iterator[tuple[ShotForce, ShotForce]]:
         """Force of each blow's first impact, and of all its impacts."""
-        alike: dict[tuple[str, float, float], list[int]] = {}
+        alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
-            faults = blow.faults
-            chain = blow.key.position, faults.radius_factor, faults.contact_damping_factor
+            faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
+            chain = blow.key.position, liquid, faults.radius_factor, faults.contact_damping_factor
             alike.setdefault(chain, []).append(number)
         forces: dict[int, tuple[ShotForce, ShotForce]] = {}
-        for (position, *_), numbers in alike.items():
+        for (position, liquid, *_), numbers in alike.items():
             of_chain = [blows[number] for number in numbers]
-            model = _model(self.transducers[position], of_chain[0].faults)
+            transducer = self.wet.get(position, {}).get(liquid, self.transducers[position])
+            model = _model(transducer, of_chain[0].faults)
             if isinstance(model, ShotModel):
                 found = _forces_together(model, of_chain)
             else:
@@ -396,12 +400,14 @@ def build_specimen(
     }
     weather = None
     nuisances: dict[str, TransducerNuisance] = {}
+    wet: dict[str, dict[float, Transducer]] = {}
     if twin.nuisance != "none":
         weather = climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
         for name, place in transducers.items():
             nuisances[name] = TransducerNuisance(
                 level=twin.nuisance, seed=twin.seed, position=name, chain=place.chain, climate=weather
             )
+            wet[name] = _by_liquid(place, liquid_factors(weather.parameters))
     return Specimen(
         twin=twin,
         transducers=dict(transducers),
@@ -413,4 +419,13 @@ def build_specimen(
         echo_calibration=echo_calibration(twin.echo),
         climate=weather,
         nuisances=nuisances,
+        wet=wet,
     )
+
+
+def _by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
+    """Transducer by the liquid's depth over the full one; empty on a dry plate."""
+    if not isinstance(place.model, ShotModel):
+        return {}
+    models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}
+    return {factor: replace(place, model=model) for factor, model in models.items() if model is not None}

@@ -25,7 +25,7 @@ BUILT_BYTES = 32 * 2**20
 """A set of more raw bytes is built with fewer shots and scaled, so that a plan is told at once."""
 TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
 """The twin stores as many facts with each shot."""
-NUISANCE_TRUTH = 11
+NUISANCE_TRUTH = 12
 """And with nuisance as many more, and two a body of the chain."""
 ECHO_TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(6)}
 

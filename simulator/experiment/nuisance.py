@@ -56,6 +56,8 @@ class ShotNuisance:
         Temperature of chain and guide, and of the plate, over `DriftParameters.mean_temperature_c`.
     contacts, plate_modulus_factor
         With all that acts on them, temperature included.
+    liquid_factor
+        Depth of the liquid on the plate over the full one; it does nothing to a dry plate.
     knock, burst
         What else is heard.
     """
@@ -71,6 +73,7 @@ class ShotNuisance:
     plate_warmer_k: float
     contacts: Contacts
     plate_modulus_factor: float
+    liquid_factor: float
     knock: Ringing | None
     burst: Ringing | None
 
@@ -91,6 +94,7 @@ class ShotNuisance:
             "nuisance_tilt_rad": self.tilt_rad,
             "nuisance_plate_warmer_k": self.plate_warmer_k,
             "nuisance_plate_modulus_factor": self.plate_modulus_factor,
+            "nuisance_liquid_factor": self.liquid_factor,
             "nuisance_knock_v": 0.0 if self.knock is None else self.knock.height_v,
             "nuisance_burst_v": 0.0 if self.burst is None else self.burst.height_v,
         }
@@ -152,6 +156,7 @@ class TransducerNuisance:
                 damping_factor=np.exp(logs[n : 2 * n].clip(-FARTHEST_LOG_DAMPING, FARTHEST_LOG_DAMPING)),
             ),
             plate_modulus_factor=seat.plate_modulus_factor,
+            liquid_factor=seat.liquid_factor,
             knock=_ring(knock_v, KNOCK_HZ, KNOCK_DECAY_S, even[4:7]) if knocked else None,
             burst=_ring(burst_v, BURST_HZ, BURST_DECAY_S, even[8:11]) if burst else None,
         )

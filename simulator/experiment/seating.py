@@ -18,15 +18,19 @@ from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.nuisance import NUISANCE, NuisanceParameters
 
+LIQUID_LEVELS = 4
+"""The level falls in so many steps: the plate is reduced once for each."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Climate:
-    """Temperature of the surroundings on top of `scatter.Temperature`, the same for all positions."""
+    """Surroundings of all positions: temperature on top of `scatter.Temperature`, and the liquid."""
 
     parameters: NuisanceParameters
     warmest_hour_h: float
     season_rad: float
     process: tuple[FloatArray, FloatArray]
+    refilled: float
 
     def room_k(self, hour_h: float) -> float:
         """Day and season."""
@@ -38,9 +42,20 @@ class Climate:
         """Plate over room."""
         return self.parameters.process_sd_k * float(wandering(hour_h, self.process)[0])
 
+    def liquid_factor(self, hour_h: float) -> float:
+        """Depth of the liquid over the full one: it falls step by step and is topped up at once."""
+        part = (hour_h / self.parameters.refill_h + self.refilled) % 1.0
+        return liquid_factors(self.parameters)[int(LIQUID_LEVELS * part)]
+
+
+def liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
+    """All depths of the liquid over the full one."""
+    steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
+    return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
+
 
 def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season and process."""
+    """Draw season, process and when the liquid is topped up."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
@@ -49,6 +64,7 @@ def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
         process=wander(
             Purpose.PROCESS, seed, "", 1, parameters.shortest_process_h, parameters.longest_process_h
         ),
+        refilled=float(generator(seed, Purpose.REFILLS).random()),
     )
 
 
@@ -138,6 +154,7 @@ class Seat:
     chain_warmer_k: float
     plate_warmer_k: float
     plate_modulus_factor: float
+    liquid_factor: float
     noisy: bool
 
 
@@ -197,5 +214,6 @@ def seat_of_set(
         chain_warmer_k=chain_k,
         plate_warmer_k=plate_k,
         plate_modulus_factor=plate_modulus,
+        liquid_factor=weather.liquid_factor(hour_h),
         noisy=noisy(seed, int(hour_h), parameters.noisy_hour_probability),
     )

@@ -36,6 +36,7 @@ class Purpose(IntEnum):
     SEASON = 20
     PROCESS = 21
     NOISY_HOURS = 22
+    REFILLS = 23
 
 
 def generator(

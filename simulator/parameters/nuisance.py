@@ -104,6 +104,11 @@ class NuisanceParameters:
     friction_per_k: Annotated[float, Ge(-0.05), Le(0.05)] = 0.0
     """Change a kelvin of ln drop height: play and grease of the striker's guide."""
 
+    liquid_loss_fraction: Annotated[float, Ge(0.0), Le(0.9)] = 0.0
+    """Part of the depth of `plate.liquid` that evaporates before it is topped up: 1 to 2 mm a day indoors."""
+    refill_h: Annotated[float, Gt(0.0), Le(1e5)] = 168.0
+    """Hours from one topping up to the next."""
+
     wear_per_1000_h: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
     """Growth of all radii of curvature in 1,000 h: contacts flatten."""
     friction_per_1000_h: Annotated[float, Ge(0.0), Le(0.5)] = 0.0
@@ -157,6 +162,7 @@ LABORATORY = NuisanceParameters(
     rogue_probability=0.003,
     season_amplitude_k=1.0,
     friction_per_k=-1e-3,
+    liquid_loss_fraction=0.1,
     wear_per_1000_h=0.002,
     friction_per_1000_h=0.005,
     ageing_per_decade=0.01,
@@ -184,6 +190,7 @@ WORKSHOP = NuisanceParameters(
     season_amplitude_k=6.0,
     process_sd_k=1.0,
     friction_per_k=-1e-3,
+    liquid_loss_fraction=0.2,
     wear_per_1000_h=0.004,
     friction_per_1000_h=0.010,
     ageing_per_decade=0.015,
@@ -214,6 +221,7 @@ PLANT = NuisanceParameters(
     season_amplitude_k=12.0,
     process_sd_k=5.0,
     friction_per_k=-2e-3,
+    liquid_loss_fraction=0.3,
     wear_per_1000_h=0.008,
     friction_per_1000_h=0.020,
     ageing_per_decade=0.02,

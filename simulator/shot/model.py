@@ -183,6 +183,7 @@ class ShotModel:
         self._nominal = nominal = build_chain(chain, plate)
         self._chosen_step = step_s is not None
         self._energy_tolerance = energy_tolerance
+        self._cache_folder = cache_folder
         for name, value in (("duration_s", duration_s), ("step_s", step_s)):
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
@@ -209,6 +210,7 @@ class ShotModel:
                 self._plate,
                 self._corrosion,
                 duration_s=self._chosen_duration_s,
+                cache_folder=self._cache_folder,
                 prepared_plate=self._modal_plate,
                 energy_tolerance=self._energy_tolerance,
             )
@@ -218,6 +220,21 @@ class ShotModel:
         if self._chosen_duration_s is None:
             other._shortest_record_s = record_duration_s(nominal)
         return other
+
+    def with_liquid(self, depth_factor: float) -> ShotModel | None:
+        """Return the same chain on the plate with its liquid so many times as deep; None for a dry plate."""
+        liquid = self._plate.liquid
+        if liquid is None:
+            return None
+        return ShotModel(
+            self._chain,
+            replace(self._plate, liquid=replace(liquid, depth_m=depth_factor * liquid.depth_m)),
+            self._corrosion,
+            duration_s=self._chosen_duration_s,
+            cache_folder=self._cache_folder,
+            step_s=self._step_s if self._chosen_step else None,
+            energy_tolerance=self._energy_tolerance,
+        )
 
     def shot(
         self,

@@ -215,7 +215,7 @@ def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) ->
     (struck,) = (found for found in judged_sets(settings, "B") if found.due.set_index == 1)
     stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
     assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
-    assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 11 + 2 * 9
+    assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from simulator.parameters.nuisance import (
     NuisanceParameters,
     SourceParameters,
 )
-from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.parameters.plate import CorrosionParameters, LiquidParameters, PlateParameters
 from simulator.shot.model import Impact, ShotModel
 from simulator.shot.pulse_summary import summarise
 from simulator.specimen import Transducer, build_specimen
@@ -361,6 +361,28 @@ def test_factors_of_contacts_and_plate_are_a_chain_and_a_plate_with_these_moduli
         found_n.force_n, expected.force_n, rtol=0.0, atol=1e-5 * expected.force_n.max()
     )
     assert np.abs(nominal.shot(depth_fraction=0.3, tilt_rad=0.01).force_n - expected.force_n).max() > 1.0
+
+
+def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(only, reduction_folder):
+    wet = PlateParameters(elements_per_edge=16, contact_element_m=1e-3, liquid=LiquidParameters(depth_m=4e-3))
+    model = ShotModel(CHAIN, wet, CorrosionParameters(), cache_folder=reduction_folder)
+    made = only(liquid_loss_fraction=0.6, refill_h=100.0)
+    hours = np.arange(0.0, 1_000.0, 1.0)
+    level = np.array([made.climate.liquid_factor(hour) for hour in hours])
+    assert sorted(set(level)) == pytest.approx([0.4, 0.6, 0.8, 1.0])
+    steps = np.diff(level)
+    assert np.all((steps < 0.0) | (steps == 0.0) | (steps > 0.59)), "down by steps, up at once"
+    assert np.count_nonzero(steps > 0.0) in (9, 10, 11)
+    made = specimen(made.twin, model)
+    times = {level[int(hour)]: truths(made, [key()], hour)[0] for hour in (0.0, 25.0, 50.0, 75.0)}
+    assert {one["nuisance_liquid_factor"] for one in times.values()} == set(level)
+    tof_s = [times[depth]["tof_s"] for depth in sorted(times)]
+    assert tof_s == sorted(tof_s, reverse=True), "the deeper the heavier, the earlier it comes back"
+    shallow = replace(wet, liquid=LiquidParameters(depth_m=(1.0 - 0.6) * 4e-3))
+    alone = ShotModel(CHAIN, shallow, CorrosionParameters(), cache_folder=reduction_folder)
+    height_m, tilt_rad = (times[min(times)][name] for name in ("drop_height_m", "tilt_rad"))
+    expected = summarise(alone.shot(drop_height_m=height_m, tilt_rad=tilt_rad))
+    assert times[min(times)]["tof_s"] == pytest.approx(1e-6 * expected.tof_us, rel=1e-12)
 
 
 # ---- sounds
