@@ -19,16 +19,19 @@ from simulator.chain.spheres import Contacts
 from simulator.electronics.interference import Ringing
 from simulator.experiment.processes import unit_t
 from simulator.experiment.scatter import HIGHEST_DROP_M, LOWEST_DROP_FRACTION, STEEPEST_TILT_RAD, Strike
-from simulator.experiment.seating import Climate, seat_of_set
+from simulator.experiment.seating import Climate, Seat, seat_of_set
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import NoiseParameters, SensorParameters
 from simulator.parameters.nuisance import NUISANCE
 
-FARTHEST_LOG_STIFFNESS, FARTHEST_LOG_DAMPING, FARTHEST_LOG_GAIN = math.log(2.0), math.log(10.0), math.log(2.0)
-"""A contact stays within a factor of two of its stiffness and of ten of its dashpot, and the gain of two:
-tails of a logarithm would otherwise reach dashpots that no contact has (assumption)."""
+FARTHEST_LOG = np.log([2.0, 10.0, 10.0, 2.0])
+"""A contact stays within a factor of two of its stiffness and of ten of its dashpot, the drop height within
+ten and the gain within two: tails of a logarithm would otherwise reach what no chain has (assumption)."""
+
+SHOTS_A_BLOCK = 16
+"""Shots of a set that are drawn together; part of every seed's meaning."""
 
 KNOCK_HZ, KNOCK_DECAY_S = (2e3, 12e3), (0.3e-3, 1e-3)
 """A blow on a structure rings in this range (assumption)."""
@@ -84,25 +87,97 @@ class ShotNuisance:
 
     def truth(self) -> dict[str, float]:
         """Columns stored with the record; ``temperature_c`` and those of the strike hold the rest."""
-        found = {
-            "nuisance_reseats": float(self.reseats),
-            "nuisance_rogue": float(self.rogue),
-            "nuisance_wear_radius_factor": self.wear_factor,
-            "nuisance_drop_factor": self.drop_factor,
-            "nuisance_gain_factor": self.gain_factor,
-            "nuisance_noise_factor": self.noise_factor,
-            "nuisance_tilt_rad": self.tilt_rad,
-            "nuisance_plate_warmer_k": self.plate_warmer_k,
-            "nuisance_plate_modulus_factor": self.plate_modulus_factor,
-            "nuisance_liquid_factor": self.liquid_factor,
-            "nuisance_knock_v": 0.0 if self.knock is None else self.knock.height_v,
-            "nuisance_burst_v": 0.0 if self.burst is None else self.burst.height_v,
-        }
-        for contact, factor in enumerate(self.contacts.stiffness_factor.tolist()):
-            found[f"nuisance_stiffness_factor_{contact}"] = factor
-        for contact, factor in enumerate(self.contacts.damping_factor.tolist()):
-            found[f"nuisance_damping_factor_{contact}"] = factor
-        return found
+        contacts = self.contacts
+        values = (
+            float(self.reseats),
+            float(self.rogue),
+            self.wear_factor,
+            self.drop_factor,
+            self.gain_factor,
+            self.noise_factor,
+            self.tilt_rad,
+            self.plate_warmer_k,
+            self.plate_modulus_factor,
+            self.liquid_factor,
+            0.0 if self.knock is None else self.knock.height_v,
+            0.0 if self.burst is None else self.burst.height_v,
+            *contacts.stiffness_factor.tolist(),
+            *contacts.damping_factor.tolist(),
+        )
+        return dict(zip(_columns(contacts.stiffness_factor.size), values, strict=True))
+
+
+@lru_cache(maxsize=16)
+def _columns(bodies: int) -> tuple[str, ...]:
+    """Names of the truth, in the order of its values."""
+    alone = (
+        *("reseats", "rogue", "wear_radius_factor", "drop_factor", "gain_factor", "noise_factor", "tilt_rad"),
+        *("plate_warmer_k", "plate_modulus_factor", "liquid_factor", "knock_v", "burst_v"),
+    )
+    each = (f"{name}_factor_{contact}" for name in ("stiffness", "damping") for contact in range(bodies))
+    return tuple(f"nuisance_{name}" for name in (*alone, *each))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Block:
+    """Some shots of one set, drawn together because that costs little more than one.
+
+    Attributes
+    ----------
+    factors
+        Shape (SHOTS_A_BLOCK, 2 n + 2): of A and gamma of each contact, drop height and gain.
+    tilt_rad, even, normal
+        Shape (SHOTS_A_BLOCK,), (SHOTS_A_BLOCK, 11) and (SHOTS_A_BLOCK, 4).
+    """
+
+    seat: Seat
+    factors: FloatArray
+    tilt_rad: FloatArray
+    even: FloatArray
+    normal: FloatArray
+
+
+@lru_cache(maxsize=64)
+def _block(
+    level: str,
+    seed: int,
+    chain: ChainParameters,
+    weather: Climate,
+    first: ShotKey,
+    hour_h: float,
+    warmer_k: float,
+) -> _Block:
+    """Draw the shots of a set from `first` on; its index counts blocks."""
+    parameters, n = NUISANCE[level], chain.bodies
+    seat = seat_of_set(
+        level,
+        seed,
+        first.position,
+        chain,
+        weather,
+        set_index=first.set_index,
+        hour_h=hour_h,
+        warmer_k=warmer_k,
+    )
+    random = generator(seed, Purpose.SEATING_OF_SHOT, key=first)
+    drawn = unit_t(random, parameters.tail_dof, (SHOTS_A_BLOCK, 1, seat.shot_effect.shape[1]))
+    # As many numbers for every shot, so that no nuisance moves the digits of another.
+    even, normal = random.random((SHOTS_A_BLOCK, 11)), random.standard_normal((SHOTS_A_BLOCK, 4))
+    # Not a product of matrices: BLAS would round as the machine likes.
+    logs = seat.place + (seat.shot_effect * drawn).sum(axis=-1)
+    for row in np.flatnonzero(even[:, 0] < parameters.rogue_probability):
+        contact = int(even[row, 1] * n)
+        logs[row, contact] += parameters.rogue_stiffness_sd * normal[row, 0]
+        logs[row, n + contact] += parameters.rogue_stiffness_sd * abs(normal[row, 1])
+        logs[row, 2 * n] += math.log1p(-parameters.rogue_drop_loss * even[row, 2])
+    farthest = np.repeat(FARTHEST_LOG, (n, n, 1, 1))
+    return _Block(
+        seat=seat,
+        factors=np.exp(np.clip(logs[:, :-1], -farthest, farthest)),
+        tilt_rad=logs[:, -1],
+        even=even,
+        normal=normal,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,41 +199,32 @@ class TransducerNuisance:
             Temperature of the transducer over the mean one without the climate.
         """
         parameters, n = NUISANCE[self.level], self.chain.bodies
-        seat = seat_of_set(
-            self.level, self.seed, self.position, self.chain, self.climate, key.set_index, hour_h, warmer_k
-        )
-        random = generator(self.seed, Purpose.SEATING_OF_SHOT, key=key)
-        drawn = unit_t(random, parameters.tail_dof, seat.shot_effect.shape[1])
-        # As many numbers for every shot, so that no nuisance moves the digits of another.
-        even, normal = random.random(11), random.standard_normal(4)
-        logs = seat.place + (seat.shot_effect * drawn).sum(axis=1)
-        rogue = bool(even[0] < parameters.rogue_probability)
-        if rogue:
-            contact = int(even[1] * n)
-            logs[contact] += parameters.rogue_stiffness_sd * normal[0]
-            logs[n + contact] += parameters.rogue_stiffness_sd * abs(normal[1])
-            logs[2 * n] += math.log1p(-parameters.rogue_drop_loss * even[2])
+        block, row = divmod(key.shot_index, SHOTS_A_BLOCK)
+        first = replace(key, shot_index=block)
+        shots = _block(self.level, self.seed, self.chain, self.climate, first, hour_h, warmer_k)
+        seat, even, normal = shots.seat, shots.even[row], shots.normal[row]
+        factors = shots.factors[row]
         knocked = even[3] < parameters.knock_probability
         burst = seat.noisy and even[7] < parameters.burst_probability
-        knock_v, burst_v = parameters.knock_v * normal[2], parameters.burst_v * normal[3]
         return ShotNuisance(
             reseats=seat.reseats,
-            rogue=rogue,
+            rogue=bool(even[0] < parameters.rogue_probability),
             wear_factor=seat.wear_factor,
-            drop_factor=math.exp(logs[2 * n]),
-            gain_factor=math.exp(min(max(logs[2 * n + 1], -FARTHEST_LOG_GAIN), FARTHEST_LOG_GAIN)),
+            drop_factor=float(factors[-2]),
+            gain_factor=float(factors[-1]),
             noise_factor=parameters.noisy_factor if seat.noisy else 1.0,
-            tilt_rad=float(logs[2 * n + 2]),
+            tilt_rad=float(shots.tilt_rad[row]),
             chain_warmer_k=seat.chain_warmer_k,
             plate_warmer_k=seat.plate_warmer_k,
-            contacts=Contacts(
-                stiffness_factor=np.exp(logs[:n].clip(-FARTHEST_LOG_STIFFNESS, FARTHEST_LOG_STIFFNESS)),
-                damping_factor=np.exp(logs[n : 2 * n].clip(-FARTHEST_LOG_DAMPING, FARTHEST_LOG_DAMPING)),
-            ),
+            contacts=Contacts(stiffness_factor=factors[:n], damping_factor=factors[n : 2 * n]),
             plate_modulus_factor=seat.plate_modulus_factor,
             liquid_factor=seat.liquid_factor,
-            knock=_ring(knock_v, KNOCK_HZ, KNOCK_DECAY_S, even[4:7]) if knocked else None,
-            burst=_ring(burst_v, BURST_HZ, BURST_DECAY_S, even[8:11]) if burst else None,
+            knock=_ring(parameters.knock_v * normal[2], KNOCK_HZ, KNOCK_DECAY_S, even[4:7])
+            if knocked
+            else None,
+            burst=_ring(parameters.burst_v * normal[3], BURST_HZ, BURST_DECAY_S, even[8:11])
+            if burst
+            else None,
         )
 
 
@@ -182,8 +248,7 @@ def disturbed_strike(
     tilt_rad = min(abs(strike.tilt_rad + found.tilt_rad), STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
     lowest_m = LOWEST_DROP_FRACTION * chain.drop_height_m
-    return replace(
-        strike,
+    return Strike(
         drop_height_m=min(max(strike.drop_height_m * found.drop_factor, lowest_m), HIGHEST_DROP_M),
         tilt_rad=tilt_rad,
         sensor_gain_v_per_n=strike.sensor_gain_v_per_n * tilt_loss * found.gain_factor,

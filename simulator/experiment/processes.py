@@ -36,22 +36,32 @@ def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...])
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
-def remembering(memory: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
-    """Stationary AR(1) processes of variance 1 at a set: ``x_k = sqrt(1 - phi^2) sum phi^j e_(k-j)``.
+def memory_weights(memory: FloatArray) -> FloatArray:
+    """Weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n), oldest first.
 
     Parameters
     ----------
     memory
-        phi, shape (n,).
+        phi of each process, shape (n,): ``x_k = sqrt(1 - phi^2) sum phi^j e_(k-j)``.
+    """
+    return np.asarray(np.sqrt(1.0 - memory**2) * memory ** np.arange(LAGS - 1, -1, -1.0)[:, None])
+
+
+def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
+    """Stationary processes of variance 1 at a set, shape (n,).
+
+    Parameters
+    ----------
+    weights
+        `memory_weights`.
     dof
-        Of the innovations e, Student's t of variance 1.
+        Of the innovations, Student's t of variance 1.
     """
     block, first = divmod(set_index, LAGS)
     recent = np.concatenate(
-        [_innovations(seed, position, number, memory.size, dof) for number in (block, block + 1)]
+        [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
-    weights = memory ** np.arange(LAGS - 1, -1, -1.0)[:, None]
-    return np.asarray(np.sqrt(1.0 - memory**2) * (weights * recent).sum(axis=0))
+    return np.asarray((weights * recent).sum(axis=0))
 
 
 @lru_cache(maxsize=256)

@@ -32,12 +32,16 @@ class Temperature:
 
     def at(self, hour_h: float) -> float:
         """Temperature in degrees Celsius at an hour of the experiment."""
-        drift = self.drift
-        if not drift.enabled:
-            return drift.mean_temperature_c
-        day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
-        wander_k = drift.wander_sd_k * wandering(hour_h, self.drawn)[0]
-        return float(drift.mean_temperature_c + day + wander_k)
+        return _temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
+
+
+@lru_cache(maxsize=256)
+def _temperature_c(room: Temperature, hour_h: float) -> float:
+    """Temperature of a drifting room; all shots of an hour ask for it."""
+    drift = room.drift
+    day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
+    wander_k = drift.wander_sd_k * wandering(hour_h, room.drawn)[0]
+    return float(drift.mean_temperature_c + day + wander_k)
 
 
 def temperature(drift: DriftParameters, *, seed: int) -> Temperature:

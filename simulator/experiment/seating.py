@@ -12,7 +12,14 @@ from functools import lru_cache
 import numpy as np
 
 from simulator.experiment.faults import HOURS_PER_YEAR
-from simulator.experiment.processes import noisy, place_after_reseats, remembering, wander, wandering
+from simulator.experiment.processes import (
+    memory_weights,
+    noisy,
+    place_after_reseats,
+    remembering,
+    wander,
+    wandering,
+)
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -74,8 +81,10 @@ class _Sources:
 
     Attributes
     ----------
-    set_sd, memory, shot_sd, wander_sd, reseat_sd
+    set_sd, shot_sd, wander_sd, reseat_sd
         Shape (n_sources,).
+    memory
+        `processes.memory_weights` of the sources.
     effect
         Shape (2 n + 3, n_sources): what they add to ln A and ln gamma of the contacts below each body, to ln
         drop height, ln gain and tilt.
@@ -116,7 +125,7 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
 
     return _Sources(
         set_sd=column("set_sd"),
-        memory=column("memory"),
+        memory=memory_weights(column("memory")),
         shot_sd=column("shot_sd"),
         wander_sd=column("wander_sd"),
         reseat_sd=column("reseat_sd"),
@@ -158,20 +167,20 @@ class Seat:
     noisy: bool
 
 
-@lru_cache(maxsize=256)
 def seat_of_set(
     level: str,
     seed: int,
     position: str,
     chain: ChainParameters,
     weather: Climate,
+    *,
     set_index: int,
     hour_h: float,
     warmer_k: float,
 ) -> Seat:
     """Find where a set's shots scatter about; `warmer_k` as of `nuisance.TransducerNuisance.at`."""
     parameters, sources = NUISANCE[level], _sources(level, chain)
-    size, n = sources.memory.size, chain.bodies
+    size, n = sources.set_sd.size, chain.bodies
     slow = wander(
         Purpose.SEATING_WANDER,
         seed,

@@ -195,6 +195,7 @@ class ShotModel:
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool, float], Propagator] = OrderedDict()
+        self._checked_depths = {corrosion.depth_fraction}
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
@@ -300,8 +301,9 @@ class ShotModel:
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
-        if depth != self._corrosion.depth_fraction:
+        if depth not in self._checked_depths:
             replace(self._corrosion, depth_fraction=depth)  # checks the bounds
+            self._checked_depths = {self._corrosion.depth_fraction, depth}  # most shots repeat the last one
         if self._modal_plate is None and depth > 0.0:
             raise SpecimenError(_no_patch(self._plate.model, depth))
         return depth

@@ -43,7 +43,7 @@ QUIET = TwinParameters(
     drift=DriftParameters(enabled=False),
 )
 YEAR_H = 8_766.0
-DRAWN = (seating.seat_of_set, processes._innovations, processes._reseats, processes.wander, processes.noisy)
+DRAWN = (nuisance._block, processes._innovations, processes._reseats, processes.wander, processes.noisy)
 
 
 def specimen(twin=QUIET, model=MODEL):
@@ -60,7 +60,7 @@ def only(monkeypatch):
         level = f"only {next(names)}"
         for module in (nuisance, seating):
             monkeypatch.setattr(module, "NUISANCE", {**module.NUISANCE, level: NuisanceParameters(**sizes)})
-        for kept in (seating._sources, seating.seat_of_set):
+        for kept in (seating._sources, nuisance._block):
             kept.cache_clear()
         return specimen(replace(twin, nuisance=level))
 

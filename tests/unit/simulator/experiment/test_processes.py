@@ -7,6 +7,7 @@ from scipy import stats
 from simulator.experiment import processes
 from simulator.experiment.processes import (
     LAGS,
+    memory_weights,
     noisy,
     place_after_reseats,
     remembering,
@@ -22,9 +23,9 @@ DRAWN = (processes._innovations, processes._reseats, processes.wander, processes
 
 def series(memory, dof=5.0, seed=1, sets=SETS, first=0):
     """Shape (sets, WIDE): as many independent processes side by side."""
-    phi = np.full(WIDE, memory)
+    weights = memory_weights(np.full(WIDE, memory))
     return np.array(
-        [remembering(phi, dof, seed=seed, position="B", set_index=first + k) for k in range(sets)]
+        [remembering(weights, dof, seed=seed, position="B", set_index=first + k) for k in range(sets)]
     )
 
 
@@ -97,10 +98,10 @@ def test_as_many_hours_are_noisy_as_is_stated_and_everywhere_the_same():
 
 def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
     def told(set_index):
-        phi = np.linspace(0.0, 0.8, 5)
+        weights = memory_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
-                remembering(phi, 5.0, seed=3, position="C", set_index=set_index),
+                remembering(weights, 5.0, seed=3, position="C", set_index=set_index),
                 wandering(0.5 * set_index, wander(Purpose.SEATING_WANDER, 3, "C", 5, 48.0, 1_000.0)),
                 place_after_reseats(10.0 * set_index, 0.01, seed=3, position="C", size=5)[1],
             ]
