@@ -85,7 +85,7 @@ class _Blow:
         """First impact."""
         found = self.nuisance
         return Impact(
-            depth_fraction=self.wall.depth_fraction,
+            depth_fraction=self.wall.patch_depth_fraction,
             drop_height_m=self.strike.drop_height_m,
             tilt_rad=self.strike.tilt_rad,
             through_hole=self.wall.is_hole,
@@ -189,7 +189,9 @@ class Specimen:
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
-            depth_fraction=wall.depth_fraction, drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad
+            depth_fraction=wall.patch_depth_fraction,
+            drop_height_m=strike.drop_height_m,
+            tilt_rad=strike.tilt_rad,
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:

@@ -404,6 +404,9 @@ class Settings(BaseSettings):
                 del rig["daqmx"][key]
         if self.twin.nuisance == "none":
             del values["twin"]["nuisance"]
+        for thinning in values["twin"]["thinning"].values():
+            if not thinning["pits_per_edge"]:
+                del thinning["pits_per_edge"]
         if self.rig.kind == "mixed":
             rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
         else:

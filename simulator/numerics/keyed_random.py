@@ -37,6 +37,7 @@ class Purpose(IntEnum):
     PROCESS = 21
     NOISY_HOURS = 22
     REFILLS = 23
+    PITS = 24
 
 
 def generator(

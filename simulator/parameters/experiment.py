@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
@@ -42,6 +42,9 @@ class ThinningParameters:
     """Largest departure of the rate from its mean, as a fraction: below 1, so the wall never grows back."""
     hole_h: float | None = None
     """Hour at which a pit in the patch goes through (depth 0.95) and nothing is reflected; absent: never."""
+    pits_per_edge: Literal[0, 3, 5] = 0
+    """The square patch is so many pits along each edge, each of its own depth, the one under the chain the
+    deepest: it goes through. Their mean follows the law above. 0: one flat patch."""
     history: tuple[tuple[float, float], ...] = ()
     """Depth over time instead of the law above: pairs of hour and depth, straight in between, constant
     before the first and after the last."""
