@@ -180,7 +180,20 @@ def struck_again(chain: Chain, parameters: ChainParameters) -> Chain:
 
 
 def reseated(chain: Chain, contacts: Contacts) -> Chain:
-    """Return the same bodies on other contacts, in static equilibrium again: ``d = (F / A)^(2/3)``."""
+    """Return the same bodies on other contacts, in static equilibrium again: ``d = (F / A)^(2/3)``.
+
+    Raises
+    ------
+    ValueError
+        The factors are not one a body, or not positive.
+    """
+    for name in ("stiffness_factor", "damping_factor"):
+        factor = getattr(contacts, name)
+        # Also false where one is not a number.
+        if factor.shape != chain.mass_kg.shape or not factor.min() > 0.0:
+            raise ValueError(
+                f"{name} is {factor.tolist()}; it must be {len(chain.mass_kg)} positive numbers, one a body"
+            )
     return replace(
         chain,
         stiffness_n_per_m15=chain.stiffness_n_per_m15 * contacts.stiffness_factor,

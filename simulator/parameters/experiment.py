@@ -112,7 +112,8 @@ class DriftParameters:
     """Temperature of the room and the two ways it reaches a record.
 
     It changes the height the striker really falls and the PZT's sensitivity, nothing else, so a
-    stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions.
+    stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions. With
+    `nuisance` it has further ways, and what they did is stored, too.
     """
 
     enabled: bool = True

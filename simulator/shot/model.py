@@ -99,6 +99,10 @@ class Impact:
         delay_s = self.second_delay_s
         if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
             raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
+        if not (math.isfinite(self.plate_modulus_factor) and self.plate_modulus_factor > 0.0):
+            raise ValueError(
+                f"plate_modulus_factor is {self.plate_modulus_factor}; it must be positive and finite"
+            )
         if delay_s is None and self.second_drop_height_m is not None:
             raise ValueError("second_drop_height_m is given without second_delay_s; give both")
 

@@ -385,6 +385,22 @@ def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(on
     assert times[min(times)]["tof_s"] == pytest.approx(1e-6 * expected.tof_us, rel=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"plate_modulus_factor": 0.0}, "plate_modulus_factor is 0.0; it must be positive"),
+        ({"contacts": (np.ones(9), np.ones(8))}, r"damping_factor is \[.*it must be 9 positive numbers"),
+        ({"contacts": (np.full(9, np.nan), np.ones(9))}, "stiffness_factor is .*it must be 9 positive"),
+    ],
+)
+def test_a_seat_that_is_none_is_refused(given, told):
+    if "contacts" in given:
+        stiffness, damping = given["contacts"]
+        given = {"contacts": Contacts(stiffness_factor=stiffness, damping_factor=damping)}
+    with pytest.raises(ValueError, match=told):
+        MODEL.shots([Impact(**given)])
+
+
 # ---- sounds
 
 
