@@ -407,7 +407,7 @@ def build_specimen(
         weather = climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
         for name, place in transducers.items():
             nuisances[name] = TransducerNuisance(
-                level=twin.nuisance, seed=twin.seed, position=name, chain=place.chain, climate=weather
+                level=twin.nuisance, seed=twin.seed, chain=place.chain, climate=weather
             )
             wet[name] = _by_liquid(place, liquid_factors(weather.parameters))
     return Specimen(

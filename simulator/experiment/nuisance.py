@@ -171,9 +171,11 @@ def _block(
         logs[row, n + contact] += parameters.rogue_stiffness_sd * abs(normal[row, 1])
         logs[row, 2 * n] += math.log1p(-parameters.rogue_drop_loss * even[row, 2])
     farthest = np.repeat(FARTHEST_LOG, (n, n, 1, 1))
+    factors = np.exp(np.clip(logs[:, :-1], -farthest, farthest))
+    factors.flags.writeable = False  # contacts of shots are views of it
     return _Block(
         seat=seat,
-        factors=np.exp(np.clip(logs[:, :-1], -farthest, farthest)),
+        factors=factors,
         tilt_rad=logs[:, -1],
         even=even,
         normal=normal,
@@ -186,7 +188,6 @@ class TransducerNuisance:
 
     level: str
     seed: int
-    position: str
     chain: ChainParameters
     climate: Climate
 
