@@ -12,8 +12,8 @@ from simulator.numerics.arrays import FloatArray
 SPIKE_REACH_FWHM = 3.0
 """A spike is drawn this far to both sides of its peak: beyond, a Gaussian is below 2e-11 of it."""
 
-RING_REACH_DECAYS = 20.0
-"""A ring is drawn so long: what is left then is 2e-9 of it."""
+RING_REACH_DECAYS = 12.0
+"""A ring is drawn so long: what is left then is 6e-6 of it, far below a code."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
