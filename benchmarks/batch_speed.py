@@ -80,7 +80,7 @@ def flops_per_shot(bodies: int, modes: int, steps: int) -> float:
 
 def modes_of(model: ShotModel) -> int:
     """Modes in the bank of the pristine depth, blocks filled up with zeros included."""
-    (propagator,) = [made for (depth, _, _), made in model._prepared.items() if depth == 0.0]
+    (propagator,) = [made for (depth, *_), made in model._prepared.items() if depth == 0.0]
     return propagator.bank.size // 16
 
 

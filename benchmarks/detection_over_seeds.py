@@ -30,15 +30,9 @@ from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.acquisition.schedule import plan
-from daq_service.clock import parse_utc
-from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
-from daq_service.recording.recorder import features_of
+from daq_service.cli.offline.twin_line import judged_sets, specimen_of
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot, ShotKey, Stamp
-from simulator.shot.model import ShotModel
-from simulator.specimen import Specimen, Transducer, build_specimen
 
 DEEPEST_FIRST_ALARM = 0.30
 COVERAGE = 0.995
@@ -71,50 +65,26 @@ class Outcome:
 
 def settings_of(run: Run) -> Settings:
     twin = {"seed": run.seed, "scatter": {"scale": run.scale}, "drift": {"enabled": run.drift}}
-    return load_settings(None, overrides={"twin": twin})
-
-
-def specimen_of(settings: Settings, position: str) -> Specimen:
-    place = settings.positions[position]
-    model = ShotModel(place.chain, place.plate, place.corrosion)
-    transducer = Transducer(chain=place.chain, model=model)
-    return build_specimen(settings.twin, transducers={position: transducer}, probed_thickness_m={})
+    return load_settings(None, overrides={"twin": twin, "schedule": {"end_h": run.hours}})
 
 
 def carry_out(run: Run) -> Outcome:
     settings = settings_of(run)
-    specimen = specimen_of(settings, run.position)
-    epoch_ns = parse_utc(settings.clock.epoch)
-    planned = plan(settings.schedule.phases, epoch_ns, end_h=run.hours)
-    last_baseline_set = sum(due.due_h <= settings.baseline.hours for due in planned) - 1
-    assessor = SolitaryWaveAssessor(
-        run.position, settings, last_baseline_set=last_baseline_set, baseline_id=1
-    )
+    specimen = specimen_of(settings)
     verdicts: dict[int, dict[str, Any]] = {}
     baseline_vectors, first_alarm_h, depth_at_alarm, n_baseline = [], None, None, 0
-    for due in planned:
-        hour = specimen.hour_h(due.due_utc_ns - epoch_ns)
-        shots = []
-        for index in range(settings.schedule.shots_per_set):
-            key = ShotKey(position=run.position, set_index=due.set_index, shot_index=index)
-            acquired = specimen.solitary_wave(key, hour)
-            if acquired is not None:
-                stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
-                shots.append(Shot(sequence=1 + index, key=key, stamp=stamp, waveform=acquired.waveform))
-        assessment = assessor.assess(due, shots, [features_of(shot) for shot in shots])
+    for found in judged_sets(settings, run.position, specimen):
+        assessment = found.assessment
         verdicts |= {row.set_index: row for row in assessment.verdicts}
-        if due.set_index <= last_baseline_set:
+        if found.due.due_h <= settings.baseline.hours:
             baseline_vectors.append(
                 [getattr(assessment.features[-1], name) for name in (*FEATURE_NAMES, "isw_amplitude_v")]
             )
         if assessment.baseline is not None:
             n_baseline = assessment.baseline.n_sets
-        raised = {condition.kind for condition in assessment.conditions if condition.present}
-        if first_alarm_h is None and raised & {"wall_change", "hole"}:
-            first_alarm_h = due.due_h
-            depth_at_alarm = specimen.walls[run.position].at(hour).depth_fraction
-        if "hole" in raised:
-            break
+        if first_alarm_h is None and found.raised & {"wall_change", "hole"}:
+            first_alarm_h = found.due.due_h
+            depth_at_alarm = specimen.walls[run.position].at(found.hour_h).depth_fraction
     judged = [row for row in verdicts.values() if row.outlier is not None]
     table = np.array(baseline_vectors)
     sd_percent = 100 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+import numpy as np
+
 from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import Calibration, ShotKey, Waveform
 from simulator.echo.far_wall import RoughSpot, rough_spot
@@ -28,7 +30,14 @@ from simulator.experiment.faults import (
     faulty_strike,
     interference_of_shot,
 )
+from simulator.experiment.nuisance import (
+    ShotNuisance,
+    TransducerNuisance,
+    disturbed_noise,
+    disturbed_strike,
+)
 from simulator.experiment.scatter import Strike, Temperature, scattered_strike, temperature
+from simulator.experiment.seating import Climate, climate, liquid_factors
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
@@ -69,15 +78,19 @@ class _Blow:
     hour_h: float
     wall: Wall
     faults: ShotFaults
+    nuisance: ShotNuisance | None
     strike: Strike
 
     def impact(self) -> Impact:
         """First impact."""
+        found = self.nuisance
         return Impact(
-            depth_fraction=self.wall.depth_fraction,
+            depth_fraction=self.wall.patch_depth_fraction,
             drop_height_m=self.strike.drop_height_m,
             tilt_rad=self.strike.tilt_rad,
             through_hole=self.wall.is_hole,
+            contacts=None if found is None else found.contacts,
+            plate_modulus_factor=1.0 if found is None else found.plate_modulus_factor,
         )
 
     def impacts(self) -> Impact:
@@ -103,6 +116,10 @@ class Specimen:
         By position: thinning of every position above.
     spots
         By position: the far wall as each ultrasonic probe sees it, None where it stays smooth.
+    climate, nuisances
+        Of the level of nuisance: None and empty where there is none; one a transducer.
+    wet
+        By position of a wet plate and by the liquid's depth over the full one: the transducer there.
     stray
         Added at the digitizer's input, which the trigger sees too.
     """
@@ -115,6 +132,9 @@ class Specimen:
     room: Temperature
     adc_calibration: Calibration
     echo_calibration: Calibration
+    climate: Climate | None
+    nuisances: Mapping[str, TransducerNuisance]
+    wet: Mapping[str, Mapping[float, Transducer]]
     stray: Stray | None = None
 
     def hour_h(self, elapsed_ns: int) -> float:
@@ -128,19 +148,40 @@ class Specimen:
             return NO_FAULTS
         return faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
 
+    def nuisance(self, key: ShotKey, hour_h: float, faults: ShotFaults) -> ShotNuisance | None:
+        """Draw what disturbs this strike though nothing is wrong; None without nuisance."""
+        found = self.nuisances.get(key.position)
+        if found is None:
+            return None
+        return found.at(
+            key, hour_h, self.room.at(hour_h) - self.room.drift.mean_temperature_c + faults.temperature_k
+        )
+
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
         """Drop height, tilt and sensitivity of one shot, its faults included."""
         faults = self.faults(key, hour_h)
-        scattered = scattered_strike(
+        return self._strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
+
+    def _strike(self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> Strike:
+        chain, sensor = self.transducers[key.position].chain, self.twin.sensor
+        strike = scattered_strike(
             key,
             seed=self.twin.seed,
-            chain=self.transducers[key.position].chain,
+            chain=chain,
             scatter=self.twin.scatter,
             drift=self.twin.drift,
-            sensor=self.twin.sensor,
-            temperature_c=self.room.at(hour_h) + faults.temperature_k,
+            sensor=sensor,
+            temperature_c=self._temperature_c(hour_h, faults, found),
         )
-        return scattered if faults is NO_FAULTS else faulty_strike(scattered, faults, self.twin.sensor)
+        if found is not None:
+            strike = disturbed_strike(strike, found, chain, sensor)
+        return strike if faults is NO_FAULTS else faulty_strike(strike, faults, sensor)
+
+    def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
+        """Temperature of a transducer."""
+        if found is None:
+            return self.room.at(hour_h) + faults.temperature_k
+        return self.room.drift.mean_temperature_c + found.chain_warmer_k
 
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
         """Physics of one impact at its own depth, drop height and tilt."""
@@ -148,7 +189,9 @@ class Specimen:
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
         return model.shot(
-            depth_fraction=wall.depth_fraction, drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad
+            depth_fraction=wall.patch_depth_fraction,
+            drop_height_m=strike.drop_height_m,
+            tilt_rad=strike.tilt_rad,
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
@@ -170,25 +213,28 @@ class Specimen:
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
+        found = self.nuisance(key, hour_h, faults)
         return _Blow(
             key=key,
             hour_h=hour_h,
             wall=self.walls[key.position].at(hour_h),
             faults=faults,
-            strike=self.strike(key, hour_h),
+            nuisance=found,
+            strike=self._strike(key, hour_h, faults, found),
         )
 
     def _forces(self, blows: Sequence[_Blow]) -> Iterator[tuple[ShotForce, ShotForce]]:
         """Force of each blow's first impact, and of all its impacts."""
-        alike: dict[tuple[str, float, float], list[int]] = {}
+        alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
-            faults = blow.faults
-            chain = blow.key.position, faults.radius_factor, faults.contact_damping_factor
+            faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
+            chain = blow.key.position, liquid, faults.radius_factor, faults.contact_damping_factor
             alike.setdefault(chain, []).append(number)
         forces: dict[int, tuple[ShotForce, ShotForce]] = {}
-        for (position, *_), numbers in alike.items():
+        for (position, liquid, *_), numbers in alike.items():
             of_chain = [blows[number] for number in numbers]
-            model = _model(self.transducers[position], of_chain[0].faults)
+            transducer = self.wet.get(position, {}).get(liquid, self.transducers[position])
+            model = _model(transducer, of_chain[0].faults)
             if isinstance(model, ShotModel):
                 found = _forces_together(model, of_chain)
             else:
@@ -202,6 +248,11 @@ class Specimen:
                 f"double is a second impact on the chain of a ShotModel; this one is a "
                 f"{type(model).__name__}: take it out of the faults"
             )
+        if blow.nuisance is not None:
+            raise SpecimenError(
+                f"nuisance re-seats the chain of a ShotModel; this one is a {type(model).__name__}: set "
+                "nuisance to 'none'"
+            )
         force = self.force(blow.wall, blow.strike, blow.key.position, blow.faults)
         return force, force
 
@@ -211,6 +262,9 @@ class Specimen:
         interference, electrical_truth = interference_of_shot(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
         )
+        noise, found = self.twin.noise, blow.nuisance
+        if found is not None:
+            noise = disturbed_noise(noise, found.noise_factor)
         record = triggered_record(
             force_step_s=_grid_step_s(force),
             dynamic_force_n=every_impact.force_n - every_impact.preload_n,
@@ -219,10 +273,10 @@ class Specimen:
             calibration=self.adc_calibration,
             # The sample clock runs free: where it stands when the wave comes is anybody's guess.
             sampling_phase=float(generator(seed, Purpose.SAMPLING_PHASE, key=key).random()),
-            noise=self.twin.noise,
+            noise=noise,
             random=generator(seed, Purpose.NOISE, key=key),
             interference=interference,
-            stray=self.stray,
+            stray=self._stray(blow.nuisance),
         )
         if record is None:
             return None
@@ -233,9 +287,24 @@ class Specimen:
             calibration=self.adc_calibration,
         )
         truth = _shot_truth(blow.wall, blow.strike, force)
-        temperature_c = self.room.at(hour_h) + blow.faults.temperature_k
+        temperature_c = self._temperature_c(hour_h, blow.faults, found)
         truth |= {"temperature_c": temperature_c, "trigger_time_s": record.trigger_time_s}
-        return Acquired(waveform=waveform, truth=truth | blow.faults.truth | electrical_truth)
+        truth |= blow.faults.truth | electrical_truth
+        return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
+
+    def _stray(self, found: ShotNuisance | None) -> Stray | None:
+        """Voltage that no strike made, that of the nuisance included."""
+        if found is None or not found.rings:
+            return self.stray
+        heard: list[Stray] = [ring.volts for ring in found.rings]
+        if self.stray is not None:
+            heard.append(self.stray)
+        return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in heard], axis=0)
+
+    def _plate_temperature_c(self, hour_h: float) -> float:
+        if self.climate is None:
+            return self.room.at(hour_h)
+        return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
 
     def probed_wall(self, position: str, hour_h: float) -> ProbedWall:
         """Wall under an ultrasonic probe at an hour of the experiment."""
@@ -243,7 +312,7 @@ class Specimen:
             self.probed_thickness_m[position],
             self.walls[position].at(hour_h).depth_fraction,
             self.spots[position],
-            self.room.at(hour_h) - self.twin.drift.mean_temperature_c,
+            self._plate_temperature_c(hour_h) - self.twin.drift.mean_temperature_c,
         )
 
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
@@ -262,7 +331,7 @@ class Specimen:
         )
         return Echo(
             waveform=waveform,
-            truth=wall.truth(echo) | {"temperature_c": self.room.at(hour_h)} | disturbed,
+            truth=wall.truth(echo) | {"temperature_c": self._plate_temperature_c(hour_h)} | disturbed,
             gain_db=echo.gain_db,
             averages=echo.averages,
             settings={"clipped_records": float(clipped)},
@@ -331,6 +400,16 @@ def build_specimen(
         )
         for position in (*transducers, *probed_thickness_m)
     }
+    weather = None
+    nuisances: dict[str, TransducerNuisance] = {}
+    wet: dict[str, dict[float, Transducer]] = {}
+    if twin.nuisance != "none":
+        weather = climate(twin.nuisance, seed=twin.seed, warmest_hour_h=twin.drift.warmest_hour_h)
+        for name, place in transducers.items():
+            nuisances[name] = TransducerNuisance(
+                level=twin.nuisance, seed=twin.seed, chain=place.chain, climate=weather
+            )
+            wet[name] = _by_liquid(place, liquid_factors(weather.parameters))
     return Specimen(
         twin=twin,
         transducers=dict(transducers),
@@ -340,4 +419,15 @@ def build_specimen(
         room=temperature(twin.drift, seed=twin.seed),
         adc_calibration=adc_calibration(twin.adc),
         echo_calibration=echo_calibration(twin.echo),
+        climate=weather,
+        nuisances=nuisances,
+        wet=wet,
     )
+
+
+def _by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
+    """Transducer by the liquid's depth over the full one; empty on a dry plate."""
+    if not isinstance(place.model, ShotModel):
+        return {}
+    models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}
+    return {factor: replace(place, model=model) for factor, model in models.items() if model is not None}

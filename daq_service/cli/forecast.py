@@ -25,6 +25,8 @@ BUILT_BYTES = 32 * 2**20
 """A set of more raw bytes is built with fewer shots and scaled, so that a plan is told at once."""
 TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
 """The twin stores as many facts with each shot."""
+NUISANCE_TRUTH = 12
+"""And with nuisance as many more, and two a body of the chain."""
 ECHO_TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(6)}
 
 
@@ -141,7 +143,9 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
                 records.append(PulseEchoRecord(**taken, **settings_of, waveform=wave, truth=ECHO_TRUTH))
             else:
                 wave = waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
-                records.append(Shot(**taken, waveform=wave, truth=TRUTH))
+                more = 0 if twin.nuisance == "none" else NUISANCE_TRUTH + 2 * place.chain.bodies
+                truth = TRUTH | {f"nuisance_of_the_twin_{number}": 0.1234 + number for number in range(more)}
+                records.append(Shot(**taken, waveform=wave, truth=truth))
     return SetRecord(
         set_index=0,
         due_utc_ns=10**18,

@@ -51,6 +51,7 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     SimulatorError
         One cannot be built as configured.
     """
+    from simulator.experiment.corrosion import patch_of
     from simulator.shot.model import ShotModel
     from simulator.specimen import Transducer
 
@@ -58,7 +59,11 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     return {
         name: Transducer(
             chain=places[name].chain,
-            model=ShotModel(places[name].chain, places[name].plate, places[name].corrosion),
+            model=ShotModel(
+                places[name].chain,
+                places[name].plate,
+                patch_of(settings.twin, name, places[name].corrosion),
+            ),
         )
         for name in settings.names_of(SOLITARY_WAVE)
     }

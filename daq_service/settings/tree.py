@@ -402,6 +402,11 @@ class Settings(BaseSettings):
         for key in ("holdoff_s", "watchdogs"):
             if rig["daqmx"] is not None and rig["daqmx"][key] is None:
                 del rig["daqmx"][key]
+        if self.twin.nuisance == "none":
+            del values["twin"]["nuisance"]
+        for thinning in values["twin"]["thinning"].values():
+            if not thinning["pits_per_edge"]:
+                del thinning["pits_per_edge"]
         if self.rig.kind == "mixed":
             rig["instruments"] = {name: item.measured() for name, item in self.rig.instruments.items()}
         else:

@@ -100,6 +100,20 @@ class Chain:
         return 0.5 * float(self.static_force_n[self.sensor - 1] + self.static_force_n[self.sensor])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contacts:
+    """How the contacts of one strike differ from the nominal ones.
+
+    Attributes
+    ----------
+    stiffness_factor, damping_factor
+        float64, shape (n_bodies,): A and gamma of the contact below each body, over the nominal ones.
+    """
+
+    stiffness_factor: NDArray[np.float64]
+    damping_factor: NDArray[np.float64]
+
+
 def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
     """Dashpot of a face of the sensor disk that stands tilted by `tilt_rad`.
 
@@ -162,6 +176,29 @@ def struck_again(chain: Chain, parameters: ChainParameters) -> Chain:
         chain,
         damping_n_s_per_m=damping,
         impact_speed_m_per_s=math.sqrt(2.0 * FREE_FALL_M_PER_S2 * parameters.drop_height_m),
+    )
+
+
+def reseated(chain: Chain, contacts: Contacts) -> Chain:
+    """Return the same bodies on other contacts, in static equilibrium again: ``d = (F / A)^(2/3)``.
+
+    Raises
+    ------
+    ValueError
+        The factors are not one a body, or not positive.
+    """
+    for name in ("stiffness_factor", "damping_factor"):
+        factor = getattr(contacts, name)
+        # Also false where one is not a number.
+        if factor.shape != chain.mass_kg.shape or not factor.min() > 0.0:
+            raise ValueError(
+                f"{name} is {factor.tolist()}; it must be {len(chain.mass_kg)} positive numbers, one a body"
+            )
+    return replace(
+        chain,
+        stiffness_n_per_m15=chain.stiffness_n_per_m15 * contacts.stiffness_factor,
+        damping_n_s_per_m=chain.damping_n_s_per_m * contacts.damping_factor,
+        static_overlap_m=chain.static_overlap_m * contacts.stiffness_factor ** (-2.0 / 3.0),
     )
 
 

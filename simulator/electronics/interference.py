@@ -1,4 +1,4 @@
-"""Voltages that no wave made: mains hum and electrical spikes at the digitizer's input."""
+"""Voltages that no wave made: hum, spikes and what rings at the digitizer's input."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from simulator.numerics.arrays import FloatArray
 
 SPIKE_REACH_FWHM = 3.0
 """A spike is drawn this far to both sides of its peak: beyond, a Gaussian is below 2e-11 of it."""
+
+RING_REACH_DECAYS = 12.0
+"""A ring is drawn so long: what is left then is 6e-6 of it, far below a code."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,3 +58,30 @@ class Interference:
             widths = (t[first:last] - peak_s) / self.spike_fwhm_s
             volts[first:last] += height_v * np.exp(-4.0 * math.log(2.0) * widths**2)
         return volts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ringing:
+    """A knock or an electrical burst: ``V sin(2 pi f t) exp(-t / tau)`` from its start on.
+
+    Attributes
+    ----------
+    start_s
+        From the striker's contact.
+    """
+
+    start_s: float
+    height_v: float
+    frequency_hz: float
+    decay_s: float
+
+    def volts(self, first_s: float, sample_rate_hz: float, n_samples: int) -> FloatArray:
+        """Voltage of ``n_samples`` samples, the first of them ``first_s`` after the contact."""
+        volts = np.zeros(n_samples)
+        begins_s = self.start_s - first_s
+        ends_s = begins_s + RING_REACH_DECAYS * self.decay_s
+        first = min(max(math.ceil(begins_s * sample_rate_hz), 0), n_samples)
+        last = min(max(math.ceil(ends_s * sample_rate_hz), first), n_samples)
+        t = np.arange(first, last) / sample_rate_hz - begins_s
+        volts[first:last] = np.sin(2.0 * math.pi * self.frequency_hz * t) * np.exp(-t / self.decay_s)
+        return np.asarray(self.height_v * volts)

@@ -4,30 +4,55 @@ The patch thins slowly and unevenly about a linear trend, the shape of the paper
 is a pit in a patch that is much less thinned: the mean depth enters the plate model, the pit's depth
 only decides when nothing is reflected any more. That split is our reading of the paper, which found
 holes at a time of flight only about 10 % longer. A table of hours and depths replaces the trend.
+
+With `pits_per_edge` the patch is a mosaic of pits whose depths have a spectrum: their mean follows the trend,
+they all grow alike, so that the patch roughens as it thins, and the deepest one, under the chain, goes
+through. The plate is reduced once for its life: each pit's depth is a constant part of the deepest one's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy  # `scipy.optimize` comes when asked for
 from numpy.typing import NDArray
 
 from hardware_drivers.nanoseconds import NS_PER_S
+from simulator.errors import SpecimenError
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
-from simulator.parameters.experiment import ThinningParameters
-from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
+from simulator.parameters.experiment import ThinningParameters, TwinParameters
+from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PatchParameters
 
+PIT_SHAPE = 2.0
+"""Of the Weibull distribution of pit depths, which is often fitted to them (that it is 2: assumption)."""
+SHALLOWEST_PIT = 0.05
+"""Part of the deepest one's depth that even the shallowest has: the patch thins everywhere (assumption)."""
 HARMONICS = 5
 """Slow variations of the rate between onset and reference hour: periods down to a fifth of it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wall:
-    """State of a wall as fractions of its thickness."""
+    """State of a wall as fractions of its thickness.
+
+    Attributes
+    ----------
+    depth_fraction, pit_depth_fraction
+        Mean and deepest.
+    is_pitted
+        The plate's patch is a mosaic of pits.
+    """
 
     depth_fraction: float
     pit_depth_fraction: float
+    is_pitted: bool = False
+
+    @property
+    def patch_depth_fraction(self) -> float:
+        """Depth that the model of the plate takes: a flat patch's mean, a mosaic's deepest pit."""
+        return self.pit_depth_fraction if self.is_pitted else self.depth_fraction
 
     @property
     def is_hole(self) -> bool:
@@ -45,30 +70,39 @@ class WallHistory:
         Shape (HARMONICS,): the rate over its mean is ``1 + sum(a_k cos(2 pi k u + p_k))`` with u the
         time since onset over the time from onset to the reference hour. The amplitudes add up to
         ``unevenness``, below 1, so the depth never falls.
+    pits
+        Shape (pits_per_edge, pits_per_edge): depth of each pit over that of the deepest; empty without.
     """
 
     thinning: ThinningParameters
     amplitudes: NDArray[np.float64]
     phases_rad: NDArray[np.float64]
+    pits: NDArray[np.float64]
 
     def at(self, hour_h: float) -> Wall:
         """State at an hour of the experiment."""
-        onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
-        since_onset_h = max(hour_h - onset_h, 0.0)
-        if self.thinning.history:
-            hours, depths = zip(*self.thinning.history, strict=True)
-            mean = float(np.interp(hour_h, hours, depths))
-        else:
-            mean = self.thinning.depth_fraction * self._progress(since_onset_h / (reference_h - onset_h))
-            mean = min(mean, DEEPEST_PATCH_FRACTION)
-        pit = mean
+        mean = self.mean_at(hour_h)
+        pit, onset_h = mean, self.thinning.onset_h
+        is_pitted = self.pits.size > 0
+        if is_pitted:
+            pit = min(mean / float(self.pits.mean()), DEEPEST_PATCH_FRACTION)
         if self.thinning.hole_h is not None:
             # Compared in hours first: rounding of the ratio must not move the hole by an interval.
             through = hour_h >= self.thinning.hole_h
-            growth = since_onset_h / (self.thinning.hole_h - onset_h)
-            grown = np.nextafter(DEEPEST_PATCH_FRACTION, 0.0) * min(growth, 1.0)
-            pit = DEEPEST_PATCH_FRACTION if through else max(mean, float(grown))
-        return Wall(depth_fraction=mean, pit_depth_fraction=pit)
+            deepest = float(np.nextafter(DEEPEST_PATCH_FRACTION, 0.0))
+            growth = max(hour_h - onset_h, 0.0) / (self.thinning.hole_h - onset_h)
+            grown = min(pit, deepest) if is_pitted else max(mean, deepest * min(growth, 1.0))
+            pit = DEEPEST_PATCH_FRACTION if through else grown
+        return Wall(depth_fraction=mean, pit_depth_fraction=pit, is_pitted=is_pitted)
+
+    def mean_at(self, hour_h: float) -> float:
+        """Mean depth at an hour of the experiment."""
+        onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
+        if self.thinning.history:
+            hours, depths = zip(*self.thinning.history, strict=True)
+            return float(np.interp(hour_h, hours, depths))
+        u = max(hour_h - onset_h, 0.0) / (reference_h - onset_h)
+        return min(self.thinning.depth_fraction * self._progress(u), DEEPEST_PATCH_FRACTION)
 
     def _progress(self, u: float) -> float:
         """Integral of the relative rate; 1 at u = 1 whatever the phases, since each term is periodic."""
@@ -81,10 +115,88 @@ def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> W
     """Draw the unevenness of one position's rate."""
     random = generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
-    return WallHistory(
+    flat = WallHistory(
         thinning=thinning,
         amplitudes=thinning.unevenness * shares,
         phases_rad=random.uniform(0.0, 2.0 * np.pi, HARMONICS),
+        pits=np.empty((0, 0)),
+    )
+    return replace(flat, pits=_pits(flat, seed, position)) if thinning.pits_per_edge else flat
+
+
+def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
+    """Draw a Weibull spectrum of depths over that of the deepest, which lies in the middle.
+
+    Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
+    law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
+    """
+    count, hole_h = flat.thinning.pits_per_edge, flat.thinning.hole_h
+    drawn = generator(seed, Purpose.PITS, position=position).weibull(PIT_SHAPE, (count, count))
+    deepest, middle = np.unravel_index(int(drawn.argmax()), drawn.shape), (count // 2, count // 2)
+    drawn[deepest], drawn[middle] = drawn[middle], drawn[deepest]
+    pits = np.maximum(drawn / drawn[middle], SHALLOWEST_PIT)
+    if hole_h is None:
+        return np.asarray(pits)
+    mean = flat.mean_at(hole_h) / DEEPEST_PATCH_FRACTION
+    least, most = pits.size**-1.0, 1.0
+    if not least < mean < most:
+        raise SpecimenError(
+            f"the mean depth at {position} is {mean * DEEPEST_PATCH_FRACTION:.3g} of the wall at hole_h; "
+            f"with {pits.size} pits it must lie between {least * DEEPEST_PATCH_FRACTION:.3g} and "
+            f"{DEEPEST_PATCH_FRACTION}: change thinning.{position}.depth_fraction or pits_per_edge"
+        )
+    power = scipy.optimize.brentq(lambda exponent: float((pits**exponent).mean()) - mean, 0.0, 1e3)
+    return np.asarray(np.maximum(pits**power, 1e-6))
+
+
+def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters) -> CorrosionParameters:
+    """Patch that the model of a position's plate takes: a mosaic where it has pits.
+
+    Raises
+    ------
+    SpecimenError
+        The patch cannot be divided, or the law of thinning leaves no room for the pits.
+    """
+    thinning = twin.thinning.get(position, ThinningParameters())
+    return pitted(corrosion, wall_history(thinning, seed=twin.seed, position=position))
+
+
+def pitted(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionParameters:
+    """Divide a patch into pits; `corrosion` itself where there are none.
+
+    Raises
+    ------
+    SpecimenError
+        The patch cannot be divided: it is not one flat square.
+    """
+    if not history.pits.size:
+        return corrosion
+    if (corrosion.shape, corrosion.profile, corrosion.further) != ("square", "flat", ()):
+        raise SpecimenError(
+            f"pits_per_edge divides one flat square patch; this one is {corrosion.profile} and "
+            f"{corrosion.shape} with {len(corrosion.further)} further patches: set shape = 'square', "
+            "profile = 'flat' and no further ones, or pits_per_edge = 0"
+        )
+    count = len(history.pits)
+    size_m = corrosion.size_m / count
+    places_m = size_m * (np.arange(count) - count // 2)
+    first, *further = (
+        PatchParameters(
+            size_m=size_m,
+            offset_x_m=corrosion.offset_x_m + float(x_m),
+            offset_y_m=corrosion.offset_y_m + float(y_m),
+            depth_factor=float(history.pits[i, j]),
+        )
+        for i, x_m in enumerate(places_m)
+        for j, y_m in enumerate(places_m)
+    )
+    return replace(
+        corrosion,
+        size_m=size_m,
+        offset_x_m=first.offset_x_m,
+        offset_y_m=first.offset_y_m,
+        depth_factor=first.depth_factor,
+        further=tuple(further),
     )
 
 

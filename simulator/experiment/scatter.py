@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hardware_drivers.measurement import ShotKey
+from simulator.experiment.processes import wander, wandering
+from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.electronics import SensorParameters
 from simulator.parameters.experiment import DriftParameters, ScatterParameters
 
-WANDER_TERMS = 8
-"""Sinusoids in the wander: enough that it does not look periodic over a test."""
 STEEPEST_TILT_RAD = 0.2
 """Bound of `ChainParameters.tilt_rad`; a disk tilted further has left the chain."""
 HIGHEST_DROP_M = 1.0
@@ -25,39 +25,29 @@ LOWEST_DROP_FRACTION = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Temperature:
-    """Temperature of the room over time: day and night, and a slow seeded wander.
-
-    Attributes
-    ----------
-    periods_h, phases_rad
-        Shape (WANDER_TERMS,): the wander is a sum of equal sinusoids with these.
-    """
+    """Temperature of the room over time: day and night, and a slow seeded wander (`processes.wander`)."""
 
     drift: DriftParameters
-    periods_h: NDArray[np.float64]
-    phases_rad: NDArray[np.float64]
+    drawn: tuple[FloatArray, FloatArray]
 
     def at(self, hour_h: float) -> float:
         """Temperature in degrees Celsius at an hour of the experiment."""
-        drift = self.drift
-        if not drift.enabled:
-            return drift.mean_temperature_c
-        day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
-        turns = np.sin(2.0 * np.pi * hour_h / self.periods_h + self.phases_rad)
-        # n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
-        wander = drift.wander_sd_k * np.sqrt(2.0 / WANDER_TERMS) * turns.sum()
-        return float(drift.mean_temperature_c + day + wander)
+        return _temperature_c(self, hour_h) if self.drift.enabled else self.drift.mean_temperature_c
+
+
+@lru_cache(maxsize=256)
+def _temperature_c(room: Temperature, hour_h: float) -> float:
+    """Temperature of a drifting room; all shots of an hour ask for it."""
+    drift = room.drift
+    day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
+    wander_k = drift.wander_sd_k * wandering(hour_h, room.drawn)[0]
+    return float(drift.mean_temperature_c + day + wander_k)
 
 
 def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
     """Draw the wander of the room, the same for all positions."""
-    random = generator(seed, Purpose.TEMPERATURE)
-    # One period in each of n equal steps of ln(period): slow and less slow parts are always there.
-    steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, WANDER_TERMS)) / WANDER_TERMS
-    periods_h = drift.shortest_wander_h * (drift.longest_wander_h / drift.shortest_wander_h) ** steps
-    return Temperature(
-        drift=drift, periods_h=periods_h, phases_rad=random.uniform(0.0, 2.0 * np.pi, WANDER_TERMS)
-    )
+    drawn = wander(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
+    return Temperature(drift=drift, drawn=drawn)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +77,7 @@ def scattered_strike(
     shots share it.
     """
     set_key = ShotKey(position=key.position, set_index=key.set_index, shot_index=0)
-    set_part = _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
+    set_part = _set_draws(seed, set_key)
     shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 
@@ -115,6 +105,11 @@ def scattered_strike(
             * np.exp(drift.sensitivity_per_k * warmer_k - sensor.tilt_loss_per_rad * tilt_rad)
         ),
     )
+
+
+@lru_cache(maxsize=256)
+def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
+    return _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 
 def _unit_draws(random: np.random.Generator) -> tuple[float, float]:

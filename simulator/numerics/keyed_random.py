@@ -29,6 +29,15 @@ class Purpose(IntEnum):
     FAR_WALL = 13
     BUBBLES = 14
     COUPLING = 15
+    SEATING_MEMORY = 16
+    SEATING_WANDER = 17
+    SEATING_OF_SHOT = 18
+    RESEATS = 19
+    SEASON = 20
+    PROCESS = 21
+    NOISY_HOURS = 22
+    REFILLS = 23
+    PITS = 24
 
 
 def generator(

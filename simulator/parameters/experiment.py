@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le, Lt
 
@@ -20,6 +20,7 @@ from hardware_drivers.bounds import bounded, check_pair
 from simulator.parameters.echo import EchoParameters as EchoParameters
 from simulator.parameters.electronics import AdcParameters, NoiseParameters, SensorParameters
 from simulator.parameters.faults import FaultParameters
+from simulator.parameters.nuisance import NuisanceLevel
 from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
 
 TWIN_VERSION = "1"
@@ -41,6 +42,9 @@ class ThinningParameters:
     """Largest departure of the rate from its mean, as a fraction: below 1, so the wall never grows back."""
     hole_h: float | None = None
     """Hour at which a pit in the patch goes through (depth 0.95) and nothing is reflected; absent: never."""
+    pits_per_edge: Literal[0, 3, 5] = 0
+    """The square patch is so many pits along each edge, each of its own depth, the one under the chain the
+    deepest: it goes through. Their mean follows the law above. 0: one flat patch."""
     history: tuple[tuple[float, float], ...] = ()
     """Depth over time instead of the law above: pairs of hour and depth, straight in between, constant
     before the first and after the last."""
@@ -108,7 +112,8 @@ class DriftParameters:
     """Temperature of the room and the two ways it reaches a record.
 
     It changes the height the striker really falls and the PZT's sensitivity, nothing else, so a
-    stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions.
+    stored shot is reproduced from its depth, drop height and tilt. All figures are assumptions. With
+    `nuisance` it has further ways, and what they did is stored, too.
     """
 
     enabled: bool = True
@@ -164,6 +169,9 @@ class TwinParameters:
     """The same seed gives the same numbers, whatever the order of the shots."""
     update_interval_s: Annotated[float, Ge(1.0), Le(1e6)] = 600.0
     """Depth and temperature hold for this long, so that a set has one of each (corrosion is slow)."""
+    nuisance: NuisanceLevel = "none"
+    """What else disturbs a healthy rig, on top of scatter, drift and noise (`parameters.nuisance`): `none`,
+    `laboratory`, `workshop` or `plant`."""
     scatter: ScatterParameters = field(default_factory=ScatterParameters)
     """Differences between shots."""
     drift: DriftParameters = field(default_factory=DriftParameters)

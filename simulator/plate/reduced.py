@@ -45,6 +45,14 @@ class PlateModes:
         modal = np.sum((self.participation / self.omega_rad_per_s) ** 2)
         return float(modal) + self.residual_compliance_m_per_n
 
+    def of_modulus(self, factor: float) -> PlateModes:
+        """Modes of the same plate with `factor` times the Young's modulus: its stiffness goes with it."""
+        return PlateModes(
+            omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
+            participation=self.participation,
+            residual_compliance_m_per_n=self.residual_compliance_m_per_n / factor,
+        )
+
     def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
         """Keep the lower modes; the others become residual compliance.
 

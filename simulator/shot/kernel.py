@@ -10,7 +10,7 @@ continuous right-hand side although its force jumps at every release:
 
     v_i = v_i(0) + (B_(i-1) - B_i) / m_i,    du_i/dt = v_i.
 
-Several shots that differ in speed and dashpots only are integrated side by side, one in each lane
+Several shots that differ in speed and contacts only are integrated side by side, one in each lane
 (`numerics.lanes`). Nothing here depends on how many there are: a shot has the same digits alone as in any
 company, on any machine.
 
@@ -133,9 +133,9 @@ def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodi
     per_mass = np.zeros(row)
     for i in range(last):
         for k in range(i * width, i * width + width):
-            overlap[k] = gap[k] = static_overlap[k] = chains.static_overlap[i]
+            overlap[k] = gap[k] = static_overlap[k] = chains.static_overlap[k]
             static_force[k] = chains.static_force[i]
-            stiffness[k] = chains.stiffness[i]
+            stiffness[k] = chains.stiffness[k]
             dashpot[k] = chains.dashpot[k]
             per_mass[k] = 1.0 / chains.mass[i]
     v0, v1, v2, v3 = np.zeros(row), np.zeros(row), np.zeros(row), np.zeros(row)
@@ -183,22 +183,30 @@ def _contact(
             w_per_last_i += bank[k + 2 * BLOCK]
             w_per_last_s += bank[k + 8 * BLOCK]
     per_mass = 1.0 / chains.mass[last]
-    stiffness, dashpot = chains.stiffness[last], chains.dashpot[last * width]  # of all shots
+    stiffness, dashpot = (
+        load(chains.stiffness, last * width, width),
+        load(chains.dashpot, last * width, width),
+    )
+    static_overlap = load(chains.static_overlap, last * width, width)
     # What 1 / gamma must make up for; see the head of this module.
     active = compliance / (12.0 * step) + step / (3.0 * chains.mass[last])
-    if linear and dashpot * active <= ACTIVE_PART_LIMIT:
-        rate0, rate1, rate2, rate3 = 11.0 / 6.0, -3.0, 1.5, -1.0 / 3.0
-    else:
-        rate0, rate1, rate2, rate3 = 1.5, -2.0, 0.5, 0.0
-    rate0 /= step
+    zero = broadcast(0.0, width)
+    rate0, rate1, rate2, rate3 = zero + 1.5, zero - 2.0, zero + 0.5, zero
+    if linear:
+        strong = dashpot * active
+        rate0 = where_greater(strong, ACTIVE_PART_LIMIT, rate0, zero + 11.0 / 6.0)
+        rate1 = where_greater(strong, ACTIVE_PART_LIMIT, rate1, zero - 3.0)
+        rate2 = where_greater(strong, ACTIVE_PART_LIMIT, rate2, zero + 1.5)
+        rate3 = where_greater(strong, ACTIVE_PART_LIMIT, rate3, zero - 1.0 / 3.0)
+    rate0 = rate0 / step
     h38 = 9.0 * (step / 24.0)
     return Contact(
         step=step,
         stiffness=stiffness,
         dashpot=dashpot,
         static_force=chains.static_force[last],
-        static_overlap=chains.static_overlap[last],
-        static_dashpot=dashpot * lane(_raised(broadcast(chains.static_overlap[last], 1), law), 0),
+        static_overlap=static_overlap,
+        static_dashpot=dashpot * _raised(static_overlap, law),
         per_mass=per_mass,
         compliance=compliance,
         mobility=specimen.mobility_m_per_n_s,
@@ -212,16 +220,19 @@ def _contact(
         rate3=rate3 / step,
         soft=stiffness * (h38 * (h38 * per_mass + w_per_i) + compliance),
         drag=dashpot * (h38 * per_mass + w_per_s + compliance * rate0),
-        rest=chains.static_overlap[last] + compliance * chains.static_force[last],
+        rest=static_overlap + compliance * chains.static_force[last],
     )
 
 
 @_step
-def _last_at_rest(contact: Contact, zero: Any) -> Last:
+def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> Last:
     """Return the last body under its static load."""
-    c = contact.static_overlap
-    held = 0.4 * contact.stiffness * c**2.5 + 0.5 * contact.compliance * contact.static_force**2
-    overlap = zero + c
+    held = np.empty(width)
+    row = (chains.mass.shape[0] - 1) * width
+    for k in range(width):
+        held[k] = 0.4 * chains.stiffness[row + k] * chains.static_overlap[row + k] ** 2.5
+        held[k] += 0.5 * contact.compliance * contact.static_force**2
+    overlap = zero + contact.static_overlap
     return Last(
         u=zero,
         v=(zero, zero, zero, zero),
@@ -232,18 +243,22 @@ def _last_at_rest(contact: Contact, zero: Any) -> Last:
         total=zero,
         overlap=overlap,
         stretch=zero + contact.rest,
-        stored=zero + held,
+        stored=load(held, 0, width),
         dissipated=zero,
     )
 
 
 @_step
-def _energy_at_first(chains: Chains, speed: Any, compliance: float) -> Any:
-    """Energy of all contacts and of the striker."""
+def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
+    """Energy of all contacts and of the striker, one shot after the other."""
     last = chains.mass.shape[0] - 1
-    energy = 0.5 * chains.mass[0] * speed * speed + 0.5 * compliance * chains.static_force[last] ** 2
-    for i in range(last + 1):
-        energy = energy + 0.4 * chains.stiffness[i] * chains.static_overlap[i] ** 2.5
+    energy = np.empty(width)
+    for k in range(width):
+        speed = strikes.speed[k]
+        energy[k] = 0.5 * chains.mass[0] * speed * speed + 0.5 * compliance * chains.static_force[last] ** 2
+        for i in range(last + 1):
+            pressed = chains.static_overlap[i * width + k] ** 2.5
+            energy[k] += 0.4 * chains.stiffness[i * width + k] * pressed
     return energy
 
 
@@ -265,7 +280,7 @@ def _struck_twice(
     """
     gravity, mass = chains.gravity, chains.mass[0]
     below = width + k
-    pressed = 0.4 * chains.stiffness[0] * bodies.overlap[k] ** 2.5
+    pressed = 0.4 * chains.stiffness[k] * bodies.overlap[k] ** 2.5
     gained = 0.5 * mass * (speed**2 - bodies.v0[k] ** 2) - pressed
     gained -= mass * gravity * (bodies.u[below] - bodies.u[k])
     impulse = bodies.given[below]
@@ -544,7 +559,7 @@ def _energy_of_bodies(bodies: Bodies, last: Last, contact: Contact, chains: Chai
         energy = energy + 0.5 * chains.mass[i] * v * v - chains.mass[i] * chains.gravity * fallen
         if i < n_last:
             q = load(bodies.overlap, i * width, width)
-            energy = energy + 0.4 * chains.stiffness[i] * q * q * sqrt(q)
+            energy = energy + 0.4 * load(chains.stiffness, i * width, width) * q * q * sqrt(q)
     return energy
 
 
@@ -609,11 +624,10 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         speed = load(strikes.speed, 0, W)
         bodies = _bodies_at_rest(chains, speed, step, W)
         contact = _contact(chains, specimen, step, W, law, LINEAR)
-        last = _last_at_rest(contact, zero)
+        last = _last_at_rest(chains, contact, zero, W)
         y = np.zeros(bank.shape[0] // (BANK_ROWS * BLOCK) * 2 * BLOCK * W)  # two numbers a mode
         sums = np.zeros(BLOCK * W)
-        given_energy = np.zeros(W)  # with the strikes
-        store(given_energy, 0, _energy_at_first(chains, speed, contact.compliance))
+        given_energy = _energy_at_first(chains, strikes, contact.compliance, W)  # with the strikes
         launch_speed = strikes.speed.copy()
         worst = largest = turn = zero
         for i in range(last_body + 1):

@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from simulator.chain.spheres import Chain, build_chain, struck_again
+from simulator.chain.spheres import Chain, Contacts, build_chain, reseated, struck_again
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
@@ -79,6 +79,11 @@ class Impact:
         A second impact: so long after the first touch, to the nearest step, the striker, taken off meanwhile,
         touches again as from this height (None: as at first). It meets the chain as it then moves. The
         record gets no longer by it, and `ShotForce.reflection_time_s` is that of the stronger wave.
+    contacts
+        How the strike finds the chain seated; None: as the parameters say.
+    plate_modulus_factor
+        Young's modulus of the plate over the nominal one, as its bending feels it; its contact has a factor
+        of its own in `contacts`. An elastic bed under free edges goes with it, too.
     """
 
     depth_fraction: float | None = None
@@ -87,11 +92,17 @@ class Impact:
     through_hole: bool = False
     second_delay_s: float | None = None
     second_drop_height_m: float | None = None
+    contacts: Contacts | None = None
+    plate_modulus_factor: float = 1.0
 
     def __post_init__(self) -> None:
         delay_s = self.second_delay_s
         if delay_s is not None and not (math.isfinite(delay_s) and delay_s > 0.0):
             raise ValueError(f"second_delay_s is {delay_s}; it must be positive and finite, or None")
+        if not (math.isfinite(self.plate_modulus_factor) and self.plate_modulus_factor > 0.0):
+            raise ValueError(
+                f"plate_modulus_factor is {self.plate_modulus_factor}; it must be positive and finite"
+            )
         if delay_s is None and self.second_drop_height_m is not None:
             raise ValueError("second_drop_height_m is given without second_delay_s; give both")
 
@@ -176,6 +187,7 @@ class ShotModel:
         self._nominal = nominal = build_chain(chain, plate)
         self._chosen_step = step_s is not None
         self._energy_tolerance = energy_tolerance
+        self._cache_folder = cache_folder
         for name, value in (("duration_s", duration_s), ("step_s", step_s)):
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise SpecimenError(f"{name} is {value}; it must be positive and finite")
@@ -186,7 +198,8 @@ class ShotModel:
         self._modal_plate = prepared_plate or modal_plate(plate, corrosion, cache_folder)
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
-        self._prepared: OrderedDict[tuple[float, float, bool], Propagator] = OrderedDict()
+        self._prepared: OrderedDict[tuple[float, float, bool, float], Propagator] = OrderedDict()
+        self._checked_depths = {corrosion.depth_fraction}
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
@@ -202,6 +215,7 @@ class ShotModel:
                 self._plate,
                 self._corrosion,
                 duration_s=self._chosen_duration_s,
+                cache_folder=self._cache_folder,
                 prepared_plate=self._modal_plate,
                 energy_tolerance=self._energy_tolerance,
             )
@@ -211,6 +225,21 @@ class ShotModel:
         if self._chosen_duration_s is None:
             other._shortest_record_s = record_duration_s(nominal)
         return other
+
+    def with_liquid(self, depth_factor: float) -> ShotModel | None:
+        """Return the same chain on the plate with its liquid so many times as deep; None for a dry plate."""
+        liquid = self._plate.liquid
+        if liquid is None:
+            return None
+        return ShotModel(
+            self._chain,
+            replace(self._plate, liquid=replace(liquid, depth_m=depth_factor * liquid.depth_m)),
+            self._corrosion,
+            duration_s=self._chosen_duration_s,
+            cache_folder=self._cache_folder,
+            step_s=self._step_s if self._chosen_step else None,
+            energy_tolerance=self._energy_tolerance,
+        )
 
     def shot(
         self,
@@ -255,18 +284,19 @@ class ShotModel:
 
         Strikes at the same depth are computed side by side. Each has the digits that it has alone.
         """
-        by_wall: dict[tuple[float, bool], list[tuple[int, Chain]]] = {}
+        by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):
-            wall = 0.0 if impact.through_hole else self._depth(impact), impact.through_hole
+            depth = 0.0 if impact.through_hole else self._depth(impact)
+            wall = depth, impact.plate_modulus_factor, impact.through_hole
             by_wall.setdefault(wall, []).append((count - 1, self._struck(impact)))
         forces: dict[int, ShotForce] = {}
-        for (depth, is_hole), struck in by_wall.items():
+        for (depth, modulus, is_hole), struck in by_wall.items():
             chains = [chain for _, chain in struck]
             found = (
                 self._over_hole(chains, contact_forces)
                 if is_hole
-                else self._over_wall(chains, depth, contact_forces)
+                else self._over_wall(chains, depth, modulus, contact_forces)
             )
             forces.update(zip((order for order, _ in struck), found, strict=True))
         return [forces[order] for order in range(count)]
@@ -275,19 +305,24 @@ class ShotModel:
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
-        if depth != self._corrosion.depth_fraction:
+        if depth not in self._checked_depths:
             replace(self._corrosion, depth_fraction=depth)  # checks the bounds
+            self._checked_depths = {self._corrosion.depth_fraction, depth}  # most shots repeat the last one
         if self._modal_plate is None and depth > 0.0:
             raise SpecimenError(_no_patch(self._plate.model, depth))
         return depth
 
     def _struck(self, impact: Impact) -> Chain:
-        chain = self._chain
-        if impact.drop_height_m is not None:
-            chain = replace(chain, drop_height_m=float(impact.drop_height_m))
-        if impact.tilt_rad is not None:
-            chain = replace(chain, tilt_rad=float(impact.tilt_rad))
+        chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
+        if height_m is not None or tilt_rad is not None:
+            chain = replace(  # checks the bounds
+                chain,
+                drop_height_m=chain.drop_height_m if height_m is None else float(height_m),
+                tilt_rad=chain.tilt_rad if tilt_rad is None else float(tilt_rad),
+            )
         struck = self._nominal if chain is self._chain else struck_again(self._nominal, chain)
+        if impact.contacts is not None:
+            struck = reseated(struck, impact.contacts)
         if impact.second_delay_s is None:
             return struck
         if impact.second_drop_height_m is not None:
@@ -298,9 +333,11 @@ class ShotModel:
             second_speed_m_per_s=struck_again(self._nominal, chain).impact_speed_m_per_s,
         )
 
-    def _over_wall(self, chains: list[Chain], depth: float, contact_forces: bool) -> list[ShotForce]:
+    def _over_wall(
+        self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
+    ) -> list[ShotForce]:
         def specimen(step: float, wide: bool) -> Propagator:
-            return self._propagator(depth, step, wide)
+            return self._propagator(depth, step, wide, modulus)
 
         forces = self._converged(chains, specimen, self._shortest_record_s, contact_forces=contact_forces)
         if self._chosen_duration_s is None:
@@ -389,10 +426,11 @@ class ShotModel:
             if halving and self._modal_plate is not None:
                 yield halving, True
 
-    def _propagator(self, depth: float, step: float, wide: bool) -> Propagator:
+    def _propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
         if self._modal_plate is None:
-            return _specimen_without_modes(self._plate)
-        key = depth, step, wide
+            still = _specimen_without_modes(self._plate)
+            return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))
+        key = depth, step, wide, modulus
         with self._lock:
             if key in self._prepared:
                 self._prepared.move_to_end(key)
@@ -402,6 +440,8 @@ class ShotModel:
             phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
         with one_blas_thread():
             every_mode = self._modal_plate.modes(depth)
+        if modulus != 1.0:
+            every_mode = every_mode.of_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
         made = Propagator(
             bank=modal_weights(modes.omega_rad_per_s, modes.participation, step),

@@ -15,15 +15,15 @@ IntegerArray = NDArray[np.int64]
 
 
 class Chains(NamedTuple):
-    """Chains that differ in speed and dashpots only: fields of `chain.spheres.Chain`, and more.
+    """Chains that differ in speed and contacts only: fields of `chain.spheres.Chain`, and more.
 
     Attributes
     ----------
-    mass, stiffness, static_force, static_overlap
+    mass, static_force
         float64, shape (n_bodies,).
-    dashpot
-        float64, shape (n_bodies * width,): `Chain.dashpot_impulse_n_s_per_m` of every shot, the shots of a
-        contact side by side.
+    stiffness, dashpot, static_overlap
+        float64, shape (n_bodies * width,), of every shot, the shots of a contact side by side; the dashpots'
+        are `Chain.dashpot_impulse_n_s_per_m`.
     retainer_force
         Constant force that carries the last sphere where there is no specimen; zero elsewhere.
     """
@@ -120,14 +120,14 @@ class Bodies(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """What stays the same at the contact with the plate."""
+    """What stays the same at the contact with the plate; where shots differ, a vector, one shot a lane."""
 
     step: float
-    stiffness: float
-    dashpot: float
+    stiffness: Any
+    dashpot: Any
     static_force: float
-    static_overlap: float
-    static_dashpot: float
+    static_overlap: Any
+    static_dashpot: Any
     per_mass: float
     compliance: float
     mobility: float
@@ -135,13 +135,13 @@ class Contact(NamedTuple):
     w_per_s: float
     w_per_last_i: float  # and by the last step's
     w_per_last_s: float
-    rate0: float  # backward difference
-    rate1: float
-    rate2: float
-    rate3: float
-    soft: float
-    drag: float
-    rest: float  # contact and cut modes in series, together compressed before the strike
+    rate0: Any  # backward difference
+    rate1: Any
+    rate2: Any
+    rate3: Any
+    soft: Any
+    drag: Any
+    rest: Any  # contact and cut modes in series, together compressed before the strike
 
 
 class Last(NamedTuple):

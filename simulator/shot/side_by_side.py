@@ -38,7 +38,7 @@ def integrate(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Integrate chains that differ in impact speed and sensor dashpots only, as many as fit side by side."""
+    """Integrate chains that differ in impact speed and contacts only, as many as fit side by side."""
     records: list[Record] = []
     while len(records) < len(chains):
         rest = len(chains) - len(records)
@@ -61,6 +61,10 @@ def _side_by_side(
     """One pass of the kernel; lanes without a shot of their own repeat the last one."""
     lanes = chains + [chains[-1]] * (width - len(chains))
     chain = lanes[0]
+
+    def of_all(name: str) -> FloatArray:
+        return np.array([getattr(lane, name) for lane in lanes]).ravel(order="F")
+
     bodies = len(chain.mass_kg)
     force = np.empty((steps, width))
     contacts = np.empty((bodies, steps, width) if contact_forces else (0, 0, width))
@@ -68,10 +72,10 @@ def _side_by_side(
     kernel(width, chain.damping_exponent == 0.0)(
         Chains(
             chain.mass_kg,
-            chain.stiffness_n_per_m15,
-            np.stack([lane.dashpot_impulse_n_s_per_m for lane in lanes], axis=1).ravel(),
+            of_all("stiffness_n_per_m15"),
+            of_all("dashpot_impulse_n_s_per_m"),
             chain.static_force_n,
-            chain.static_overlap_m,
+            of_all("static_overlap_m"),
             chain.gravity_m_per_s2,
             chain.sensor,
             chain.precompression_n,

@@ -25,6 +25,7 @@ from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import AlarmRow, SetRow, ShotRow, VerdictRow
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
+from daq_service.cli.offline.twin_line import judged_sets
 from daq_service.errors import RigError, StorageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -167,6 +168,21 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in judged)
 
 
+def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
+    rows, judged = rows_of(finished), list(judged_sets(small_settings(), "B"))
+    of_sets = [found.assessment.features[-1] for found in judged]
+    stored = [row for row in rows["set_features"] if row.position == "B"]
+    names = {"id": None, "sequence": None}
+    assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
+    verdicts = {row.set_index: row for found in judged for row in found.assessment.verdicts}
+    told = [row for row in rows["verdicts"] if row.position == "B"]
+    assert len(told) == SETS
+    for row in told:
+        ours = verdicts[row.set_index]
+        assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
+        assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
+
+
 def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:
     assert run(small_settings(features={"of_set": "averaged_waveform"}, schedule={"end_h": 2.0}), tmp_path)
     ours = rows_of(tmp_path)
@@ -188,6 +204,18 @@ def test_another_seed_gives_other_numbers(pair: dict[str, Any], tmp_path: Path) 
     ours, other = pair["set_features"], rows_of(tmp_path)["set_features"]
     assert len(other) == 4
     assert all(a.tof_pp_s != b.tof_pp_s for a, b in zip(ours, other, strict=False))
+
+
+def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) -> None:
+    settings = pair_settings(twin={"nuisance": "plant"}, schedule={"end_h": 1.0})
+    assert run(settings, tmp_path)
+    sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
+    # As without nuisance.
+    assert built_set_bytes(settings) * len(sizes) == pytest.approx(sum(sizes), rel=0.05)
+    (struck,) = (found for found in judged_sets(settings, "B") if found.due.set_index == 1)
+    stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
+    assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
+    assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9
 
 
 @contextmanager

@@ -27,7 +27,7 @@ def settings_with(**clock):
     for place in plain["positions"].values():
         place["plate"]["model"] = "infinite_kirchhoff"
         place["corrosion"]["depth_fraction"] = 0.0
-    plain["twin"]["thinning"] = {}
+    plain["twin"] |= {"thinning": {}, "nuisance": "plant"}
     plain["clock"] |= clock
     return Settings.model_validate(plain)
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulator.chain.spheres import Contacts
 from simulator.errors import IntegrationError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -14,12 +15,21 @@ from simulator.shot.model import Impact, ShotModel
 
 PLATE = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
 PATCH = CorrosionParameters()
+SEATS = [
+    Contacts(
+        stiffness_factor=1.0 + 0.05 * np.sin(np.arange(9.0) + k),
+        damping_factor=1.0 + 0.5 * np.cos(np.arange(9.0) * k),
+    )
+    for k in range(40)
+]
 IMPACTS = [
     Impact(
         depth_fraction=(0.0, 0.45, 0.8)[k % 3],
         drop_height_m=3e-3 + 2e-4 * k,
         tilt_rad=None if k % 4 == 0 else 1e-3 * k,
         through_hole=k % 7 == 6,
+        contacts=SEATS[k] if k % 5 > 1 else None,
+        plate_modulus_factor=1.0 if k % 2 else 0.99,
     )
     for k in range(40)
 ]
@@ -37,11 +47,7 @@ def same(a, b):
 
 
 def alone(model, impact):
-    if impact.through_hole:
-        return model.shot_at_hole(drop_height_m=impact.drop_height_m, tilt_rad=impact.tilt_rad)
-    return model.shot(
-        depth_fraction=impact.depth_fraction, drop_height_m=impact.drop_height_m, tilt_rad=impact.tilt_rad
-    )
+    return model.shots([impact])[0]
 
 
 def test_a_shot_in_a_batch_has_the_bits_that_it_has_alone(model):

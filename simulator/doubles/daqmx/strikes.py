@@ -19,6 +19,7 @@ from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
 from simulator.electronics.transduction import noise_volts
 from simulator.errors import SimulatorError
+from simulator.experiment.corrosion import patch_of
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 from simulator.parameters.electronics import AdcParameters
@@ -245,7 +246,10 @@ def _paste(volts: FloatArray, wave: FloatArray, at: int) -> None:
 def _specimen(description: Description) -> Specimen:
     transducers = {
         position: Transducer(
-            chain=wiring.chain, model=ShotModel(wiring.chain, wiring.plate, wiring.corrosion)
+            chain=wiring.chain,
+            model=ShotModel(
+                wiring.chain, wiring.plate, patch_of(description.twin, position, wiring.corrosion)
+            ),
         )
         for position, wiring in description.transducers.items()
     }

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from simulator.experiment.corrosion import held_hour_h, wall_history
-from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters
-from simulator.parameters.plate import DEEPEST_PATCH_FRACTION
+from simulator.errors import SpecimenError
+from simulator.experiment.corrosion import held_hour_h, patch_of, pitted, wall_history
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.experiment import PAPER_THINNING, ThinningParameters, TwinParameters
+from simulator.parameters.plate import DEEPEST_PATCH_FRACTION, CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
 
 HOURS = np.arange(0.0, 350.0, 0.5)
 NS_PER_S = 1_000_000_000
@@ -101,3 +104,82 @@ def test_a_pit_grows_beside_a_table_of_depths():
 def test_a_set_has_one_hour(elapsed_s, hour_h):
     # A few ulp: seconds become hours by one division.
     assert held_hour_h(round(elapsed_s * NS_PER_S), 600.0) == pytest.approx(hour_h, rel=1e-15)
+
+
+# ---- pits
+
+PITTED = replace(PAPER_THINNING["B"], pits_per_edge=5)
+
+
+def test_pits_have_a_spectrum_and_the_deepest_under_the_chain_goes_through_in_time():
+    for seed in range(1, 6):
+        history = wall_history(PITTED, seed=seed, position="B")
+        flat = wall_history(PAPER_THINNING["B"], seed=seed, position="B")
+        assert history.pits.shape == (5, 5)
+        assert history.pits[2, 2] == history.pits.max() == 1.0
+        assert np.unique(history.pits).size > 15
+        walls = [history.at(hour) for hour in (0.0, 100.0, 200.0, 269.99, 270.0)]
+        assert [wall.depth_fraction for wall in walls] == [
+            flat.at(hour).depth_fraction for hour in (0.0, 100.0, 200.0, 269.99, 270.0)
+        ]
+        for wall in walls[1:4]:
+            # The mean over the pits is that of the law; brentq finds the spectrum to 2e-12.
+            mean = wall.patch_depth_fraction * history.pits.mean()
+            assert mean == pytest.approx(wall.depth_fraction, rel=1e-9)
+        assert [wall.is_hole for wall in walls] == [False] * 4 + [True]
+    assert not np.array_equal(history.pits, wall_history(PITTED, seed=1, position="B").pits)
+    assert not np.array_equal(history.pits, wall_history(PITTED, seed=5, position="C").pits)
+
+
+def test_without_an_hour_of_the_hole_the_deepest_pit_sets_it():
+    thinning = ThinningParameters(depth_fraction=0.6, reference_h=100.0, pits_per_edge=3)
+    history = wall_history(thinning, seed=1, position="B")
+    through_h = 100.0 * DEEPEST_PATCH_FRACTION * history.pits.mean() / 0.6
+    assert not history.at(0.999 * through_h).is_hole
+    assert history.at(1.001 * through_h).is_hole
+
+
+def test_a_mosaic_is_the_patch_divided_and_rougher_the_deeper():
+    history = wall_history(PITTED, seed=1, position="B")
+    whole = CorrosionParameters(size_m=25.4e-3, offset_x_m=1e-3)
+    mosaic = pitted(whole, history)
+    assert len(mosaic.patches) == 25
+    assert sum(patch.size_m**2 for patch in mosaic.patches) == pytest.approx(whole.size_m**2, rel=1e-12)
+    left = min(patch.offset_x_m - 0.5 * patch.size_m for patch in mosaic.patches)
+    assert left == pytest.approx(1e-3 - 0.5 * whole.size_m, rel=1e-12)
+    assert sorted(patch.depth_factor for patch in mosaic.patches) == sorted(history.pits.ravel().tolist())
+    assert pitted(whole, wall_history(PAPER_THINNING["B"], seed=1, position="B")) is whole
+
+
+def test_one_reduction_serves_a_pitted_wall_s_life_and_reflects_as_one_reduced_at_its_depth():
+    plate = PlateParameters(elements_per_edge=24, contact_element_m=1e-3)
+    history = wall_history(replace(PITTED, pits_per_edge=3), seed=1, position="B")
+    mosaic = pitted(CorrosionParameters(), history)
+    model = ShotModel(ChainParameters(), plate, mosaic, cache_folder=None)
+    depth = history.at(150.0).patch_depth_fraction
+    own = [replace(patch, depth_factor=depth * patch.depth_factor / 0.9) for patch in mosaic.patches]
+    alone = replace(mosaic, depth_factor=own[0].depth_factor, further=tuple(own[1:]), depth_fraction=0.9)
+    expected = ShotModel(ChainParameters(), plate, alone, cache_folder=None).shot().force_n
+    found = model.shot(depth_fraction=depth).force_n
+    # Both bases keep the waveform to 2e-5 of its norm (`reduced_against_unreduced`).
+    assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
+    flat = ShotModel(ChainParameters(), plate, CorrosionParameters(), cache_folder=None)
+    smooth = flat.shot(depth_fraction=history.at(150.0).depth_fraction).force_n
+    assert np.linalg.norm(found - smooth) > 3e-3 * np.linalg.norm(smooth)
+
+
+@pytest.mark.parametrize(
+    ("thinning", "corrosion", "told"),
+    [
+        (PITTED, CorrosionParameters(shape="round"), "pits_per_edge divides one flat square patch"),
+        (PITTED, CorrosionParameters(profile="bowl"), "set shape = 'square'"),
+        (
+            replace(PITTED, depth_fraction=0.01),
+            CorrosionParameters(),
+            "the mean depth at B is 0.01 of the wall",
+        ),
+    ],
+)
+def test_a_patch_that_has_no_pits_is_refused(thinning, corrosion, told):
+    with pytest.raises(SpecimenError, match=told):
+        patch_of(TwinParameters(thinning={"B": thinning}), "B", corrosion)

@@ -1,0 +1,88 @@
+"""The twin's experiment from shot to verdict with nothing between: no recorder, no archive, no clock.
+
+For studies over many seeds. Shots, features, quality gate, mean of the set and verdict are those of the
+recorder's line, by the same functions, so that the verdicts are the same to the last bit; what is left out is
+everything that keeps them. Strikes are tried once, and a transducer that would retire ends its run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.taken_set import features_of
+from daq_service.clock import parse_utc
+from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
+from daq_service.rig.twin import transducers_of
+from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import Shot, ShotKey, Stamp
+from simulator.specimen import Specimen, build_specimen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JudgedSet:
+    """One set of one transducer.
+
+    Attributes
+    ----------
+    hour_h
+        Whose wall and weather it met.
+    shots
+        The records, with what the twin knows of each.
+    """
+
+    due: DueSet
+    hour_h: float
+    shots: tuple[Shot, ...]
+    assessment: Assessment
+
+    @property
+    def raised(self) -> frozenset[str]:
+        """Kinds of the alarms that stand."""
+        return frozenset(one.kind for one in self.assessment.conditions if one.present)
+
+
+def specimen_of(settings: Settings) -> Specimen:
+    """Build the twin of a configuration; `judged_sets` of several positions share it."""
+    return build_specimen(settings.twin, transducers=transducers_of(settings), probed_thickness_m={})
+
+
+def judged_sets(settings: Settings, position: str, specimen: Specimen | None = None) -> Iterator[JudgedSet]:
+    """Strike and judge every planned set of a transducer, until the plan or its wall ends.
+
+    Raises
+    ------
+    SimulatorError
+        The twin cannot compute a shot.
+    """
+    specimen = specimen or specimen_of(settings)
+    epoch_ns = parse_utc(settings.clock.epoch)
+    planned = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
+    last_baseline_set = sum(due.due_h <= settings.baseline.hours for due in planned) - 1
+    assessor = SolitaryWaveAssessor(position, settings, last_baseline_set=last_baseline_set, baseline_id=1)
+    for due in planned:
+        hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
+        stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
+        keys = [
+            ShotKey(position=position, set_index=due.set_index, shot_index=index)
+            for index in range(settings.schedule.shots_per_set)
+        ]
+        records = specimen.solitary_waves([(key, hour_h) for key in keys])
+        shots = tuple(
+            Shot(
+                sequence=key.shot_index + 1,
+                key=key,
+                stamp=stamp,
+                waveform=record.waveform,
+                truth=record.truth,
+            )
+            for key, record in zip(keys, records, strict=True)
+            if record is not None
+        )
+        assessment = assessor.assess(due, shots, [features_of(shot) for shot in shots], n_tried=len(keys))
+        found = JudgedSet(due=due, hour_h=hour_h, shots=shots, assessment=assessment)
+        yield found
+        if found.raised & {"hole", "retired"}:
+            return

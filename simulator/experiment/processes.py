@@ -1,0 +1,131 @@
+"""Random processes with memory whose value at any set or hour is computed alone, from the seed.
+
+A recursion would have to be run from the start. Here each value is a sum over a window of innovations that
+are drawn by blocks, each block from a key of its own, so that shots may be computed in any order, in any
+process and after any restart with the same digits. What is remembered saves time only.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from hardware_drivers.measurement import ShotKey
+from simulator.numerics.arrays import FloatArray
+from simulator.numerics.keyed_random import Purpose, generator
+
+LAGS = 64
+"""Innovations in a value of an AR(1) process, and their number in a block: what is left out of the sum is
+below 0.8^64 = 6e-7 of the SD (`parameters.nuisance.LONGEST_MEMORY`)."""
+
+WANDER_TERMS = 8
+"""Sinusoids in a wander: enough that it does not look periodic over a test."""
+
+RESEAT_BLOCK_H = 1_000.0
+"""Re-seats are drawn for so many hours at a time."""
+
+
+def _kept(drawn: FloatArray) -> FloatArray:
+    drawn.flags.writeable = False
+    return drawn
+
+
+def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
+    """Student's t scaled to variance 1."""
+    return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
+
+
+def memory_weights(memory: FloatArray) -> FloatArray:
+    """Weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n), oldest first.
+
+    Parameters
+    ----------
+    memory
+        phi of each process, shape (n,): ``x_k = sqrt(1 - phi^2) sum phi^j e_(k-j)``.
+    """
+    return np.asarray(np.sqrt(1.0 - memory**2) * memory ** np.arange(LAGS - 1, -1, -1.0)[:, None])
+
+
+def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int) -> FloatArray:
+    """Stationary processes of variance 1 at a set, shape (n,).
+
+    Parameters
+    ----------
+    weights
+        `memory_weights`.
+    dof
+        Of the innovations, Student's t of variance 1.
+    """
+    block, first = divmod(set_index, LAGS)
+    recent = np.concatenate(
+        [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
+    )[first + 1 : first + 1 + LAGS]
+    return np.asarray((weights * recent).sum(axis=0))
+
+
+@lru_cache(maxsize=256)
+def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
+    """Innovations of `LAGS` sets, those before the experiment in block 0."""
+    key = ShotKey(position=position, set_index=block, shot_index=0)
+    return _kept(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
+
+
+@lru_cache(maxsize=256)
+def wander(
+    purpose: Purpose, seed: int, position: str, size: int, shortest_h: float, longest_h: float
+) -> tuple[FloatArray, FloatArray]:
+    """Periods in h and phases in rad of `size` wanders, shape (size, WANDER_TERMS).
+
+    One period lies in each of equal steps of ln(period): slow and less slow parts are always there.
+    """
+    random = generator(seed, purpose, position=position)
+    steps = (np.arange(WANDER_TERMS) + random.uniform(0.0, 1.0, (size, WANDER_TERMS))) / WANDER_TERMS
+    phases = random.uniform(0.0, 2.0 * np.pi, (size, WANDER_TERMS))
+    return _kept(shortest_h * (longest_h / shortest_h) ** steps), _kept(phases)
+
+
+def wandering(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Value of `wander`, of variance 1, at an hour, shape (size,).
+
+    n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
+    """
+    periods_h, phases_rad = drawn
+    turns = np.sin(2.0 * np.pi * hour_h / periods_h + phases_rad)
+    return np.asarray(np.sqrt(2.0 / WANDER_TERMS) * turns.sum(axis=-1))
+
+
+def place_after_reseats(
+    hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
+) -> tuple[int, FloatArray]:
+    """How many re-seats there were, and where the last one left each source.
+
+    The re-seats are a Poisson process. The places are normal with SD 1, independent of the ones before, so
+    that a step is as often up as down; before the first re-seat they are 0.
+    """
+    last = int(hour_h // RESEAT_BLOCK_H)
+    blocks = [_reseats(seed, position, block, rate_per_h, size) for block in range(last + 1)]
+    counts = [int(np.searchsorted(hours_h, hour_h, side="right")) for hours_h, _ in blocks]
+    for count, (_, places) in zip(reversed(counts), reversed(blocks), strict=True):
+        if count:
+            return sum(counts), places[count - 1]
+    return 0, np.zeros(size)
+
+
+@lru_cache(maxsize=256)
+def _reseats(
+    seed: int, position: str, block: int, rate_per_h: float, size: int
+) -> tuple[FloatArray, FloatArray]:
+    """Hours of a block's re-seats, rising, and the places after each, shape (count, size)."""
+    key = ShotKey(position=position, set_index=block, shot_index=0)
+    random = generator(seed, Purpose.RESEATS, key=key)
+    count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
+    hours_h = RESEAT_BLOCK_H * (block + np.sort(random.uniform(0.0, 1.0, count)))
+    return _kept(hours_h), _kept(random.standard_normal((count, size)))
+
+
+@lru_cache(maxsize=256)
+def noisy(seed: int, hour: int, probability: float) -> bool:
+    """Whether an hour of the experiment is noisy, the same for all positions."""
+    key = ShotKey(position="", set_index=hour, shot_index=0)
+    return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)
