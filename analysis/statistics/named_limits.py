@@ -71,47 +71,47 @@ def _chi_square(facts: Facts) -> float:
 LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
     {
         PAPER_MEAN_3SD: NamedLimit(
-            words="The paper's: mean + 3 SD of the baseline's own distances",
+            words="the paper's: mean + 3 SD of the baseline's own distances",
             of=DISTANCE,
             value=lambda facts: paper_limit(facts.baseline.distances_squared),
         ),
         "chi_square": NamedLimit(
-            words="For a baseline known exactly, independent normal sets", of=DISTANCE, value=_chi_square
+            words="that of chi-square, for a baseline known exactly", of=DISTANCE, value=_chi_square
         ),
         F_PREDICTIVE: NamedLimit(
-            words="Predictive F limit: exact for independent normal sets",
+            words="the predictive F limit for a new set of a healthy wall",
             of=DISTANCE,
             value=lambda facts: f_predictive_limit(facts.baseline.n, facts.baseline.p, facts.rate),
         ),
         "f_budget": NamedLimit(
-            words="Predictive F limit at the budget's rate of false alarms",
+            words="the predictive F limit at the rate of the budget of false alarms",
             of=DISTANCE,
             value=lambda facts: f_predictive_limit(
                 facts.baseline.n, facts.baseline.p, 1.0 / facts.run_length
             ),
         ),
         "phase_one": NamedLimit(
-            words="Screen of the baseline's own sets: 5 % of healthy baselines have one beyond",
+            words="the screen of the baseline's own sets: 5 % of healthy baselines have one beyond",
             of=DISTANCE,
             value=lambda facts: facts.baseline.suspect_limit,
         ),
         "mewma_known": NamedLimit(
-            words="Of the textbook's MEWMA for a baseline known exactly, at the budget",
+            words="that of the textbook's MEWMA for a baseline known exactly, at the budget",
             of=AVERAGE,
             value=lambda facts: known_limit(facts.baseline.p, facts.run_length),
         ),
         "mewma_textbook": NamedLimit(
-            words="Of the textbook's MEWMA, widened for an estimated baseline, at the budget",
+            words="that of the textbook's MEWMA, widened for an estimated baseline, at the budget",
             of=AVERAGE,
             value=lambda facts: estimated_limit(facts.baseline.n, facts.baseline.p, facts.run_length),
         ),
         "default": NamedLimit(
-            words="Chosen by the data: allows for the baseline's memory and tails",
+            words="chosen by the data: it allows for the baseline's memory and tails",
             of=PREWHITENED,
             value=lambda facts: facts.by_default.limit,
         ),
         CHART: NamedLimit(
-            words="Of the chart that keeps the budget of false alarms",
+            words="that of the chart that keeps the budget of false alarms",
             of=CHART,
             value=lambda f: f.chart.limit,
         ),

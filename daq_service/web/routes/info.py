@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
+from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition import schedule
 from daq_service.catalogue import Catalogue
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
@@ -60,6 +61,12 @@ def get_info(context: ContextOf) -> JsonAnswer:
             },
             "limits": {
                 "deciding": settings.novelty.limit,
+                "decides_by": settings.alarms.decides_by,
+                "false_alarms_per_sensor_year": settings.alarms.false_alarms_per_sensor_year,
+                "named": [
+                    {"name": name, "words": limit.words, "of": limit.of, "unit": limit.unit}
+                    for name, limit in LIMITS.items()
+                ],
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,
                 "n": settings.alarms.n,
