@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from analysis.statistics.named_limits import LIMITS
 from daq_service.catalogue.rows import AlarmRow
 
 Proof = Mapping[str, Any]
@@ -55,6 +54,8 @@ def _wall_change(proof: Proof) -> Iterator[str]:
         )
     if told := _known(proof, "contributions"):
         yield from _contributions(told[0])
+    from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
+
     if limit := LIMITS.get(proof.get("limit_name", "")):
         yield (
             "The distance counts how far the five features lie from the baseline's mean, in units of "

@@ -6,7 +6,6 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition import schedule
 from daq_service.catalogue import Catalogue
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
@@ -63,10 +62,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "deciding": settings.novelty.limit,
                 "decides_by": settings.alarms.decides_by,
                 "false_alarms_per_sensor_year": settings.alarms.false_alarms_per_sensor_year,
-                "named": [
-                    {"name": name, "words": limit.words, "of": limit.of, "unit": limit.unit}
-                    for name, limit in LIMITS.items()
-                ],
+                "named": _named_limits(),
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,
                 "n": settings.alarms.n,
@@ -90,6 +86,15 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "as_of": fresh.as_of(),
         }
     )
+
+
+def _named_limits() -> list[dict[str, str]]:
+    from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
+
+    return [
+        {"name": name, "words": limit.words, "of": limit.of, "unit": limit.unit}
+        for name, limit in LIMITS.items()
+    ]
 
 
 def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:

@@ -82,7 +82,7 @@ function named(verdict, all) {
       const limit = verdict.limits[name];
       return el("tr", {}, el("td", { text: name, title: words }), el("td", { text: significant(limit) }), el("td", { text: significant(value) }), el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }));
     });
-  return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", ""], rows);
+  return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", "Verdict"], rows);
 }
 
 /**
