@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.healthy_sequences import NAMES, P, healthy
 
 from analysis.statistics.baseline_check import named_in
-from analysis.statistics.sequence import Assessed, Budget, assess
+from analysis.statistics.design import Budget
+from analysis.statistics.sequence import Assessed, assess
 
 FIVE_YEARS = round(Budget().run_length)
 BASELINES = (48, 200)

@@ -14,6 +14,7 @@ import numpy as np
 import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
+from analysis.statistics.baseline import whitening_matrix
 from analysis.statistics.baseline_check import trend_probability
 from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.memory import (
@@ -48,7 +49,8 @@ class Chart:
     mean, phi
         Of the features, shape (p,).
     whitening
-        Turns a prewhitened row, shape (p,), into one with covariance 1: row @ whitening.
+        Turns a prewhitened row, shape (p,), into one with covariance 1: row @ whitening. Its columns
+        stand for the features (`distance.contributions`), so that the parts of the statistic are theirs.
     cap
         Longest whitened vector that enters the average.
     limit
@@ -63,8 +65,12 @@ class Chart:
 
     def whitened(self, vectors: ArrayLike) -> FloatArray:
         """Give what enters the average, shape (n, p), of sets that begin with the baseline."""
-        w = prewhitened(vectors, self.mean, self.phi) @ self.whitening
-        length = np.sqrt((w**2).sum(axis=1, keepdims=True))
+        return self.entering(prewhitened(vectors, self.mean, self.phi))
+
+    def entering(self, residuals: FloatArray) -> FloatArray:
+        """Whiten prewhitened sets, shape (..., p), and cut them back to the cap."""
+        w = residuals @ self.whitening
+        length = np.sqrt((w**2).sum(axis=-1, keepdims=True))
         return np.asarray(w * np.minimum(1.0, self.cap / np.maximum(length, 1e-300)))
 
     def run(self, whitened: FloatArray) -> tuple[FloatArray, list[int]]:
@@ -104,11 +110,12 @@ def designed(baseline: ArrayLike, run_length: float) -> Chart:
     mean = complete.mean(axis=0)
     phi = widened_phi(guarded_phi(x), n)
     residuals = prewhitened(x, mean, phi)
-    covariance = np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False)
+    covariance = np.atleast_2d(np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False))
+    sd = np.sqrt(np.diag(covariance))
     return Chart(
         mean=mean,
         phi=phi,
-        whitening=np.asarray(np.linalg.cholesky(np.linalg.inv(np.atleast_2d(covariance))), dtype=np.float64),
+        whitening=whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None],
         cap=math.sqrt(f_predictive_limit(n, p, CAP_RATE)),
         limit=estimated_limit(n, p, run_length),
     )

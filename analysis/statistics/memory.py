@@ -102,7 +102,19 @@ def prewhitened(vectors: ArrayLike, mean: ArrayLike, phi: ArrayLike) -> FloatArr
     result = np.full_like(x, np.nan)
     if complete.size == 0:
         return result
-    power = phi ** np.diff(complete)[:, None]
     result[complete[0]] = z[0] * np.sqrt(1.0 - phi**2)
-    result[complete[1:]] = (z[1:] - power * z[:-1]) * np.sqrt((1.0 - phi**2) / (1.0 - power**2))
+    result[complete[1:]] = innovation(z[1:], z[:-1], np.diff(complete)[:, None], phi)
     return result
+
+
+def innovation(z: FloatArray, before: FloatArray, distance: ArrayLike, phi: ArrayLike) -> FloatArray:
+    """Take out of deviations what they owe to those ``distance`` sets before, as `prewhitened` does.
+
+    Parameters
+    ----------
+    z, before
+        Deviations from the mean, shape (p,) or (n, p).
+    """
+    phi = np.asarray(phi, dtype=np.float64)
+    power = phi ** np.asarray(distance)
+    return np.asarray((z - power * before) * np.sqrt((1.0 - phi**2) / (1.0 - power**2)))

@@ -10,45 +10,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy  # `scipy.special` comes when asked for
 from numpy.typing import ArrayLike
 
 from analysis.errors import AnalysisError, NotEnoughSetsError
-from analysis.statistics.baseline import fit_baseline, whitening_matrix
+from analysis.statistics.baseline import Baseline, fit_baseline, whitening_matrix
 from analysis.statistics.baseline_check import Named, named_in
-from analysis.statistics.chart import designed, unshown_memory
+from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
-from analysis.statistics.heavy_tails import HEAVY, tail_limit
-from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
-from analysis.statistics.memory import effective_sets, pooled_phi, prewhitened, significant
-from analysis.statistics.mewma import estimated_limit, known_limit, mcusum, mewma
-from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE
+from analysis.statistics.mewma import mcusum, mewma
+from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, LIMITS, PREWHITENED
+from analysis.statistics.rules import MINIMUM_SETS
 from analysis.waves.record_reduction import FloatArray
 
 SMALLEST_SD = 1e-9
 """Of a feature, as part of its size: one that scatters less is constant and has no distance."""
-DAYS_PER_YEAR = 365.25
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Budget:
-    """False alarms that a healthy sensor may raise.
-
-    Attributes
-    ----------
-    alarms_per_year
-        On average.
-    sets_per_day
-        The cadence.
-    """
-
-    alarms_per_year: float = 0.2
-    sets_per_day: float = 24.0
-
-    @property
-    def run_length(self) -> float:
-        """Sets from one false alarm to the next, on average."""
-        return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,7 +86,7 @@ def assess(
     vectors: ArrayLike,
     in_baseline: ArrayLike,
     feature_names: Sequence[str],
-    budget: Budget = Budget(),
+    budget: Budget = ONE_IN_FIVE_YEARS,
     *,
     textbooks: bool = True,
 ) -> Assessed:
@@ -165,67 +140,31 @@ def _judged(
 ) -> Assessed:
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
-    n, p = rows.size, len(names)
-    if n < MINIMUM_SETS:
-        raise NotEnoughSetsError(_too_few(n, "complete rows"))
+    if rows.size < MINIMUM_SETS:
+        raise NotEnoughSetsError(_too_few(rows.size, "complete rows"))
     baseline = fit_baseline(x[rows], rows.tolist(), name="baseline", feature_names=names)
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
+    design = design_of(history, baseline, budget.run_length)
     followed = np.where((healthy | after)[:, None], x, np.nan)
     judged = np.flatnonzero(after)
-
-    distances = np.where(complete, distance_squared(np.where(complete[:, None], x, 0.0), baseline), np.nan)
-    run_length = budget.run_length
-    f_limit = f_predictive_limit(n, p)
-
-    phi = pooled_phi(history)
-    memory = significant(phi, n)
-    default_distances, own = distances, baseline.distances_squared
-    if memory > 0.0:
-        residuals = prewhitened(followed, baseline.mean, memory)
-        of_residuals = fit_baseline(
-            residuals[rows], rows.tolist(), name="baseline without memory", feature_names=names
-        )
-        known = np.asarray(np.isfinite(residuals).all(axis=1))
-        default_distances = np.where(
-            known, distance_squared(np.where(known[:, None], residuals, 0.0), of_residuals), np.nan
-        )
-        own = of_residuals.distances_squared
-    allowing = tail_limit(own, p)
-    heavy = allowing > HEAVY * f_limit
-    because = "prewhitened" if memory > 0.0 else "independent"
-    because += ", heavy tails: left-out limit" if heavy else ", F limit"
-
-    of_distance = {
-        PAPER_MEAN_3SD: paper_limit(baseline.distances_squared),
-        "chi_square": float(scipy.special.chdtri(p, NOMINAL_RATE)),
-        F_PREDICTIVE: f_limit,
-        "f_budget": f_predictive_limit(n, p, 1.0 / run_length),
-        "phase_one": baseline.suspect_limit,
+    statistic, onsets = design.chart.run(design.chart.whitened(followed)[judged])
+    statistics = {
+        **_statistics(x, followed, complete, judged, design),
+        CHART: _placed(len(x), judged, statistic),
     }
-    of_average = {
-        "mewma_known": known_limit(p, run_length),
-        "mewma_textbook": estimated_limit(n, p, run_length),
+    limits = {name: limit for name, limit in design.limits.items() if name != CHART}
+    beyond = {
+        name: np.flatnonzero(after & (statistics[LIMITS[name].of] > limit)) for name, limit in limits.items()
     }
-    limits = {**of_distance, **of_average, "default": allowing if heavy else f_limit}
-
-    whitened = (x[judged] - baseline.mean) / baseline.sd @ whitening_matrix(baseline.correlation)
-    textbook = _placed(len(x), judged, mewma(whitened))
-    values = dict.fromkeys(of_distance, distances)
-    values |= dict.fromkeys(of_average, textbook)
-    values["default"] = default_distances
-    beyond = {name: np.flatnonzero(after & (values[name] > limit)) for name, limit in limits.items()}
-
-    chart = designed(history, run_length)
-    statistic, onsets = chart.run(chart.whitened(followed)[judged])
     return Assessed(
         refused=None,
         features_dropped=dropped,
-        n=n,
-        n_eff=effective_sets(n, phi),
-        phi_pooled=phi,
-        tail=allowing / f_limit,
+        n=baseline.n,
+        n_eff=design.n_eff,
+        phi_pooled=design.phi_pooled,
+        tail=design.by_default.tail,
         suspects=baseline.suspects,
         named=tuple(
             Named(kind=found.kind, rows=tuple(int(rows[row]) for row in found.rows))
@@ -235,15 +174,34 @@ def _judged(
         limits=limits,
         count={name: int(found.size) for name, found in beyond.items()},
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
-        default_because=because,
+        default_because=design.by_default.because,
         onsets=tuple(int(judged[row]) for row in onsets),
-        why_not_guaranteed=unshown_memory(history),
-        chart_limit=chart.limit,
-        distances_squared=distances,
-        mewma_textbook=textbook,
-        mcusum_textbook=_placed(len(x), judged, mcusum(whitened)) if textbooks else np.empty(0),
-        chart=_placed(len(x), judged, statistic),
+        why_not_guaranteed=design.why_not_guaranteed,
+        chart_limit=design.chart.limit,
+        distances_squared=statistics[DISTANCE],
+        mewma_textbook=statistics[AVERAGE],
+        mcusum_textbook=_placed(len(x), judged, mcusum(_whitened(x[judged], baseline)))
+        if textbooks
+        else np.empty(0),
+        chart=statistics[CHART],
     )
+
+
+def _statistics(
+    x: FloatArray, followed: FloatArray, complete: np.ndarray, judged: np.ndarray, design: Design
+) -> dict[str, FloatArray]:
+    """Statistics of all rows by name, but for the chart's; ``followed`` has the baseline's and later ones."""
+    baseline, by_default = design.baseline, design.by_default
+    distances = np.where(complete, distance_squared(np.where(complete[:, None], x, 0.0), baseline), np.nan)
+    return {
+        DISTANCE: distances,
+        PREWHITENED: by_default.distances_squared(followed) if by_default.phi else distances,
+        AVERAGE: _placed(len(x), judged, mewma(_whitened(x[judged], baseline))),
+    }
+
+
+def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
+    return np.asarray((vectors - baseline.mean) / baseline.sd @ whitening_matrix(baseline.correlation))
 
 
 def _placed(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:

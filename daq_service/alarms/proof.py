@@ -22,10 +22,6 @@ FEATURES: Mapping[str, str] = {
 }
 """The five of the distance, in words."""
 MOST_FEATURES = 3
-_LIMITS: Mapping[str, str] = {
-    "f_predictive": "the predictive F limit for a new set of a healthy wall",
-    "paper_mean_3sd": "the paper's: mean + 3 SD of the baseline's own distances",
-}
 
 
 def proof_sentences(row: AlarmRow) -> list[str]:
@@ -45,6 +41,9 @@ def evidence(kind: str, proof: Proof) -> list[str]:
 
 
 def _wall_change(proof: Proof) -> Iterator[str]:
+    if proof.get("chart") is not None:
+        yield from _by_chart(proof)
+        return
     if told := _known(proof, "set_index", "distance_squared", "limit"):
         set_index, distance, limit = told
         baseline = proof.get("baseline_id")
@@ -54,16 +53,35 @@ def _wall_change(proof: Proof) -> Iterator[str]:
             f"{_number(distance / limit)} times the limit of {_number(limit)}."
         )
     if told := _known(proof, "contributions"):
-        yield from _contributions(*told)
-    if limit_told := _LIMITS.get(proof.get("limit_name", "")):
+        yield from _contributions(told[0])
+    from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
+
+    if limit := LIMITS.get(proof.get("limit_name", "")):
         yield (
             "The distance counts how far the five features lie from the baseline's mean, in units of "
-            f"their own scatter there (equation 16); the limit is {limit_told}."
+            f"their own scatter there (equation 16); the limit is {limit.words}."
         )
     yield from _k_of_n(proof, "judged sets")
 
 
-def _contributions(parts: Mapping[str, float | None]) -> Iterator[str]:
+def _by_chart(proof: Proof) -> Iterator[str]:
+    if told := _known(proof, "set_index", "chart", "limit"):
+        set_index, chart, limit = told
+        yield (
+            f"With set {set_index} the chart stands at {_number(chart)}, {_number(chart / limit)} times its "
+            f"limit of {_number(limit)}; it averages over sets, so the change has lasted."
+        )
+    if told := _known(proof, "contributions"):
+        yield from _contributions(told[0], to="the chart")
+    if told := _known(proof.get("rule") or {}, "false_alarms_per_sensor_year"):
+        yield f"The limit is made for {told[0]:g} false alarms of a healthy sensor a year."
+    if told := _known(proof, "why_not_guaranteed"):
+        yield f"That rate is not promised here: {told[0]}."
+    if told := _known(proof, "distance_squared"):
+        yield f"The set alone has a squared distance of {_number(told[0])} from the baseline (equation 16)."
+
+
+def _contributions(parts: Mapping[str, float | None], to: str = "the distance") -> Iterator[str]:
     known = {name: part for name, part in parts.items() if part is not None}
     whole = sum(known.values())
     most = sorted(known, key=lambda name: -known[name])[:MOST_FEATURES]
@@ -73,7 +91,7 @@ def _contributions(parts: Mapping[str, float | None]) -> Iterator[str]:
         if known[name] > 0.0 and whole > 0.0
     ]
     if shares:
-        yield f"What contributes most to the distance: {', '.join(shares)}."
+        yield f"What contributes most to {to}: {', '.join(shares)}."
 
 
 def _thickness(proof: Proof) -> Iterator[str]:

@@ -45,7 +45,7 @@ Pieces = tuple[NDArray[np.int64], NDArray[np.void]]
 """First sets of some pieces, in order, and what each says."""
 
 FACTOR = 4
-JUDGED_VALUES = ("distance_squared", "limit_f", "limit_paper")
+JUDGED_VALUES = ("distance_squared", "limit_f", "limit_paper", "chart")
 QUALITIES: tuple[str, ...] = get_args(Quality)
 """From the best to the worst."""
 _BLOCKS_AT_ONCE = 256

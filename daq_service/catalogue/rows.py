@@ -18,7 +18,6 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 Quality = Literal["good", "suspect", "bad"]
 SetState = Literal["done", "partial", "missed", "retired"]
 Outcome = Literal["accepted", "superseded"]
-LimitName = Literal["f_predictive", "paper_mean_3sd"]
 Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
@@ -176,11 +175,19 @@ class BaselineRow(Row):
     feature_names: list[str]
     mean: list[float | None]  # (p,)
     covariance: list[list[float | None]]  # (p, p)
-    limit_f: float | None = None
+    limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
     limit_paper: float | None = None
     limit_reason: str | None = None  # why there is no limit
     approval: str  # "automatic" or the name of who signed
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
+    limits: Annotated[
+        dict[str, float] | None,
+        "Every limit by its name (`/info` lists them); null: there is none",
+    ] = None
+    readiness: Annotated[
+        dict[str, Any] | None,
+        "How far it can be trusted, and whether the chart keeps its rate",
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,13 +201,24 @@ class VerdictRow(Row):
     baseline_id: int | None = None
     in_baseline: bool
     distance_squared: float | None = None
-    limit_name: Annotated[LimitName, "The limit that decides"]
-    limit_f: float | None = None
+    limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
+    limit_f: float | None = None  # as in `BaselineRow`
     limit_paper: float | None = None
     outlier: bool | None = None  # None: not judged, see reason
     outlier_paper: bool | None = None
     reason: str | None = None
     contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
+    chart: Annotated[float | None, "Statistic of the chart that keeps the budget of false alarms"] = None
+    chart_alarm: Annotated[bool | None, "Beyond the chart's limit, or not yet back; null: not judged"] = None
+    statistics: Annotated[
+        dict[str, float] | None, "The other statistics that limits bound, by name; null: not judged"
+    ] = None
+    limits: Annotated[
+        dict[str, float] | None, "Every limit by its name (`/info` lists them); null: there is none"
+    ] = None
+    averages: Annotated[
+        dict[str, list[float]] | None, "Exponentially weighted vector behind each chart; null: not judged"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

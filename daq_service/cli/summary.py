@@ -16,6 +16,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.catalogue.store import Catalogue
+from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -56,9 +57,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
     after = [row for row in judged if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
     last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
-    limit = None
-    if baseline is not None:
-        limit = baseline.limit_f if settings.novelty.limit == "f_predictive" else baseline.limit_paper
+    limit = None if baseline is None else limits_by_name(baseline).get(settings.novelty.limit)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
         "outlier_fraction_before_100_h": _fraction(row.outlier for row in judged if row.due_h <= SPLIT_H),

@@ -24,6 +24,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
+from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
 
 LOOK_BACK_SETS = (64, 1024, None)
@@ -47,12 +48,14 @@ def restored_solitary_wave(
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
     in_baseline = [hour for hour in due_hours(settings.schedule.phases) if hour <= settings.baseline.hours]
     last_baseline_set = len(in_baseline) - 1
+    stored_baseline = catalogue.baseline(position)
     assessor = SolitaryWaveAssessor(
         position,
         settings,
         last_baseline_set=last_baseline_set,
         baseline_id=1 + list(settings.positions).index(position),
         rehearsal=rehearsal,
+        has_chart=stored_baseline is None or stored_baseline.limits is not None,
     )
     reinstated_at = _first_set_reinstated(position, catalogue)
     healthy = catalogue.rows(SetRow, position=position, tried=True, last_set=last_baseline_set)
@@ -64,13 +67,14 @@ def restored_solitary_wave(
         for first, last in ((0, last_baseline_set), (since, None))
         for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=first, last_set=last)
     }
+    verdicts = {row.set_index: row for row in catalogue.rows(VerdictRow, position=position, first_set=since)}
     for part in (
         [row for row in sets if row.set_index < reinstated_at],
         [row for row in sets if row.set_index >= reinstated_at],
     ):
         assessor.reinstate()
         for found in _fed(position, catalogue, part, features, settings.alarms.hole_sets):
-            assessor.feed(found)
+            assessor.feed(found, verdicts.get(found.set_index))
     return assessor
 
 
@@ -90,8 +94,7 @@ def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
 def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:
     """List the last sets of a transducer, as far back as its memory reaches; untried ones say nothing."""
     baseline = catalogue.baseline(position)
-    name = settings.novelty.limit
-    limit = None if baseline is None else baseline.limit_f if name == "f_predictive" else baseline.limit_paper
+    judged = baseline is not None and bool(limits_by_name(baseline))
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(SetRow, position, count, tried=True)
@@ -102,7 +105,7 @@ def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinst
         silence_ends = good and sum(row.n_taken > 0 for row in since) >= settings.alarms.hole_sets
         if len(since) < len(rows) or silence_ends:
             verdicts = catalogue.rows(VerdictRow, position=position, first_set=rows[0].set_index)
-            if limit is None or decides([row.outlier for row in verdicts], rule):
+            if not judged or decides([row.outlier for row in verdicts], rule):
                 break
     return rows
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from analysis.statistics.rules import AlarmRule, HoleRule
+from analysis.statistics.design import Memory
+from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
+from analysis.statistics.named_limits import CHART, DISTANCE
 from analysis.waves.features import (
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
@@ -24,26 +26,12 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
-from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, Verdict, reinstated, step
+from daq_service.judgement.readiness import readiness_of
+from daq_service.judgement.rules import rules_of
+from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, reinstated, step
+from daq_service.judgement.wall_condition import wall_condition
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
-
-FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
-
-
-def rules_of(position: str, settings: Settings, *, last_baseline_set: int) -> Rules:
-    """Collect what the configuration says of judging a transducer."""
-    return Rules(
-        baseline_name=f"{position}-baseline-1",
-        last_baseline_set=last_baseline_set,
-        minimum_sets=settings.baseline.minimum_sets,
-        minimum_valid_shots=settings.baseline.minimum_valid_shots,
-        shots_per_set=settings.schedule.shots_per_set,
-        limit=settings.novelty.limit,
-        false_alarm_rate=settings.novelty.false_alarm_rate,
-        alarm=AlarmRule(k=settings.alarms.k, n=settings.alarms.n),
-        hole=HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets),
-    )
 
 
 class SolitaryWaveAssessor:
@@ -57,6 +45,8 @@ class SolitaryWaveAssessor:
         Id that this position's baseline will have.
     rehearsal
         Records are noise: what they say of wall and transducer is no alarm.
+    has_chart
+        False: its baseline was frozen by a version that had none.
     """
 
     def __init__(
@@ -67,9 +57,10 @@ class SolitaryWaveAssessor:
         last_baseline_set: int,
         baseline_id: int,
         rehearsal: bool = False,
+        has_chart: bool = True,
     ) -> None:
         self.position = position
-        self._rules = rules_of(position, settings, last_baseline_set=last_baseline_set)
+        self._rules = rules_of(position, settings, last_baseline_set=last_baseline_set, has_chart=has_chart)
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
@@ -77,9 +68,9 @@ class SolitaryWaveAssessor:
         self._rehearsal = rehearsal
         self._state = State()
 
-    def feed(self, found: SetOfShots) -> None:
-        """Take in a set that was judged before, as the catalogue tells it."""
-        self._state, _ = step(self._state, found, self._rules)
+    def feed(self, found: SetOfShots, verdict: VerdictRow | None) -> None:
+        """Take in a set that was judged before, and how, as the catalogue tells it."""
+        self._state, _ = step(self._state, found, self._rules, _stored(found, verdict))
 
     def reinstate(self) -> None:
         """Forget what retired the transducer: a person says that it may strike again."""
@@ -153,7 +144,8 @@ class SolitaryWaveAssessor:
             verdicts.append(self._verdict_row(due.set_index, due.due_h, verdict))
         # Strikes that come back without a reflection tell of the wall, not of the transducer.
         conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
-        conditions += [self._wall_condition(due, verdicts[-1]), self._hole_condition(due, counting)]
+        wall = wall_condition(self.position, self._state, self._rules, verdicts[-1])
+        conditions += [wall, self._hole_condition(due, counting)]
         return Assessment(
             features=rows,
             baseline=self._baseline_row() if closes else None,
@@ -197,9 +189,11 @@ class SolitaryWaveAssessor:
             feature_names=list(FEATURE_NAMES),
             mean=[None] * p if fitted is None else fitted.mean.tolist(),
             covariance=[[None] * p] * p if fitted is None else fitted.covariance.tolist(),
-            limit_f=state.baseline.limit_f,
-            limit_paper=state.baseline.limit_paper,
+            limit_f=state.baseline.limits.get(F_PREDICTIVE),
+            limit_paper=state.baseline.limits.get(PAPER_MEAN_3SD),
             limit_reason=state.baseline.reason,
+            limits=dict(state.baseline.limits) or None,
+            readiness=readiness_of(state, rules),
             approval=self._approval,
             provenance={
                 "set_indices": indices,
@@ -228,6 +222,8 @@ class SolitaryWaveAssessor:
 
     def _verdict_row(self, set_index: int, due_h: float, verdict: Verdict) -> VerdictRow:
         baseline = self._state.baseline
+        limits = {} if baseline is None else baseline.limits
+        further = {name: v for name, v in verdict.statistics.items() if name not in (DISTANCE, CHART)}
         return VerdictRow(
             set_index=set_index,
             position=self.position,
@@ -235,13 +231,20 @@ class SolitaryWaveAssessor:
             baseline_id=None if baseline is None else self._baseline_id,
             in_baseline=verdict.in_baseline,
             distance_squared=verdict.distance_squared,
-            limit_name=self._rules.limit,
-            limit_f=None if baseline is None else baseline.limit_f,
-            limit_paper=None if baseline is None else baseline.limit_paper,
+            limit_name=self._rules.limit if baseline is None else baseline.judging(self._rules.limit),
+            limit_f=limits.get(F_PREDICTIVE),
+            limit_paper=limits.get(PAPER_MEAN_3SD),
             outlier=verdict.outlier,
             outlier_paper=verdict.outlier_paper,
             reason=verdict.reason,
             contributions=None if verdict.contributions is None else dict(verdict.contributions),
+            chart=verdict.statistics.get(CHART),
+            chart_alarm=None if verdict.memory is None else verdict.memory.alarming,
+            statistics=further or None,
+            limits=dict(limits) or None,
+            averages=None
+            if verdict.memory is None
+            else {name: list(average) for name, average in verdict.memory.averages.items()},
         )
 
     # Conditions ----------------------------------------------------------------------------------
@@ -278,38 +281,6 @@ class SolitaryWaveAssessor:
             ),
         ]
 
-    def _wall_condition(self, due: DueSet, verdict: VerdictRow) -> Condition:
-        state, rule = self._state.alarm, self._rules.alarm
-        baseline = self._state.baseline
-        limit = None if baseline is None else baseline.limit(self._rules.limit)
-        distance = verdict.distance_squared
-        return Condition(
-            position=self.position,
-            kind="wall_change",
-            family="damage",
-            severity="high",
-            present=state.active,
-            times_limit=None if distance is None or limit is None else distance / limit,
-            message=(
-                f"{sum(state.recent)} of the last {len(state.recent)} judged sets at {self.position} lie "
-                f"beyond the limit of {limit:.1f} (rule: {rule.k} of {rule.n}): wall or transducer has "
-                "changed; inspect"
-                if state.active and limit is not None
-                else ""
-            ),
-            proof={
-                "formula": FORMULA,
-                "rule": {"k": rule.k, "n": rule.n},
-                "set_index": due.set_index,
-                "distance_squared": distance,
-                "limit_name": verdict.limit_name,
-                "limit": limit,
-                "baseline_id": verdict.baseline_id,
-                "contributions": verdict.contributions,
-                "extractor_version": EXTRACTOR_VERSION,
-            },
-        )
-
     def _hole_condition(self, due: DueSet, features: Sequence[ShotFeatures]) -> Condition:
         rule = self._rules.hole
         silent = sum("no_psw" in found.flags for found in features)
@@ -332,6 +303,21 @@ class SolitaryWaveAssessor:
                 "extractor_version": EXTRACTOR_VERSION,
             },
         )
+
+
+def _stored(found: SetOfShots, row: VerdictRow | None) -> Verdict | None:
+    """Give a verdict as it was stored; None: the set belongs to the baseline, or was not judged."""
+    if row is None or row.in_baseline:
+        return None
+    vector, memory = found.vector(), None
+    if vector is not None and row.averages is not None:
+        memory = Memory(
+            index=found.set_index,
+            vector=vector,
+            averages={name: tuple(average) for name, average in row.averages.items()},
+            alarming=bool(row.chart_alarm),
+        )
+    return Verdict(outlier=row.outlier, outlier_paper=row.outlier_paper, reason=row.reason, memory=memory)
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:

@@ -14,8 +14,10 @@ import numpy as np
 
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
+from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory
 from analysis.statistics.distance import distance_squared, named_contributions
-from analysis.statistics.limits import f_predictive_limit, paper_limit
+from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
+from analysis.statistics.named_limits import DISTANCE, LIMITS
 from analysis.statistics.rules import (
     AlarmRule,
     AlarmState,
@@ -26,7 +28,6 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.catalogue.rows import LimitName
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +41,12 @@ class Rules:
     minimum_sets, minimum_valid_shots
         Fewer valid sets make no baseline, fewer valid shots a poor set.
     limit
-        Which limit decides: ``f_predictive`` or ``paper_mean_3sd``.
+        Name of the limit beyond which a set is an outlier.
+    decides_by
+        What raises the alarm of the wall: ``chart``, or ``k_of_n`` of such sets (``alarm``).
+    run_length
+        Sets from one false alarm of the chart to the next, on average. None: there is no chart, since the
+        baseline was frozen by a version that had none.
     """
 
     baseline_name: str
@@ -48,8 +54,11 @@ class Rules:
     minimum_sets: int
     minimum_valid_shots: int
     shots_per_set: int
-    limit: LimitName
+    limit: str
     false_alarm_rate: float
+    run_length: float | None
+    false_alarms_per_sensor_year: float
+    decides_by: str
     alarm: AlarmRule
     hole: HoleRule
 
@@ -89,16 +98,26 @@ class SetOfShots:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrozenBaseline:
-    """The closed baseline with its limits; ``fitted`` None: the sets gave none, and ``reason`` says why."""
+    """The closed baseline with its limits.
+
+    Attributes
+    ----------
+    fitted
+        None: the sets gave none, and ``reason`` says why.
+    limits
+        By name.
+    design
+        Everything else to judge by; None: the baseline was frozen by a version that had no chart.
+    """
 
     fitted: Baseline | None
-    limit_f: float | None = None
-    limit_paper: float | None = None
+    limits: Mapping[str, float] = field(default_factory=dict)
     reason: str | None = None
+    design: Design | None = None
 
-    def limit(self, name: str) -> float | None:
-        """Return the limit of a name, None where there is none."""
-        return self.limit_f if name == "f_predictive" else self.limit_paper
+    def judging(self, name: str) -> str:
+        """Return the limit beyond which a set is an outlier: the wanted one, where that version had it."""
+        return name if name in self.limits or not self.limits else F_PREDICTIVE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,6 +130,8 @@ class State:
         Sets of the baseline, and how many of its sets were unfit for it.
     baseline
         None while it is being recorded.
+    memory
+        What the charts remember; None: they have not begun, or there are none.
     poor_sets
         Sets running with too few valid shots.
     """
@@ -119,6 +140,7 @@ class State:
     n_left_out: int = 0
     baseline: FrozenBaseline | None = None
     alarm: AlarmState = field(default_factory=AlarmState)
+    memory: Memory | None = None
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
 
@@ -133,6 +155,10 @@ class Verdict:
         Beyond the deciding limit, and beyond the paper's; None: not judged, ``reason`` says why.
     contributions
         Part of the squared distance of each feature, by its name.
+    statistics
+        Everything that limits bound, by name; empty: not judged.
+    memory
+        What the charts remember after it; None: it was not judged by them.
     """
 
     in_baseline: bool = False
@@ -141,10 +167,21 @@ class Verdict:
     outlier_paper: bool | None = None
     reason: str | None = None
     contributions: Mapping[str, float] | None = None
+    statistics: Mapping[str, float] = field(default_factory=dict)
+    memory: Memory | None = None
 
 
-def step(state: State, found: SetOfShots, rules: Rules) -> tuple[State, Verdict | None]:
-    """Judge one set; no verdict where not one record was taken."""
+def step(
+    state: State, found: SetOfShots, rules: Rules, stored: Verdict | None = None
+) -> tuple[State, Verdict | None]:
+    """Judge one set; no verdict where not one record was taken.
+
+    Parameters
+    ----------
+    stored
+        Its verdict, where it was judged before: a restart reads only the last sets, and what came before them
+        is in what they remember.
+    """
     poor_sets = next_poor_sets(
         state.poor_sets,
         n_valid=found.n_valid,
@@ -162,7 +199,7 @@ def step(state: State, found: SetOfShots, rules: Rules) -> tuple[State, Verdict 
     # Where the baseline's last set was missed, it closes at the first one after it.
     closes = state.baseline is None and found.set_index >= rules.last_baseline_set
     if closes:
-        state = replace(state, baseline=_frozen(state, rules))
+        state = _frozen(state, rules)
     if in_baseline:
         return state, Verdict(
             in_baseline=True,
@@ -171,8 +208,12 @@ def step(state: State, found: SetOfShots, rules: Rules) -> tuple[State, Verdict 
             else "the baseline is being recorded",
         )
     assert state.baseline is not None, "it closes at the first set after it"
-    verdict = _judged(found, state.baseline, rules)
-    return replace(state, alarm=next_alarm_state(state.alarm, verdict.outlier, rules.alarm)), verdict
+    verdict = stored or _judged(found, state, state.baseline, rules)
+    return replace(
+        state,
+        alarm=next_alarm_state(state.alarm, verdict.outlier, rules.alarm),
+        memory=verdict.memory or state.memory,
+    ), verdict
 
 
 def reinstated(state: State) -> State:
@@ -186,43 +227,56 @@ def _remembering(state: State, found: SetOfShots) -> State:
     return replace(state, healthy=(*state.healthy, found))
 
 
-def _frozen(state: State, rules: Rules) -> FrozenBaseline:
-    """Fit the baseline from the remembered sets; the same sets always give the same bits."""
+def _frozen(state: State, rules: Rules) -> State:
+    """Fit the baseline to the remembered sets, and begin the charts; the same sets give the same bits."""
+    vectors = np.array([found.vector() for found in state.healthy], dtype=np.float64)
     try:
         if len(state.healthy) < rules.minimum_sets:
             raise NotEnoughSetsError(
                 f"a baseline of {len(state.healthy)} sets; baseline.minimum_sets asks for "
                 f"{rules.minimum_sets}: let the baseline run longer"
             )
-        fitted = fit_baseline(
-            np.array([found.vector() for found in state.healthy]),
-            [found.set_index for found in state.healthy],
-            name=rules.baseline_name,
-        )
+        indices = [found.set_index for found in state.healthy]
+        fitted = fit_baseline(vectors, indices, name=rules.baseline_name)
     except (NotEnoughSetsError, SingularCovarianceError) as error:
-        return FrozenBaseline(fitted=None, reason=str(error))
-    return FrozenBaseline(
-        fitted=fitted,
-        limit_f=f_predictive_limit(fitted.n, fitted.p, rules.false_alarm_rate),
-        limit_paper=paper_limit(fitted.distances_squared),
+        return replace(state, baseline=FrozenBaseline(fitted=None, reason=str(error)))
+    if rules.run_length is None:
+        limits = {
+            F_PREDICTIVE: f_predictive_limit(fitted.n, fitted.p, rules.false_alarm_rate),
+            PAPER_MEAN_3SD: paper_limit(fitted.distances_squared),
+        }
+        return replace(state, baseline=FrozenBaseline(fitted=fitted, limits=limits))
+    history = np.full((indices[-1] - indices[0] + 1, fitted.p), np.nan)
+    history[np.array(indices) - indices[0]] = vectors
+    design = design_of(history, fitted, rules.run_length, rules.false_alarm_rate)
+    return replace(
+        state,
+        baseline=FrozenBaseline(fitted=fitted, limits=design.limits, design=design),
+        memory=at_the_end_of(fitted, vectors[-1]),
     )
 
 
-def _judged(found: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> Verdict:
+def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> Verdict:
     if baseline.fitted is None:
         return Verdict(reason=baseline.reason)
     values = found.vector()
     if values is None:
         return Verdict(reason=found.reason or "a feature is not available")
     vector = np.array(values)
-    distance = float(distance_squared(vector, baseline.fitted))
+    memory, statistics = None, {DISTANCE: float(distance_squared(vector, baseline.fitted))}
+    if baseline.design is not None and state.memory is not None:
+        memory, statistics = next_memory(state.memory, baseline.design, found.set_index, vector)
     return Verdict(
-        distance_squared=distance,
-        outlier=_beyond(distance, baseline.limit(rules.limit)),
-        outlier_paper=_beyond(distance, baseline.limit_paper),
+        distance_squared=statistics[DISTANCE],
+        outlier=beyond(baseline.judging(rules.limit), statistics, baseline.limits),
+        outlier_paper=beyond(PAPER_MEAN_3SD, statistics, baseline.limits),
         contributions=named_contributions(vector, baseline.fitted),
+        statistics=statistics,
+        memory=memory,
     )
 
 
-def _beyond(distance: float, limit: float | None) -> bool | None:
-    return None if limit is None else distance > limit
+def beyond(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:
+    """Tell whether a set lies beyond a limit; None: there is no such limit, or nothing to compare with it."""
+    value, limit = statistics.get(LIMITS[name].of), limits.get(name)
+    return None if value is None or limit is None else value > limit

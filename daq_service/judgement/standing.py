@@ -5,6 +5,7 @@ from __future__ import annotations
 from daq_service.alarms.states import retired_positions
 from daq_service.catalogue.reader import LastWord
 from daq_service.judgement.methods import METHODS
+from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import ScheduleSettings, Settings
 
@@ -29,7 +30,7 @@ def state_word(last: LastWord) -> str:
 
 
 def limit_of(last: LastWord, settings: Settings) -> float | None:
-    """Return the limit that decides: thickness in m of a probe, squared distance of a transducer.
+    """Return the limit that decides: thickness in m of a probe, of a transducer that of an outlier.
 
     None: there is none yet.
     """
@@ -38,7 +39,7 @@ def limit_of(last: LastWord, settings: Settings) -> float | None:
     verdict = last.last_verdict
     if verdict is None:
         return None
-    return verdict.limit_f if verdict.limit_name == "f_predictive" else verdict.limit_paper
+    return limits_by_name(verdict).get(verdict.limit_name)
 
 
 def data_hour(last: LastWord) -> float | None:

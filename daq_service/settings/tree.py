@@ -199,15 +199,28 @@ class BaselineSettings(Section):
 class NoveltySettings(Section):
     """Limits of the Mahalanobis squared distance (equation 16)."""
 
-    limit: Literal["f_predictive", "paper_mean_3sd"] = "f_predictive"
-    """The limit that decides; the others are computed and shown too."""
+    limit: str = "f_predictive"
+    """Limit beyond which a set is an outlier, by its name; the others are computed and shown too."""
     false_alarm_rate: float = Field(default=NOMINAL_RATE, gt=0.0, lt=0.5)
     """Chance of a healthy set beyond the F limit (paper: 99.73 % confidence)."""
+
+    @field_validator("limit")
+    @classmethod
+    def _limit_is_known(cls, limit: str) -> str:
+        from analysis.statistics.named_limits import LIMITS  # with SciPy, which few commands need
+
+        if limit not in LIMITS:
+            raise ValueError(f"there is no limit {limit!r}; choose from {', '.join(LIMITS)}")
+        return limit
 
 
 class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
+    decides_by: Literal["chart", "k_of_n"] = "k_of_n"
+    """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
+    false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
+    """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
     k: int = Field(default=AlarmRule().k, ge=1, le=100)
     """Outliers among the last `n` judged sets that raise the alarm."""
     n: int = Field(default=AlarmRule().n, ge=1, le=100)
@@ -398,6 +411,10 @@ class Settings(BaseSettings):
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
+        # Keys that came later: at their defaults, what was hashed before is hashed still.
+        for key in ("decides_by", "false_alarms_per_sensor_year"):
+            if values["alarms"][key] == AlarmSettings.model_fields[key].default:
+                del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
         for key in ("holdoff_s", "watchdogs"):
             if rig["daqmx"] is not None and rig["daqmx"][key] is None:

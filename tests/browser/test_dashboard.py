@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 from support.browser_pages import PHONE, expect
-from support.filled_folder import FilledFolder
+from support.filled_folder import LIMIT_CHART, FilledFolder
 from support.served_web import served, served_app
 from support.waiting import until
 
@@ -79,6 +79,9 @@ def assert_drawn_is_the_api(page, service, position="B"):
     assert charts["distance"]["y"]["distance_squared"] == trend["distance_squared"]
     assert charts["distance"]["y"]["limit_f"] == trend["limit_f"]
     assert charts["distance"]["y"]["limit_paper"] == trend["limit_paper"]
+    assert charts["chart"]["y"]["chart"] == trend["chart"]
+    if any(value is not None for value in trend["chart"]):
+        assert set(charts["chart"]["y"]["limit_chart"]) == {LIMIT_CHART}
     assert charts["amplitudeRatio"]["y"]["amplitude_ratio"] == trend["amplitude_ratio"]
     # The page multiplies by the same double as here: equal to the last bit.
     assert charts["tof"]["y"]["tof_pp_us"] == [value * 1e6 for value in trend["tof_pp_s"]]

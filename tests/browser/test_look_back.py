@@ -89,6 +89,7 @@ def test_one_click_on_a_point_opens_its_set_with_everything_about_it(filled, ser
         f"{1e6 * feature['tof_pp_s']:.3f} µs",
         f"{verdict['distance_squared']:.3g}",
         "predictive F",
+        *verdict["limits"],  # every one by its name
         "21.5 °C",
         f"set_{LAST:06d}",
         "physics twin",

@@ -38,6 +38,7 @@ from support.synthetic_records import Scene
 
 N_BASELINE = 48
 LIMIT_F, LIMIT_PAPER = 24.3, 12.1
+LIMIT_CHART = 59.0
 PULSE_ECHO = Scene(
     n_samples=2000, pretrigger_samples=0, rate_hz=100e6, width_s=1e-6, isw_time_s=3e-6, tof_s=4e-6
 )
@@ -214,6 +215,9 @@ class FilledFolder:
             outlier_paper=None if in_baseline else distance > LIMIT_PAPER,
             reason=None,
             contributions={"tof_pp_s": distance},
+            chart=None if in_baseline else 0.6 * distance,
+            chart_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
+            limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
         )
 
     def add_alarm(

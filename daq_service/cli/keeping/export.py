@@ -232,7 +232,8 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
 
 
 def _results_of(kind: type[Row]) -> tuple[str, ...]:
-    return tuple(name for name in kind.__slots__ if name not in _NO_RESULT and name != "contributions")
+    nested = ("contributions", "statistics", "limits", "averages")
+    return tuple(name for name in kind.__slots__ if name not in (*_NO_RESULT, *nested))
 
 
 def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:

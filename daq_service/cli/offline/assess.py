@@ -12,7 +12,8 @@ from typing import Any
 
 import click
 
-from analysis.statistics.sequence import Assessed, Budget, assess
+from analysis.statistics.design import Budget
+from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.table_file import read_table
 from daq_service.cli.sweep.execution import opened_executor, usable_cores
 from daq_service.errors import UsageError

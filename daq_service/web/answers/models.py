@@ -12,7 +12,7 @@ from typing import Any, Literal, TypeVar, cast
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import LimitName, Quality, ReadingQuality, Severity, SupplyState
+from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
 from daq_service.orders.audit import Result
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from hardware_drivers.methods import Method
@@ -130,6 +130,7 @@ class BaselineRow(Answer):
 class AlarmRule(Answer):
     """How much it takes; of a wall that changes or thins `k` of `n`, of a hole shots of sets."""
 
+    false_alarms_per_sensor_year: float | None = Field(default=None, description="Budget of the chart")
     k: int | None = Field(default=None, description="So many of the last `n` judged sets")
     n: int | None = Field(default=None, description="Judged sets that are looked at")
     shots: int | None = Field(default=None, description="Shots of a set without a reflected wave")
@@ -145,11 +146,14 @@ class AlarmProof(BaseModel):
     rule: AlarmRule | None = Field(default=None, description="How much it takes")
     set_index: int | None = Field(default=None, description="Set that decided")
     distance_squared: float | None = Field(default=None, description="Squared distance of that set")
-    limit_name: LimitName | None = Field(default=None, description="The limit that decides")
-    limit: float | None = Field(default=None, description="That limit of the squared distance")
+    limit_name: str | None = Field(default=None, description="The limit that decides")
+    chart: float | None = Field(default=None, description="Statistic of the chart, where it decides")
+    limit: float | None = Field(default=None, description="That limit")
+    rate_guaranteed: bool | None = Field(default=None, description="The chart keeps to its budget")
+    why_not_guaranteed: str | None = Field(default=None, description="Why it may not; null: it does")
     baseline_id: int | None = Field(default=None, description="Baseline that it was judged against")
     contributions: dict[str, float | None] | None = Field(
-        default=None, description="Part of the squared distance by feature"
+        default=None, description="Part of the squared distance, or of the chart's statistic, by feature"
     )
     thickness_m: float | None = Field(default=None, description="Thickness that was read")
     interval_m: list[float] | None = Field(default=None, description="Its 95 % interval: low, high")
@@ -408,10 +412,22 @@ class PositionInfo(Answer):
     serial_number: str
 
 
+class NamedLimitInfo(Answer):
+    """A limit: what it is called, means and bounds; baselines and verdicts hold its value by this name."""
+
+    name: str
+    words: str = Field(description="What it means, in a sentence")
+    of: str = Field(description="Statistic that it bounds")
+    unit: str = Field(description="Of both; `1`: a pure number")
+
+
 class LimitInfo(Answer):
     """The limits and the alarm rule."""
 
-    deciding: LimitName
+    deciding: str
+    decides_by: Literal["chart", "k_of_n"] = Field(description="What raises the alarm of the wall")
+    false_alarms_per_sensor_year: float = Field(description="Budget of the chart")
+    named: list[NamedLimitInfo] = Field(description="Every limit that there is")
     false_alarm_rate: float
     k: int
     n: int
@@ -534,7 +550,7 @@ class TrendBins(Answer):
 
 TREND_VERDICTS = (
     *("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline"),
-    "reason",
+    *("chart", "reason"),
 )
 """Columns of a trend that come from the verdict beside the measured values."""
 MEASURED_FIELDS = tuple(

@@ -16,7 +16,7 @@ const WORDS = /** @type {Record<string, string>} */ ({ csv: "CSV", parquet: "Par
 let formats = [];
 
 /** Table of the API, and method of the client, that a feature stands in. @param {string} field @param {string} method */
-const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : field === "distance_squared" ? "verdicts" : "features");
+const tableOf = (field, method) => (method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features");
 
 /** A text or number as Python writes it. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);

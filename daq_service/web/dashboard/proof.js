@@ -52,6 +52,9 @@ const KINDS = {
   hole: SHOTS,
 };
 
+/** A wall's alarm that the chart raised. @type {typeof KINDS[string]} */
+const BY_CHART = { ...KINDS.wall_change, name: "Chart", short: "chart", taken: { fields: ["chart"], method: "solitary_wave" }, read: ofTrend(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)) };
+
 /** A link, so that it can be copied and sent as any other view. @param {string} position @param {number} set @param {string} text @param {Record<string, string>} attributes @param {Host["open"]} open */
 export function setLink(position, set, text, attributes, open) {
   const link = el("a", { class: "small", href: `?position=${position}&set=${set}`, text, ...attributes });
@@ -100,7 +103,7 @@ export class Proof {
   /** Read the sets around the alarm, and draw them. */
   async read() {
     const { alarm, host } = this;
-    const kind = KINDS[alarm.kind];
+    const kind = alarm.proof.limit_name === "chart" ? BY_CHART : KINDS[alarm.kind];
     const whole = alarm.position === null ? null : host.trend(alarm.position);
     if (!kind || !whole?.columns.due_h.length) return;
     // The plan's interval there, from the hours that the page knows.

@@ -12,7 +12,7 @@ const LONGEST = 2000;
 
 /** Columns that the charts always need, by method. @type {Record<string, string[]>} */
 export const FIELDS = {
-  solitary_wave: ["tof_pp_s", "amplitude_ratio", "distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper"],
+  solitary_wave: ["tof_pp_s", "amplitude_ratio", "distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "chart"],
   pulse_echo: ["thickness_m", "travel_time_s"],
 };
 const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_pp_s", "amplitude_ratio"], pulse_echo: ["thickness_m"] });
@@ -44,6 +44,8 @@ export class Reading {
     this.gaps = new Map();
     /** @type {any[]} */
     this.alarms = [];
+    /** @type {Map<string, any>} newest verdict by position; it holds every limit by its name */
+    this.verdicts = new Map();
     /** @type {any[]} notes that are not withdrawn */
     this.notes = [];
     this.feature = "";
@@ -213,7 +215,12 @@ export class Reading {
     this.dirty = { positions: new Set(), whole: new Set(), fits: dirty.fits, gaps: new Set(), alarms: false, notes: false, info: false, environment: false };
     const { onRead } = this.reader;
     // First of all: what the tiles say is the first thing to be seen.
-    const readings = [get("/transducers").then((answer) => onRead({ transducers: answer }))];
+    const standing = async () => {
+      const transducers = await get("/transducers");
+      this.verdicts = new Map(transducers.items.map((/** @type {any} */ one) => [one.position, one.last_verdict]));
+      onRead({ transducers });
+    };
+    const readings = [standing()];
     const trendsOf = (/** @type {string[]} */ positions) => positions.map((position) => this.readTrend(position, whole.has(position)));
     const firstly = [...changed].filter((position) => this.drawn.includes(position) && !this.trends.has(position));
     if (firstly.length) {

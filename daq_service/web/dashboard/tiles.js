@@ -3,6 +3,7 @@
 import { el, setText } from "./dom.js";
 import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
 import { STATES, chip } from "./icons.js";
+import { limitOf } from "./limit.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -135,7 +136,7 @@ export class Tiles {
   solitaryWave(state) {
     const verdict = state.last_verdict;
     const feature = state.last_feature;
-    const limit = verdict ? (verdict.limit_name === "paper_mean_3sd" ? verdict.limit_paper : verdict.limit_f) : null;
+    const limit = verdict ? limitOf(verdict) : null;
     const ratio = verdict && limit && verdict.distance_squared !== null ? verdict.distance_squared / limit : null;
     const note = ratio === null ? (verdict?.reason ?? "no limit yet") : `× limit (D² ${significant(verdict.distance_squared)} of ${significant(limit)})`;
     return [

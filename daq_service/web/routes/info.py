@@ -60,6 +60,9 @@ def get_info(context: ContextOf) -> JsonAnswer:
             },
             "limits": {
                 "deciding": settings.novelty.limit,
+                "decides_by": settings.alarms.decides_by,
+                "false_alarms_per_sensor_year": settings.alarms.false_alarms_per_sensor_year,
+                "named": _named_limits(),
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,
                 "n": settings.alarms.n,
@@ -83,6 +86,15 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "as_of": fresh.as_of(),
         }
     )
+
+
+def _named_limits() -> list[dict[str, str]]:
+    from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
+
+    return [
+        {"name": name, "words": limit.words, "of": limit.of, "unit": limit.unit}
+        for name, limit in LIMITS.items()
+    ]
 
 
 def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:

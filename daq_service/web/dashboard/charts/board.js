@@ -39,8 +39,9 @@ export class Board {
     this.reading = reading;
     this.others = others;
     const chart = (/** @type {string} */ id) => /** @type {SolimonChart} */ (byId(id));
-    this.charts = { distance: chart("distance"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
+    this.charts = { distance: chart("distance"), chart: chart("chart"), tof: chart("tof"), amplitudeRatio: chart("amplitude-ratio"), thickness: chart("thickness"), feature: chart("feature") };
     this.charts.distance.configure({ title: "Mahalanobis squared distance", log: true, empty: "No distance yet: it needs the baseline" }, host);
+    this.charts.chart.configure({ title: "Chart of false-alarm budget", log: true, empty: "No chart yet: it needs the baseline" }, host);
     this.charts.tof.configure({ title: "Time of flight", empty: "No set yet" }, host);
     this.charts.amplitudeRatio.configure({ title: "Amplitude ratio", empty: "No set yet" }, host);
     this.charts.thickness.configure({ title: "Wall thickness", empty: "No pulse-echo record yet" }, host);
@@ -87,6 +88,7 @@ export class Board {
     this.charts.thickness.hidden = !probe;
     if (this.reading.trends.has(charted)) {
       this.distance(view, waves);
+      this.budget(view, waves);
       this.draw(this.charts.tof, view, waves, "tof_pp_s", "tof_pp_us", "time of flight");
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
@@ -127,7 +129,7 @@ export class Board {
     const columns = trends.map((one) => one.columns);
     const { factor, unit, digits } = shownUnit(this.trend(positions[0]).units[field]);
     const { x, rows } = joined(columns.map((one) => one.due_h));
-    const relative = view.relative && field !== "distance_squared";
+    const relative = view.relative && !["distance_squared", "chart"].includes(field);
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
@@ -203,7 +205,20 @@ export class Board {
       { key: "limit_f", label: `predictive F limit${of}`, short: "F limit", color: "--limit", points: false, y: onAxis(columns.limit_f, rows[0]) },
       { key: "limit_paper", label: `paper's mean + 3 SD limit${of}`, short: "paper's limit", color: "--limit-other", points: false, dash: [2, 4], y: onAxis(columns.limit_paper, rows[0]) },
     );
-    const deciding = limits.deciding === "f_predictive" ? `the F limit decides (${significant(100 * limits.false_alarm_rate)} % false alarms)` : "the paper's limit decides";
-    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · alarm at ${limits.k} of ${limits.n}`, taken: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...places }, ...about });
+    const rule = limits.decides_by === "k_of_n" ? `alarm at ${limits.k} of ${limits.n}` : "the chart decides";
+    const deciding = limits.deciding === "f_predictive" ? `outlier beyond the F limit (${significant(100 * limits.false_alarm_rate)} % false alarms)` : `outlier beyond ${limits.deciding}`;
+    this.charts.distance.update({ x, lines, name: "Squared distance D²", unit, digits: 2, subtitle: `${at} · ${deciding} · ${rule}`, taken: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...places }, ...about });
+  }
+
+  /** The chart that averages over sets, and its limit. @param {View} view @param {string[]} positions */
+  budget(view, positions) {
+    const { lines, x, unit } = this.lines(view, positions, "chart", "chart", "chart");
+    const { at, of: places, ...about } = this.about(view, positions);
+    const { limits } = this.reading.info;
+    const limit = this.reading.verdicts.get(positions[0])?.limits?.chart ?? null;
+    const values = this.trend(positions[0]).columns.chart ?? [];
+    if (limit !== null && values.some((/** @type {number | null} */ value) => value !== null)) lines.push({ key: "limit_chart", label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`, short: "limit", color: "--limit", points: false, y: x.map(() => limit) });
+    const rule = limits.decides_by === "chart" ? "it decides" : `a view: alarm at ${limits.k} of ${limits.n} sets`;
+    this.charts.chart.update({ x, lines, name: "Chart", unit, digits: 2, subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`, taken: { fields: ["chart"], ...places }, ...about });
   }
 }

@@ -18,6 +18,7 @@ const WORDS = {
   ssw_time_s: "SSW time",
   isw_fwhm_s: "ISW width at half height",
   noise_rms_v: "Noise, rms",
+  chart: "Chart of false-alarm budget",
   distance_squared: "Mahalanobis squared distance",
   thickness_m: "Wall thickness",
   thickness_loss_m: "Lost thickness",

@@ -3,6 +3,7 @@
 import { el } from "../dom.js";
 import { isFeature, wordOf } from "../charts/features.js";
 import { shownUnit } from "../charts/series.js";
+import { limitOf } from "../limit.js";
 import { NONE, fixed, hour, quantity, significant, utc } from "../format.js";
 
 /** @typedef {import("./evidence.js").Evidence} Evidence */
@@ -56,17 +57,32 @@ export function features({ feature, verdict }, units) {
 /** @param {Evidence} evidence @param {any} limits of /info */
 export function distance({ verdict }, limits) {
   if (verdict === null) return part("Distance", el("p", { class: "quiet small", text: "Not judged." }));
-  const limit = verdict.limit_name === "paper_mean_3sd" ? verdict.limit_paper : verdict.limit_f;
+  const limit = limitOf(verdict);
   const word = verdict.in_baseline ? "part of the baseline" : verdict.outlier === null ? (verdict.reason ?? "not judged") : verdict.outlier ? "beyond the limit: outlier" : "within the limit";
   return part(
     "Distance",
     list([
       ["D²", significant(verdict.distance_squared)],
-      ["Limit that decides", `${significant(limit)} (${verdict.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms`})`],
+      ["Limit of outliers", `${significant(limit)} (${verdict.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : verdict.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : verdict.limit_name})`],
       ["Times the limit", limit && verdict.distance_squared !== null ? significant(verdict.distance_squared / limit) : NONE],
       ["Verdict", word],
     ]),
+    ...(verdict.limits ? [named(verdict, limits.named)] : []),
   );
+}
+
+/** Every limit that the service has, beside what it bounds. @param {any} verdict @param {any[]} all of /info */
+function named(verdict, all) {
+  /** @type {Record<string, number | null>} */
+  const values = { ...verdict.statistics, distance_squared: verdict.distance_squared, chart: verdict.chart };
+  const rows = all
+    .filter(({ name }) => name in verdict.limits)
+    .map(({ name, words, of }) => {
+      const value = values[of] ?? null;
+      const limit = verdict.limits[name];
+      return el("tr", {}, el("td", { text: name, title: words }), el("td", { text: significant(limit) }), el("td", { text: significant(value) }), el("td", { text: value === null ? NONE : value > limit ? "beyond" : "within" }));
+    });
+  return table("Every limit, and what it bounds", ["Limit", "Its value", "The set's", "Verdict"], rows);
 }
 
 /**

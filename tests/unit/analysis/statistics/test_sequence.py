@@ -5,10 +5,11 @@ from support.healthy_sequences import healthy
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.baseline_check import named_in
 from analysis.statistics.chart import designed, unshown_memory
+from analysis.statistics.design import Budget, at_the_end_of, design_of, next_alarming, next_memory
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.heavy_tails import left_out_distances
 from analysis.statistics.memory import guarded_phi
-from analysis.statistics.sequence import Budget, assess
+from analysis.statistics.sequence import assess
 
 NAMES = list("abcde")
 
@@ -55,6 +56,35 @@ def test_a_shift_is_seen_by_the_chart_and_after_an_alarm_it_begins_from_zero():
     again = judged(np.concatenate([x[:200], x[first + 1 :]]), 200)
     # The same sets from zero; only the first owes nothing to the set before it, which is another one here.
     assert second - first == pytest.approx(again.onsets[0] - 199, abs=1)
+
+
+@pytest.mark.parametrize(("name", "n"), [("independent", 24), ("AR .6", 200), ("t5", 60)])
+def test_set_after_set_the_design_says_what_it_says_of_the_whole_sequence(name, n):
+    x = healthy(name, n + 80, np.random.default_rng(17))
+    x[n - 5] = x[[n + 3, n + 4, n + 20]] = np.nan
+    x[n + 40 :] += 5.0
+    found = judged(x, n)
+    rows = np.flatnonzero(np.isfinite(x[:n]).all(axis=1))
+    baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
+    design = design_of(x[:n], baseline, Budget().run_length)
+    assert {key: limit for key, limit in design.limits.items() if key != "chart"} == found.limits
+    memory, beyond = at_the_end_of(baseline, x[rows[-1]]), []
+    for row in [row for row in range(n, found.onsets[0] + 1) if np.isfinite(x[row]).all()]:
+        memory, statistics = next_memory(memory, design, row, x[row])
+        # Both compute the same, in another order of operations.
+        assert statistics["distance_squared"] == pytest.approx(found.distances_squared[row], rel=1e-9)
+        assert statistics["mewma_textbook"] == pytest.approx(found.mewma_textbook[row], rel=1e-9)
+        assert statistics["chart"] == pytest.approx(found.chart[row], rel=1e-9)
+        assert memory.alarming == (row == found.onsets[0])
+        beyond += [row] if statistics["distance_squared_prewhitened"] > design.limits["default"] else []
+    assert beyond[:1] == [row for row in [found.first["default"]] if row <= found.onsets[0]]
+
+
+def test_an_alarm_of_the_chart_ends_where_a_healthy_sensor_is_on_average():
+    assert not next_alarming(False, 40.0, 40.0, 5)
+    assert next_alarming(False, 40.1, 40.0, 5)
+    assert next_alarming(True, 5.1, 40.0, 5)
+    assert not next_alarming(True, 5.0, 40.0, 5)
 
 
 def test_one_rogue_set_alone_never_alarms():

@@ -56,6 +56,34 @@ PROOFS: dict[str, dict[str, Any]] = {
 """As the conditions of each kind fill them."""
 
 
+CHART: dict[str, Any] = {
+    "set_index": 60,
+    "chart": 118.0,
+    "limit": 59.0,
+    "limit_name": "chart",
+    "distance_squared": 30.0,
+    "rule": {"false_alarms_per_sensor_year": 0.2},
+    "contributions": {"amplitude_ratio": 59.0, "tof_pp_s": 59.0},
+    "rate_guaranteed": False,
+    "why_not_guaranteed": "48 sets cannot show slow memory",
+}
+
+
+def test_a_chart_says_that_the_change_has_lasted_and_what_it_promises() -> None:
+    assert evidence("wall_change", CHART) == [
+        (
+            "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
+            "change has lasted."
+        ),
+        "What contributes most to the chart: amplitude ratio 50 %, time of flight between the peaks 50 %.",
+        "The limit is made for 0.2 false alarms of a healthy sensor a year.",
+        "That rate is not promised here: 48 sets cannot show slow memory.",
+        "The set alone has a squared distance of 30 from the baseline (equation 16).",
+    ]
+    promised = {**CHART, "why_not_guaranteed": None, "rate_guaranteed": True}
+    assert not any("not promised" in said for said in evidence("wall_change", promised))
+
+
 TOLD: dict[str, str] = {
     "wall_change": """
         Set 49 lies at a squared distance of 48.6 from baseline 2, 2 times the limit of 24.3.

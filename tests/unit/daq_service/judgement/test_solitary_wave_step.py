@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.statistics.limits import f_predictive_limit, paper_limit
+from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, reinstated, step
@@ -20,6 +21,9 @@ RULES = Rules(
     shots_per_set=4,
     limit="f_predictive",
     false_alarm_rate=0.0027,
+    run_length=1000.0,
+    false_alarms_per_sensor_year=0.2,
+    decides_by="chart",
     alarm=AlarmRule(k=3, n=5),
     hole=HoleRule(shots=3, consecutive_sets=2),
 )
@@ -68,16 +72,16 @@ def test_until_its_last_set_the_baseline_is_being_recorded_and_nothing_is_judged
         assert verdict.reason == "the baseline is being recorded"
 
 
-def test_the_last_set_closes_the_baseline_with_both_limits():
+def test_the_last_set_closes_the_baseline_with_every_limit():
     state, verdict = after(baseline())
     assert verdict.in_baseline
     fitted = state.baseline.fitted
     assert fitted.set_indices == tuple(range(LAST + 1))
     np.testing.assert_array_equal(fitted.mean, HEALTHY[: LAST + 1].mean(axis=0))
-    assert state.baseline.limit_f == f_predictive_limit(LAST + 1, 5, 0.0027)
-    assert state.baseline.limit_paper == paper_limit(fitted.distances_squared)
-    assert state.baseline.limit("f_predictive") == state.baseline.limit_f
-    assert state.baseline.limit("paper_mean_3sd") == state.baseline.limit_paper
+    limits = state.baseline.limits
+    assert limits["f_predictive"] == f_predictive_limit(LAST + 1, 5, 0.0027)
+    assert limits["paper_mean_3sd"] == paper_limit(fitted.distances_squared)
+    assert limits.keys() == LIMITS.keys()
 
 
 def test_the_baseline_closes_at_the_first_later_set_where_its_last_one_was_missed():
@@ -110,11 +114,12 @@ def test_an_outlier_lies_beyond_the_deciding_limit_only():
     verdict = after(sets)[1]
     baseline_state = after(baseline())[0].baseline
     for limit, outlier in (
-        ("f_predictive", verdict.distance_squared > baseline_state.limit_f),
-        ("paper_mean_3sd", verdict.distance_squared > baseline_state.limit_paper),
+        ("f_predictive", verdict.distance_squared > baseline_state.limits["f_predictive"]),
+        ("paper_mean_3sd", verdict.distance_squared > baseline_state.limits["paper_mean_3sd"]),
     ):
         assert after(sets, replace(RULES, limit=limit))[1].outlier == outlier
-    assert baseline_state.limit_paper < verdict.distance_squared < baseline_state.limit_f
+    limits = baseline_state.limits
+    assert limits["paper_mean_3sd"] < verdict.distance_squared < limits["f_predictive"]
     assert sum(verdict.contributions.values()) == pytest.approx(verdict.distance_squared, rel=1e-12)
 
 
@@ -169,8 +174,55 @@ def test_a_restart_that_feeds_the_same_sets_stands_where_the_last_one_stood():
             live[cut:], states(sets[cut:], state=fed), strict=True
         ):
             assert again == verdict
-            assert (found.alarm, found.hole, found.poor_sets) == (
+            assert (found.alarm, found.hole, found.poor_sets, found.memory) == (
                 expected.alarm,
                 expected.hole,
                 expected.poor_sets,
+                expected.memory,
             )
+
+
+def test_a_set_without_a_vector_leaves_the_chart_as_it_was():
+    judged = [*baseline(), a_set(LAST + 1, shift=0.03)]
+    state, verdict = after(judged)
+    assert state.memory == verdict.memory != after(baseline())[0].memory
+    for poor in (a_set(LAST + 2, quality="bad"), a_set(LAST + 2, n_taken=0, n_valid=0, flags=())):
+        assert after([*judged, poor])[0].memory == state.memory
+
+
+def test_what_was_judged_and_stored_is_taken_as_it_is_and_goes_on():
+    sets = [*baseline(), *(a_set(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
+    live = states(sets)
+    state = after(baseline())[0]
+    state, told = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
+    assert told is live[-2][1]
+    assert step(state, sets[-1], RULES)[1] == live[-1][1]
+
+
+def test_the_chart_alarms_on_a_change_that_lasts_and_ends_when_it_is_over():
+    changed = [a_set(LAST + 1 + k, shift=0.1) for k in range(15)]
+    alarming = [state.memory.alarming for state, _ in states([*baseline(), *changed])[LAST + 1 :]]
+    first = alarming.index(True)
+    assert 2 < first < 14  # one set alone is cut back
+    assert all(alarming[first:])
+    over = [a_set(LAST + 16 + k) for k in range(25)]
+    assert not after([*baseline(), *changed, *over])[0].memory.alarming
+
+
+def test_a_baseline_of_a_version_without_chart_keeps_its_two_limits():
+    state, verdict = after([*baseline(), a_set(LAST + 1)], replace(RULES, run_length=None, limit="default"))
+    assert state.baseline.limits.keys() == {"f_predictive", "paper_mean_3sd"}
+    assert (state.memory, state.baseline.design, verdict.outlier) == (None, None, False)
+
+
+def test_a_limit_is_added_by_its_entry_alone(monkeypatch):
+    twice = NamedLimit(
+        words="Twice the F limit", of="distance_squared", value=lambda facts: 2 * facts.by_default.limit
+    )
+    monkeypatch.setattr("analysis.statistics.named_limits.LIMITS", {**LIMITS, "twice": twice})
+    monkeypatch.setattr("daq_service.judgement.solitary_wave_step.LIMITS", {**LIMITS, "twice": twice})
+    sets = [*baseline(), a_set(LAST + 1, shift=0.02)]
+    state, verdict = after(sets, replace(RULES, limit="twice"))
+    assert state.baseline.limits["twice"] == 2 * state.baseline.limits["default"]
+    assert verdict.outlier is False
+    assert after(sets)[1].outlier is True

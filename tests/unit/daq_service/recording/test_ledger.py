@@ -8,6 +8,7 @@ import pytest
 from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
+from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
@@ -84,12 +85,19 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15},
+        alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
     )
     wall = {"B": 0.01, "C": 0.0, "D": 0.1}
     line.script = lambda key: healthy(key, shift=wall.get(key.position, 0.0) * max(0, key.set_index - 15))
     line.run()
     expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
-    assert any(row.kind == "wall_change" for row in expected["alarms"])
+    raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
+    assert [row.position for row in raised] == ["D", "B"]
+    assert raised[0].proof["chart"] > raised[0].proof["limit"]
+    assert raised[0].proof["rate_guaranteed"] is False
+    assert "not promised: 16 sets cannot show slow memory" in raised[0].message
+    assert [row.limits.keys() for row in expected["baselines"]] == [LIMITS.keys()] * 3
+    assert {row.readiness["why_not_guaranteed"][:7] for row in expected["baselines"]} == {"16 sets"}
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_index):

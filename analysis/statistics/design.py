@@ -1,0 +1,170 @@
+"""Everything that a frozen baseline gives to judge later sets by, and one step after another.
+
+`sequence` judges a whole table at once by the same design; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from analysis.statistics.baseline import Baseline, whitening_matrix
+from analysis.statistics.chart import Chart, designed, unshown_memory
+from analysis.statistics.default_limit import DefaultLimit, default_limit
+from analysis.statistics.distance import distance_squared
+from analysis.statistics.memory import effective_sets, innovation, pooled_phi
+from analysis.statistics.mewma import WEIGHT
+from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, PREWHITENED, Facts, limits_of
+from analysis.statistics.rules import NOMINAL_RATE
+from analysis.waves.record_reduction import FloatArray
+
+DAYS_PER_YEAR = 365.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """False alarms that a healthy sensor may raise.
+
+    Attributes
+    ----------
+    alarms_per_year
+        On average.
+    sets_per_day
+        The cadence.
+    """
+
+    alarms_per_year: float = 0.2
+    sets_per_day: float = 24.0
+
+    @property
+    def run_length(self) -> float:
+        """Sets from one false alarm to the next, on average."""
+        return self.sets_per_day * DAYS_PER_YEAR / self.alarms_per_year
+
+
+ONE_IN_FIVE_YEARS = Budget()
+"""At a set an hour."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Design:
+    """What a baseline gives.
+
+    Attributes
+    ----------
+    limits
+        By name (`named_limits.LIMITS`).
+    phi_pooled, n_eff
+        Memory from set to set, and how many independent sets the baseline's are worth.
+    why_not_guaranteed
+        Why the chart's rate of false alarms is not promised; empty: it is.
+    """
+
+    baseline: Baseline
+    by_default: DefaultLimit
+    chart: Chart
+    limits: Mapping[str, float]
+    phi_pooled: float
+    n_eff: float
+    why_not_guaranteed: str
+
+
+def design_of(
+    history: FloatArray, baseline: Baseline, run_length: float, rate: float = NOMINAL_RATE
+) -> Design:
+    """Design limits and chart.
+
+    Parameters
+    ----------
+    history
+        Sets of the baseline in the order of time, shape (n, p); rows of NaN are gaps and keep their place.
+    baseline
+        Fitted to its complete rows.
+    run_length, rate
+        See `named_limits.Facts`.
+    """
+    chart, by_default = designed(history, run_length), default_limit(history, baseline, rate)
+    facts = Facts(baseline=baseline, by_default=by_default, chart=chart, rate=rate, run_length=run_length)
+    phi = pooled_phi(history)
+    return Design(
+        baseline=baseline,
+        by_default=by_default,
+        chart=chart,
+        limits=limits_of(facts),
+        phi_pooled=phi,
+        n_eff=effective_sets(baseline.n, phi),
+        why_not_guaranteed=unshown_memory(history),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Memory:
+    """What the next set is judged with beside the design.
+
+    Attributes
+    ----------
+    index, vector
+        Of the last complete set.
+    averages
+        Exponentially weighted vector of each chart, by its statistic's name.
+    alarming
+        The chart's alarm is on: it was beyond its limit, and is not back yet (`next_alarming`).
+    """
+
+    index: int
+    vector: tuple[float, ...]
+    averages: Mapping[str, tuple[float, ...]]
+    alarming: bool = False
+
+
+def at_the_end_of(baseline: Baseline, last: FloatArray) -> Memory:
+    """Memory before the first set after a baseline, whose last complete set is ``last``."""
+    zero = (0.0,) * baseline.p
+    return Memory(
+        index=baseline.set_indices[-1],
+        vector=tuple(last.tolist()),
+        averages={AVERAGE: zero, CHART: zero},
+    )
+
+
+def next_memory(
+    memory: Memory, design: Design, index: int, vector: FloatArray
+) -> tuple[Memory, dict[str, float]]:
+    """Judge one more complete set, shape (p,): the statistics by name, and what is remembered of it."""
+    baseline, chart = design.baseline, design.chart
+    before, distance = np.array(memory.vector), max(1, index - memory.index)
+    new = innovation(vector - chart.mean, before - chart.mean, distance, chart.phi)
+    entering = {
+        AVERAGE: (vector - baseline.mean) / baseline.sd @ whitening_matrix(baseline.correlation),
+        CHART: chart.entering(new),
+    }
+    averages = {
+        name: WEIGHT * w + (1.0 - WEIGHT) * np.array(memory.averages[name]) for name, w in entering.items()
+    }
+    statistics = {
+        DISTANCE: float(distance_squared(vector, baseline)),
+        PREWHITENED: design.by_default.distance_squared_after(vector, before, distance),
+        **{name: float(sum(parts_of(z))) for name, z in averages.items()},
+    }
+    return Memory(
+        index=index,
+        vector=tuple(vector.tolist()),
+        averages={name: tuple(z.tolist()) for name, z in averages.items()},
+        alarming=next_alarming(memory.alarming, statistics[CHART], design.limits[CHART], baseline.p),
+    ), statistics
+
+
+def parts_of(average: FloatArray) -> FloatArray:
+    """Parts of the features in a chart's statistic, (2 - weight)/weight |z|^2; shape (p,)."""
+    return np.asarray((2.0 - WEIGHT) / WEIGHT * average**2)
+
+
+def next_alarming(alarming: bool, statistic: float, limit: float, p: int) -> bool:
+    """Tell whether the chart's alarm is on: from beyond the limit until the statistic is back at p.
+
+    p is its mean while the sensor is healthy, so the chart goes on as one that has begun anew: an alarm that
+    ends at the limit itself would come and go, each time beyond the budget.
+    """
+    return statistic > p if alarming else statistic > limit

@@ -1,0 +1,125 @@
+"""All limits by name: what each means, which statistic it bounds, and how a baseline gives it.
+
+A further limit is a function and an entry here: it is computed, stored with baselines and verdicts, and shown
+wherever limits are listed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import scipy  # `scipy.special` comes when asked for
+
+from analysis.statistics.baseline import Baseline
+from analysis.statistics.chart import Chart
+from analysis.statistics.default_limit import DefaultLimit
+from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
+from analysis.statistics.mewma import estimated_limit, known_limit
+
+DISTANCE, PREWHITENED, AVERAGE, CHART = (
+    "distance_squared",
+    "distance_squared_prewhitened",
+    "mewma_textbook",
+    "chart",
+)
+STATISTICS: Mapping[str, str] = MappingProxyType(
+    {
+        DISTANCE: "Squared Mahalanobis distance of the set from the baseline",
+        PREWHITENED: "The same after the baseline's memory from set to set was taken out",
+        AVERAGE: "MEWMA of the whitened sets, weight 0.1, asymptotic covariance",
+        CHART: "The same with memory taken out and each set cut back to the F limit of 1 %",
+    }
+)
+"""What limits bound, by name, in words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Facts:
+    """What a limit may depend on.
+
+    Attributes
+    ----------
+    rate
+        Chance that a healthy set lies beyond, of limits that judge single sets.
+    run_length
+        Sets from one false alarm to the next, of limits that keep a budget.
+    """
+
+    baseline: Baseline
+    by_default: DefaultLimit
+    chart: Chart
+    rate: float
+    run_length: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NamedLimit:
+    """A limit: ``value`` gives it, ``of`` is one of `STATISTICS`, ``unit`` that of both."""
+
+    words: str
+    of: str
+    value: Callable[[Facts], float]
+    unit: str = "1"
+
+
+def _chi_square(facts: Facts) -> float:
+    return float(scipy.special.chdtri(facts.baseline.p, facts.rate))
+
+
+LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
+    {
+        PAPER_MEAN_3SD: NamedLimit(
+            words="the paper's: mean + 3 SD of the baseline's own distances",
+            of=DISTANCE,
+            value=lambda facts: paper_limit(facts.baseline.distances_squared),
+        ),
+        "chi_square": NamedLimit(
+            words="that of chi-square, for a baseline known exactly", of=DISTANCE, value=_chi_square
+        ),
+        F_PREDICTIVE: NamedLimit(
+            words="the predictive F limit for a new set of a healthy wall",
+            of=DISTANCE,
+            value=lambda facts: f_predictive_limit(facts.baseline.n, facts.baseline.p, facts.rate),
+        ),
+        "f_budget": NamedLimit(
+            words="the predictive F limit at the rate of the budget of false alarms",
+            of=DISTANCE,
+            value=lambda facts: f_predictive_limit(
+                facts.baseline.n, facts.baseline.p, 1.0 / facts.run_length
+            ),
+        ),
+        "phase_one": NamedLimit(
+            words="the screen of the baseline's own sets: 5 % of healthy baselines have one beyond",
+            of=DISTANCE,
+            value=lambda facts: facts.baseline.suspect_limit,
+        ),
+        "mewma_known": NamedLimit(
+            words="that of the textbook's MEWMA for a baseline known exactly, at the budget",
+            of=AVERAGE,
+            value=lambda facts: known_limit(facts.baseline.p, facts.run_length),
+        ),
+        "mewma_textbook": NamedLimit(
+            words="that of the textbook's MEWMA, widened for an estimated baseline, at the budget",
+            of=AVERAGE,
+            value=lambda facts: estimated_limit(facts.baseline.n, facts.baseline.p, facts.run_length),
+        ),
+        "default": NamedLimit(
+            words="chosen by the data: it allows for the baseline's memory and tails",
+            of=PREWHITENED,
+            value=lambda facts: facts.by_default.limit,
+        ),
+        CHART: NamedLimit(
+            words="that of the chart that keeps the budget of false alarms",
+            of=CHART,
+            value=lambda f: f.chart.limit,
+        ),
+    }
+)
+"""By name, in the order in which they are listed."""
+
+
+def limits_of(facts: Facts) -> dict[str, float]:
+    """Compute every limit of a baseline, by name."""
+    return {name: limit.value(facts) for name, limit in LIMITS.items()}

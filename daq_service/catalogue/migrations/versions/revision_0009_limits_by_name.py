@@ -1,0 +1,28 @@
+"""Limits and statistics by name, with baselines and verdicts, and the chart beside them."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+from alembic import op
+
+revision = "0009"
+down_revision = "0008"
+branch_labels = None
+depends_on = None
+
+NESTED = (
+    *(("baselines", name) for name in ("limits", "readiness")),
+    *(("verdicts", name) for name in ("statistics", "limits", "averages")),
+)
+
+
+def upgrade() -> None:
+    for table, name in NESTED:
+        op.add_column(table, sa.Column(name, sa.JSON(none_as_null=True), nullable=True))
+    op.add_column("verdicts", sa.Column("chart", sa.Float(), nullable=True))
+    op.add_column("verdicts", sa.Column("chart_alarm", sa.Boolean(), nullable=True))
+
+
+def downgrade() -> None:
+    for table, name in (("verdicts", "chart_alarm"), ("verdicts", "chart"), *reversed(NESTED)):
+        op.drop_column(table, name)

@@ -1,0 +1,34 @@
+"""How far a baseline can be trusted, as it is stored with it: size, memory, tails, what stands out of it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from analysis.statistics.baseline_check import named_in
+from daq_service.judgement.solitary_wave_step import Rules, State
+
+
+def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
+    """Tell it of a baseline that was just frozen; None: there is none.
+
+    Sets are told by their index; ``rate_guaranteed`` is whether the chart keeps to its budget.
+    """
+    baseline = state.baseline
+    if baseline is None or baseline.fitted is None or baseline.design is None:
+        return None
+    design, indices = baseline.design, baseline.fitted.set_indices
+    named = named_in(np.array([found.vector() for found in state.healthy]))
+    return {
+        "n": baseline.fitted.n,
+        "n_left_out": state.n_left_out,
+        "n_eff": design.n_eff,
+        "phi_pooled": design.phi_pooled,
+        "tail": design.by_default.tail,
+        "named": [{"kind": one.kind, "set_indices": [indices[row] for row in one.rows]} for one in named],
+        "default_because": design.by_default.because,
+        "false_alarms_per_sensor_year": rules.false_alarms_per_sensor_year,
+        "rate_guaranteed": not design.why_not_guaranteed,
+        "why_not_guaranteed": design.why_not_guaranteed or None,
+    }

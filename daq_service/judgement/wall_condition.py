@@ -1,0 +1,103 @@
+"""What the verdicts of a transducer say of the alarm `wall_change`: whether, in which words, with what proof.
+
+The chart decides, or k of n sets beyond a limit, as the configuration says. Where a baseline has no chart,
+k of n decides in any case.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from analysis.statistics.design import Design, Memory, parts_of
+from analysis.statistics.named_limits import CHART
+from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.alarms.states import Condition
+from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement.solitary_wave_step import Rules, State
+from daq_service.judgement.stored_limits import limits_by_name, statistic_of
+
+FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
+CHART_FORMULA = (
+    "T = (2 - w)/w |z|^2, z = w u + (1 - w) z of the set before, w = 0.1; u: what is new in the set, "
+    "whitened, cut back to the F limit of 1 %"
+)
+REMEDY = "wall or transducer has changed; inspect"
+
+
+def wall_condition(position: str, state: State, rules: Rules, verdict: VerdictRow) -> Condition:
+    """Say it after a set; ``verdict`` is that set's row."""
+    design = None if state.baseline is None else state.baseline.design
+    if rules.decides_by == "chart" and design is not None and state.memory is not None:
+        present, times_limit, message, proof = _by_chart(position, design, state.memory, rules, verdict)
+    else:
+        present, times_limit, message, proof = _by_k_of_n(position, state, rules, verdict)
+    return Condition(
+        position=position,
+        kind="wall_change",
+        family="damage",
+        severity="high",
+        present=present,
+        times_limit=times_limit,
+        message=message if present else "",
+        proof=proof | _of_every_rule(verdict),
+    )
+
+
+def _of_every_rule(verdict: VerdictRow) -> dict[str, Any]:
+    return {
+        "set_index": verdict.set_index,
+        "distance_squared": verdict.distance_squared,
+        "baseline_id": verdict.baseline_id,
+        "extractor_version": EXTRACTOR_VERSION,
+    }
+
+
+def promise(design: Design, budget: float) -> str:
+    """Say what the chart promises of a healthy sensor."""
+    told = f"{budget:g} false alarms a year"
+    return f"{told}, not promised: {design.why_not_guaranteed}" if design.why_not_guaranteed else told
+
+
+Said = tuple[bool, float | None, str, dict[str, Any]]
+
+
+def _by_chart(position: str, design: Design, memory: Memory, rules: Rules, verdict: VerdictRow) -> Said:
+    limit, average = design.limits[CHART], np.array(memory.averages[CHART])
+    parts = parts_of(average)
+    statistic = float(parts.sum())
+    budget = rules.false_alarms_per_sensor_year
+    told = (
+        f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
+        f"({promise(design, budget)}): {REMEDY}"
+    )
+    proof = {
+        "formula": CHART_FORMULA,
+        "rule": {"false_alarms_per_sensor_year": budget},
+        "chart": statistic,
+        "limit_name": CHART,
+        "limit": limit,
+        "contributions": dict(zip(design.baseline.feature_names, parts.tolist(), strict=True)),
+        "rate_guaranteed": not design.why_not_guaranteed,
+        "why_not_guaranteed": design.why_not_guaranteed or None,
+    }
+    return memory.alarming, statistic / limit, told, proof
+
+
+def _by_k_of_n(position: str, state: State, rules: Rules, verdict: VerdictRow) -> Said:
+    alarm, rule = state.alarm, rules.alarm
+    limit, value = limits_by_name(verdict).get(verdict.limit_name), statistic_of(verdict, verdict.limit_name)
+    told = (
+        f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
+        f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): {REMEDY}"
+    )
+    proof = {
+        "formula": FORMULA,
+        "rule": {"k": rule.k, "n": rule.n},
+        "limit_name": verdict.limit_name,
+        "limit": limit,
+        "contributions": verdict.contributions,
+    }
+    times_limit = None if value is None or limit is None else value / limit
+    return alarm.active, times_limit, told, proof
