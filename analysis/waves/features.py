@@ -34,12 +34,14 @@ from analysis.waves.fft_length import fast_length
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
+    MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
     mean_weights,
     reduce_record,
 )
+from analysis.waves.uncertainty import standard_deviations
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
@@ -47,6 +49,8 @@ Quality = Literal["good", "suspect", "bad"]
 EXTRACTOR_VERSION = "1.2"
 """Changes whenever any feature of any record would."""
 
+FAR_APART, FEWEST_FOR_FAR = 10.0, 7
+"""Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""
 FOOT_PER_FWHM = 0.4
 JUMP_S, FRONT_S = 2e-6, 20e-6
 JUMP_PART = 0.7
@@ -93,7 +97,8 @@ class ShotFeatures:
     pull_fraction
         How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
     sd
-        Standard deviation that the record's own white noise gives a feature, by name (`uncertainty`).
+        Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
+        asked for it.
     """
 
     tof_pp_s: float = math.nan
@@ -225,8 +230,15 @@ def extract_from_volts(
     *,
     clipped: bool = False,
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+    with_sd: bool = False,
 ) -> ShotFeatures:
-    """Features of a record given as volts, shape (n_samples,); see `extract_features`."""
+    """Features of a record given as volts, shape (n_samples,); see `extract_features`.
+
+    Parameters
+    ----------
+    with_sd
+        Also tell the standard deviation of each (`analysis.waves.uncertainty`).
+    """
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
@@ -246,6 +258,7 @@ def extract_from_volts(
         **measured,
         noise_rms_v=record.noise_rms_v,
         pull_fraction=pull,
+        sd=standard_deviations(record, pulses, measured, settings) if with_sd else {},
         flags=flags,
         valid=valid,
         quality="bad" if not valid else "suspect" if flags else "good",
@@ -414,7 +427,10 @@ def _autocorrelation(
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Mean and standard deviation of the valid shots' features.
+    """Mean and standard deviation of the valid shots' features, of each without values far from the others.
+
+    A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
+    `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
 
     Parameters
     ----------
@@ -441,6 +457,8 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
             reason=f"{reason} ({listed})" if listed else reason,
         )
     table = np.array([[getattr(shot, name) for name in ALL_FEATURE_NAMES] for shot in valid])
+    if n_valid >= FEWEST_FOR_FAR:
+        table = _without_far(table)
     mean, sd = _column_statistics(table)
     reasons = []
     if n_valid < len(shots):
@@ -457,6 +475,15 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         quality="suspect" if reasons else "good",
         reason=f"{reason} ({listed})" if reason else "",
     )
+
+
+def _without_far(table: FloatArray) -> FloatArray:
+    """Put NaN in the place of values far from their column's others."""
+    known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
+    distance = np.abs(known - np.median(known, axis=0))
+    far = distance > FAR_APART * MAD_TO_SD * np.median(distance, axis=0)
+    # More than half alike have no scatter to compare with.
+    return np.where(far & (np.median(distance, axis=0) > 0.0), np.nan, table)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

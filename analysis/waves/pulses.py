@@ -43,6 +43,10 @@ class Pulse:
     regular
         False where the quartic has no maximum inside (two tops, a plateau): time and amplitude are
         those of the highest smoothed value then.
+    top_points, top_place, top_curvature_v
+        Points of the quartic, its maximum on -1..1 and its second derivative there, NaN without one.
+    matched_curvature_v
+        Second difference of the matched filter's output at its maximum.
     """
 
     time_s: float
@@ -50,6 +54,10 @@ class Pulse:
     matched_time_s: float
     fwhm_s: float
     regular: bool
+    top_points: int
+    top_place: float
+    top_curvature_v: float
+    matched_curvature_v: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +230,8 @@ def parabola_peak(before: float, centre: float, after: float) -> float:
 def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
-    shift = parabola_peak(*(float(v) for v in matched[matched_index - 1 : matched_index + 2]))
+    before, centre_v, after = (float(v) for v in matched[matched_index - 1 : matched_index + 2])
+    shift = parabola_peak(before, centre_v, after)
     reach = round(150e-6 / record.step_s)
     start = max(0, matched_index - reach)
     near_pulse = blocks[start : matched_index + reach + 1]
@@ -236,7 +245,9 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
         return None
     fit = _quartic_maximum(near_pulse[first : last + 1])
     regular = fit is not None
-    position, height = fit if fit is not None else (float(peak - first), float(smooth[peak]))
+    n = last - first + 1
+    place, height, curvature = fit if fit is not None else (math.nan, float(smooth[peak]), math.nan)
+    position = 0.5 * (n - 1) * (1.0 + place) if regular else float(peak - first)
     flanks = moving_mean(near_pulse, odd(FLANK_SMOOTHING_S / record.step_s))
     return Pulse(
         time_s=record.time_s(start + first + position),
@@ -244,6 +255,10 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
         matched_time_s=record.time_s(matched_index + shift),
         fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
         regular=regular,
+        top_points=n,
+        top_place=place,
+        top_curvature_v=curvature,
+        matched_curvature_v=before - 2.0 * centre_v + after,
     )
 
 
@@ -276,7 +291,7 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
 
 @lru_cache(maxsize=1024)
-def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
+def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
     """Design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
@@ -285,10 +300,10 @@ def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
     return design, solver
 
 
-def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
-    """Position (samples) and height of the least-squares quartic's maximum; None if it has none inside."""
+def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
+    """Place on -1..1, height and second derivative of the least-squares quartic's maximum, if it has one."""
     n = values.size
-    design, solver = _quartic_design(n)
+    design, solver = quartic_design(n)
     coefficients = solver @ values
     c0, c1, c2, c3, c4 = coefficients.tolist()
     # Newton from the highest grid point: a quartic may have two maxima.
@@ -305,7 +320,7 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
         if abs(step) < 1e-12:
             break
     height = c0 + u * (c1 + u * (c2 + u * (c3 + u * c4)))
-    return 0.5 * (n - 1) * (1.0 + u), height
+    return u, height, curvature
 
 
 def _extra_pulses(

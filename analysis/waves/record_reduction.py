@@ -191,17 +191,23 @@ def median(values: FloatArray) -> float:
     return float(ordered[upper - 1] + ordered[upper]) / 2.0
 
 
+def kernel(width_blocks: float) -> FloatArray:
+    """Weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
+    half = math.ceil(width_blocks / 2) - 1
+    weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
+    return weights / float(weights @ weights)
+
+
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> tuple[NDArray[np.complex128], float]:
     """Spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0, and sqrt(sum(weights^2))."""
-    half = math.ceil(width_blocks / 2) - 1
-    kernel = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
-    energy = float(kernel @ kernel)
+    weights = kernel(width_blocks)
+    half = weights.size // 2
     wrapped = np.zeros(n_fft)
-    wrapped[np.arange(-half, half + 1)] = kernel / energy
+    wrapped[np.arange(-half, half + 1)] = weights
     spectrum = rfft(wrapped)
     spectrum.flags.writeable = False
-    return spectrum, 1.0 / math.sqrt(energy)
+    return spectrum, math.sqrt(float(weights @ weights))
 
 
 def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArray, float]:

@@ -158,6 +158,7 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
             record.pretrigger_samples,
             clipped=record.clipped,
             settings=settings,
+            with_sd=True,
         )
     except RecordError as error:
         raise UsageError(
