@@ -95,7 +95,9 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
         )
         return graded(replace(shot, **unknown), {*shot.flags, "missed"} - {"no_psw"})
     found = set(shot.flags)
-    if template.pull_fraction is not None and shot.pull_fraction > template.pull_fraction + DEEPER_PULL:
+    # A noisy shot's own noise pulls deeper than the others'.
+    usual_pull = math.inf if template.pull_fraction is None or "noisy" in found else template.pull_fraction
+    if shot.pull_fraction > usual_pull + DEEPER_PULL:
         found.add(DISTURBED)
     if template.earliest_tof_s is not None:
         later = shot.tof_mf_s / template.earliest_tof_s
