@@ -34,7 +34,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     measured,
 )
-from daq_service.catalogue.sealed import DamagedRow, storable
+from daq_service.catalogue.sealed import DamagedRow, checked_values, storable
 from daq_service.catalogue.tables import alarms, sets, table_of, trend_blocks
 
 log = logging.getLogger(__name__)
@@ -190,19 +190,21 @@ def _within(pyramid: _Pyramid, place: _Place, width: int, first: int, end: int) 
     )
 
 
-def _stored_rows(
+def _stored_blocks(
     connection: Connection, pyramid: _Pyramid, place: _Place, width: int, first: int, end: int
-) -> list[TrendBlockRow]:
+) -> list[tuple[str, bytes]]:
+    """Places and contents."""
     within = _within(pyramid, place, width, first, end)
-    return made(connection, TrendBlockRow, select(trend_blocks).where(within).order_by(trend_blocks.c.place))
+    asked = select(trend_blocks).where(within).order_by(trend_blocks.c.place)
+    return [(its_place, block) for its_place, block, _ in checked_values(connection, TrendBlockRow, asked)]
 
 
 def _stored(
     connection: Connection, pyramid: _Pyramid, place: _Place, width: int, first: int, end: int
 ) -> Pieces:
-    rows = _stored_rows(connection, pyramid, place, width, first, end)
-    index = np.array([int(row.place.rpartition("/")[2]) for row in rows], dtype=np.int64)
-    return index, np.frombuffer(b"".join(row.block for row in rows), pyramid.type_of(place.kind))
+    blocks = _stored_blocks(connection, pyramid, place, width, first, end)
+    index = np.array([int(its_place.rpartition("/")[2]) for its_place, _ in blocks], dtype=np.int64)
+    return index, np.frombuffer(b"".join(block for _, block in blocks), pyramid.type_of(place.kind))
 
 
 def _computed(
@@ -328,7 +330,7 @@ def trend_differences(connection: Connection) -> Iterator[str]:
     n_expected = 0
     for blocks in _everything(connection):
         expected = {row.place: row.block for row in _computed(connection, *blocks)}
-        found = {row.place: row.block for row in _stored_rows(connection, *blocks)}
+        found = dict(_stored_blocks(connection, *blocks))
         n_expected += len(expected)
         for place in sorted(expected.keys() | found.keys()):
             if found.get(place) != expected.get(place):

@@ -47,7 +47,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.catalogue.sealed import checked_rows, storable
+from daq_service.catalogue.sealed import checked_rows, checked_values, storable
 from daq_service.catalogue.tables import (
     alarms,
     annotated,
@@ -196,7 +196,7 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Rows of a table in the order in which they were stored; of chosen sets in the order of the sets."""
-        return self._rows(kind, chosen(select(table_of(kind)), table_of(kind), filters).limit(limit))
+        return self._rows(kind, _of_kind(kind, limit, filters))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
@@ -258,8 +258,10 @@ class Catalogue:
         if not names:
             return {}
         # Whole rows: only these can be compared with their checksums.
-        found = self.rows(kind, limit=limit, **filters)
-        return {name: [getattr(row, name) for row in found] for name in names}
+        with self.reading() as connection:
+            found = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
+        columns = dict(zip(kind.__slots__, zip(*found, strict=True), strict=False))
+        return {name: list(columns.get(name, ())) for name in names}
 
     def _rows(self, kind: type[R], statement: Select[Any]) -> list[R]:
         with self.reading() as connection:
@@ -495,6 +497,10 @@ def stored_command(connection: Connection, row: CommandRow) -> int:
     row = replace(row, id=int(connection.execute(select(func.max(commands.c.id))).scalar_one() or 0) + 1)
     connection.execute(insert(commands), storable(row))
     return row.id
+
+
+def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> Select[Any]:
+    return chosen(select(table_of(kind)), table_of(kind), filters).limit(limit)
 
 
 def made(connection: Connection, kind: type[R], statement: Select[Any]) -> list[R]:

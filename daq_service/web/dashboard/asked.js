@@ -34,7 +34,7 @@ export class Asked {
 
   tick() {
     const leftS = (this.untilMs - performance.now()) / 1000;
-    this.banner.hidden = leftS <= 0;
+    if (this.banner.hidden !== leftS <= 0) this.banner.hidden = leftS <= 0;
     if (leftS > 0) setText(byId("asked-left"), duration(Math.ceil(leftS)));
   }
 }

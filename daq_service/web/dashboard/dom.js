@@ -36,7 +36,18 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** Colours of now: to ask for one takes longer than to draw with it. @type {Map<string, string>} */
+const colors = new Map();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => forgetColors());
+
 /** @param {string} name of a custom property, e.g. --data @returns {string} */
 export function color(name) {
-  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  let found = colors.get(name);
+  if (!found) colors.set(name, (found = getComputedStyle(document.documentElement).getPropertyValue(name).trim()));
+  return found;
+}
+
+/** Another theme is worn. */
+export function forgetColors() {
+  colors.clear();
 }

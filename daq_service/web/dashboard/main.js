@@ -59,7 +59,7 @@ const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, toldAt: 0 };
 
 const address = new Address(become);
-const reading = new Reading({ onBegin, onRead, onColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
+const reading = new Reading({ onBegin, onRead, onColumns, onDetails: showColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
 const failing = new Failing(byId("failing"));
 const others = new Others(onOthers);
 const board = new Board(
@@ -198,7 +198,7 @@ function become(view, before) {
   }
   reading.choose(view.feature);
   others.choose(view);
-  reading.look(address.span);
+  reading.look(address.span, board.drawn(view, charted()).all);
   const { from_h, to_h, from_us, to_us, ...rest } = view;
   const { from_h: _a, to_h: _b, from_us: _c, to_us: _d, ...restBefore } = before;
   toolbar.update(view, charted(), reading.info, timeline());
@@ -211,7 +211,7 @@ function become(view, before) {
 
 function showAll() {
   become(address.view, { ...address.view, position: "", axis: "hours" });
-  board.update(address.view, charted());
+  showColumns();
 }
 
 // ---- reading ----------------------------------------------------------------------------------
@@ -224,7 +224,7 @@ function onBegin() {
 
 function onColumns() {
   failing.end();
-  board.update(address.view, charted());
+  showColumns();
   toolbar.update(address.view, charted(), reading.info, timeline());
   compared.update(address.view);
   waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
@@ -233,8 +233,12 @@ function onColumns() {
 }
 
 function onOthers() {
-  board.update(address.view, charted());
+  showColumns();
   compared.update(address.view);
+}
+
+function showColumns() {
+  board.update(address.view, charted());
 }
 
 /** @param {{alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}} news */

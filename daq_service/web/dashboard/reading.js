@@ -22,6 +22,7 @@ const FITTED = /** @type {Record<string, string[]>} */ ({ solitary_wave: ["tof_p
  * @property {() => void} onBegin the experiment is known: its positions may be chosen now
  * @property {(news: {alarms?: any[], notes?: any[], transducers?: any, environment?: any, info?: boolean}) => void} onRead
  * @property {() => void} onColumns columns or fits of a position are new
+ * @property {() => void} onDetails columns of the hours that are looked at are new, and nothing else
  * @property {(why: string) => void} onWaiting nothing is stored yet, or the service does not answer; empty: over
  * @property {(error: Error) => void} onTrouble a reading failed
  */
@@ -47,8 +48,12 @@ export class Reading {
     this.feature = "";
     /** Hours that are looked at; null: the whole test. @type {[number, number] | null} */
     this.span = null;
+    /** Positions that are drawn. @type {string[]} */
+    this.drawn = [];
     /** @type {Map<string, any>} columns of these hours, of positions whose whole test comes in bins */
     this.details = new Map();
+    /** Timer of the reading of these, or 0. */
+    this.looking = 0;
     this.refreshes = 0;
     /** When everything that is shown was last read, by `performance.now()`. */
     this.readAt = 0;
@@ -119,13 +124,33 @@ export class Reading {
     if (this.info) this.schedule();
   }
 
-  /** Other hours are looked at: where the whole test comes in bins, theirs are finer. @param {[number, number] | null} span */
-  look(span) {
-    if (String(span) === String(this.span)) return;
-    this.span = span;
-    if (span === null) this.details.clear();
-    for (const [position, { bin_sets }] of this.trends) if (bin_sets > 1 && span) this.dirty.positions.add(position);
-    if (this.dirty.positions.size) this.schedule();
+  /**
+   * Other hours are looked at: where the whole test comes in bins, theirs are finer.
+   *
+   * @param {[number, number] | null} span @param {string[]} positions that are drawn
+   */
+  look(span, positions) {
+    if (String([span, positions]) === String([this.span, this.drawn])) return;
+    Object.assign(this, { span, drawn: positions });
+    for (const position of this.details.keys()) if (span === null || !positions.includes(position)) this.details.delete(position);
+    if (span !== null && !this.looking && this.coarse().length) this.looking = setTimeout(() => this.readDetails(), REFRESH_MS);
+  }
+
+  /** Positions that are drawn and whose whole test comes in bins. */
+  coarse() {
+    return this.drawn.filter((position) => (this.trends.get(position)?.bin_sets ?? 1) > 1);
+  }
+
+  /** Nothing but the hours that are looked at has changed: nothing else is read. */
+  async readDetails() {
+    this.looking = 0;
+    try {
+      await Promise.all(this.coarse().map((position) => this.readDetail(position)));
+      this.reader.onDetails();
+    } catch (error) {
+      this.reader.onTrouble(/** @type {Error} */ (error));
+      setTimeout(() => this.everything(), 2 * RETRY_MS);
+    }
   }
 
   /** What is drawn of a position: the finest there is of the hours that are looked at. @param {string} position */
@@ -214,17 +239,11 @@ export class Reading {
     // Bins are not gone on with: another set may change the last one, and in time their width.
     const before = known && known.bin_sets === 1 && known.columns.due_h.length < LONGEST ? known : undefined;
     const from_h = before?.columns.due_h.at(-1);
-    const fields = [...FIELDS[place.method]];
     const inBaseline = { to_h: this.info.schedule.baseline_h + 1e-6 };
     if (whole || (from_h ?? 0) <= inBaseline.to_h) this.baselines.set(position, await trend(position, undefined, inBaseline));
-    if (this.feature in this.baselines.get(position).columns && !fields.includes(this.feature)) fields.push(this.feature);
-    const { span } = this;
-    const coarse = (known?.bin_sets ?? 1) > 1;
-    const wide = span && { from_h: span[0] - (span[1] - span[0]) / 2, to_h: span[1] + (span[1] - span[0]) / 2 };
-    const [answer, detail] = await Promise.all([trend(position, fields, { from_h }), coarse && wide ? trend(position, fields, wide) : null]);
-    if (detail && String(span) === String(this.span)) this.details.set(position, detail);
-    // The first answer in bins: its hours that are looked at are asked for next.
-    if (answer.bin_sets > 1 && !coarse && span) this.dirty.positions.add(position);
+    const fields = this.fieldsOf(position);
+    const answer = await trend(position, fields, { from_h });
+    if (answer.bin_sets > 1 && this.drawn.includes(position)) await this.readDetail(position);
     if (!before || answer.bin_sets > 1) {
       this.trends.set(position, answer.bin_sets > 1 && before ? await trend(position, fields) : answer);
       return;
@@ -234,6 +253,22 @@ export class Reading {
     const start = answer.columns.set_index.findIndex((/** @type {number} */ index) => index > last);
     if (start >= 0) for (const key of Object.keys(before.columns)) before.columns[key].push(...answer.columns[key].slice(start));
     before.as_of = answer.as_of;
+  }
+
+  /** @param {string} position whose baseline's hours were read */
+  fieldsOf(position) {
+    const always = FIELDS[this.place(position).method];
+    const also = this.feature in this.baselines.get(position).columns && !always.includes(this.feature);
+    return also ? [...always, this.feature] : always;
+  }
+
+  /** @param {string} position */
+  async readDetail(position) {
+    const { span } = this;
+    if (span === null) return;
+    const around = (span[1] - span[0]) / 2;
+    const detail = await trend(position, this.fieldsOf(position), { from_h: span[0] - around, to_h: span[1] + around });
+    if (String(span) === String(this.span)) this.details.set(position, detail);
   }
 
   /** Sets that were missed or fell into a retirement: marks of the charts. @param {string} position */

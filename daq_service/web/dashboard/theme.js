@@ -1,6 +1,6 @@
 // Light, dark, or as the computer has it. Paper is light whatever the screen is, and says when and from where it came.
 
-import { byId, setText } from "./dom.js";
+import { byId, forgetColors, setText } from "./dom.js";
 import { utc } from "./format.js";
 
 const KEY = "solimon-theme";
@@ -39,6 +39,7 @@ export class Theme {
   wear(name) {
     if (name === "auto") delete document.documentElement.dataset.theme;
     else document.documentElement.dataset.theme = name;
+    forgetColors();
     this.redraw();
   }
 }

@@ -69,14 +69,19 @@ export class Board {
     for (const chart of this.all) chart.draw();
   }
 
-  /** @param {View} view what is shown @param {string} charted position of the solitary-wave charts */
-  update(view, charted) {
-    const { info } = this.reading;
-    if (!info) return;
-    this.offer(view.feature);
-    const probes = info.positions.filter((/** @type {any} */ place) => place.method === "pulse_echo").map((/** @type {any} */ place) => place.position);
+  /** Positions of this test that are drawn. @param {View} view @param {string} charted position of the solitary-wave charts */
+  drawn(view, charted) {
+    const probes = this.reading.info.positions.filter((/** @type {any} */ place) => place.method === "pulse_echo").map((/** @type {any} */ place) => place.position);
     const probe = probes.includes(view.position) ? view.position : probes[0];
     const over = view.compare.filter((position) => position !== charted && this.reading.place(position)?.method === "solitary_wave");
+    return { probe, over, all: [charted, ...over, ...(probe ? [probe] : [])] };
+  }
+
+  /** @param {View} view what is shown @param {string} charted position of the solitary-wave charts */
+  update(view, charted) {
+    if (!this.reading.info) return;
+    this.offer(view.feature);
+    const { probe, over } = this.drawn(view, charted);
     const others = (/** @type {string} */ method) => view.compare.filter((entry) => isOther(entry) && this.trend(entry)?.method === method);
     const waves = [charted, ...over, ...others("solitary_wave")];
     this.charts.thickness.hidden = !probe;

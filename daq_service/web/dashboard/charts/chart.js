@@ -67,7 +67,15 @@ export class SolimonChart extends HTMLElement {
     this.legend = el("ul", { class: "legend" });
     this.toggle.addEventListener("click", () => this.host.table(this.id, this.tableBox.hidden));
     this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
+    /** Whether it is on the screen: elsewhere nothing is drawn anew until it comes there. */
+    this.seen = true;
+    this.late = false;
     new ResizeObserver(() => this.resize()).observe(this.canvasBox);
+    new IntersectionObserver((entries) => {
+      this.seen = entries[entries.length - 1].isIntersecting;
+      if (this.seen) this.catchUp();
+    }).observe(this.canvasBox);
+    addEventListener("beforeprint", () => this.catchUp());
   }
 
   /** @param {ChartOptions} options @param {Host} host */
@@ -118,7 +126,7 @@ export class SolimonChart extends HTMLElement {
     }
     // Last, when all around it has its size.
     if (!series.x.length) this.destroy();
-    else if (this.plot && made === this.made) this.plot.setData(dataOf(series));
+    else if (this.plot && made === this.made) this.drawAgain();
     else this.draw();
     this.made = made;
     if (!this.tableBox.hidden) this.fillTable();
@@ -126,7 +134,20 @@ export class SolimonChart extends HTMLElement {
 
   /** Show the span and the opened set of now. */
   respan() {
-    if (this.plot) this.plot.setScale("x", this.plot.scales.x);
+    if (!this.seen) this.late = true;
+    else if (this.plot) this.plot.setScale("x", this.plot.scales.x);
+  }
+
+  /** Show the series of now in the plot that there is. */
+  drawAgain() {
+    if (!this.seen) this.late = true;
+    else this.plot.setData(dataOf(this.series));
+  }
+
+  /** Draw at once what nobody saw. */
+  catchUp() {
+    if (this.late && this.plot) this.plot.batch(() => this.plot.setData(dataOf(this.series)));
+    this.late = false;
   }
 
   /** @param {number} index */
@@ -228,8 +249,10 @@ export class SolimonChart extends HTMLElement {
 
   resize() {
     const { clientWidth: width, clientHeight: height } = this.canvasBox;
-    if (this.plot && width && height) this.plot.setSize({ width, height });
-    else if (!this.plot && this.series.x.length) this.draw();
+    if (this.plot && width && height) {
+      this.catchUp();
+      this.plot.setSize({ width, height });
+    } else if (!this.plot && this.series.x.length) this.draw();
   }
 
   destroy() {
@@ -242,6 +265,7 @@ export class SolimonChart extends HTMLElement {
   /** Draw anew, e.g. in the colours of another theme. */
   draw() {
     this.destroy();
+    this.late = false;
     if (!this.canvasBox.clientWidth || !this.canvasBox.clientHeight || !this.series.x.length) return;
     const handlers = {
       onCursor: (/** @type {number} */ index) => {
@@ -256,6 +280,7 @@ export class SolimonChart extends HTMLElement {
 
   /** What is drawn, for tests and for the curious; copies. */
   snapshot() {
+    this.catchUp();
     return {
       x: [...this.series.x],
       y: Object.fromEntries(this.series.lines.map((line) => [line.key, [...line.y]])),
