@@ -29,7 +29,7 @@ STRONGEST_REFLECTION = 1.4
 of a quarter on top of the reflected wave makes 1.5."""
 DEEPER_PULL = 0.035
 """Beyond the usual one, of the ISW's amplitude: noise, which is in both, lets it scatter by .01."""
-EARLIEST = 0.93
+EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
 EARLIEST_TENTH, SHALLOW_QUARTER = 0.1, 0.25
 LATEST_MERGED = 1.6

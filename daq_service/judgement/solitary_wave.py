@@ -122,10 +122,10 @@ class SolitaryWaveAssessor:
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
-        outcomes = outcomes or {}
         # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
         own = learnt(features)
         features = [compared(found, own) for found in features]
+        outcomes = outcomes or {}
         accepted = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
         counting = [found for found, counts in zip(features, accepted, strict=True) if counts]
         mean = self._set_features(
