@@ -49,12 +49,10 @@ def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float) -> bool:
     first, last = centre - aside - half, centre + aside + half + 1
     if first < 0 or last > record.blocks_v.size:
         return False
-    middle = float(record.blocks_v[centre - half : centre + half + 1].mean())
-    sides = (
-        record.blocks_v[first : first + 2 * half + 1].mean()
-        + record.blocks_v[last - 2 * half - 1 : last].mean()
-    )
-    return 1.0 - 0.5 * float(sides) / middle < FLAT_TOP_FALL
+    n = 2 * half + 1
+    middle = float(record.blocks_v[centre - half : centre + half + 1].sum())
+    sides = float(record.blocks_v[first : first + n].sum()) + float(record.blocks_v[last - n : last].sum())
+    return 1.0 - 0.5 * sides / middle < FLAT_TOP_FALL
 
 
 def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
@@ -64,9 +62,11 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
     top = record.samples_v[max(0, centre - half) : centre + half]
     if not top.size:
         return False
-    highest = np.flatnonzero(top == top.max())
-    long = highest[-1] - highest[0] > LONGEST_TOP * fwhm_s * rate_hz
-    return bool(long and highest.size >= FEWEST_AT_TOP)
+    at_top = top == top.max()
+    if np.count_nonzero(at_top) < FEWEST_AT_TOP:
+        return False
+    highest = np.flatnonzero(at_top)
+    return bool(highest[-1] - highest[0] > LONGEST_TOP * fwhm_s * rate_hz)
 
 
 def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) -> tuple[float, bool]:
@@ -90,11 +90,11 @@ def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) 
     width = record.smooth_blocks
     seen = record.smooth_v[:last]
     drift = min(0.0, float(seen[-20 * width :].max()))
-    fallen = seen - np.linspace(0.0, drift, seen.size)
+    fallen = seen - np.linspace(0.0, drift, seen.size) if drift < 0.0 else seen.copy()
     deepest = -float(fallen.min()) / isw_v
     if psw_time_s is not None:
-        wake = slice(*(max(0, round(record.index(psw_time_s + after_s))) for after_s in WAKE_S))
-        fallen[wake] += (DEEPEST_WAKE - DEEPEST_PULL) * isw_v
+        begins, ends = (max(0, round(record.index(psw_time_s + after_s))) for after_s in WAKE_S)
+        fallen[begins:ends] += (DEEPEST_WAKE - DEEPEST_PULL) * isw_v
     noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
     limit = -(DEEPEST_PULL * isw_v + NOISE_CRESTS * noise)
     lowest = int(fallen.argmin())
