@@ -21,31 +21,37 @@ extractor in one baseline.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
+from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, stretch_alike
 from analysis.waves.fft_length import fast_length
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
-from analysis.waves.quality_gate import FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
+from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
+    MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
     mean_weights,
     reduce_record,
 )
+from analysis.waves.uncertainty import standard_deviations
 from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.1"
+EXTRACTOR_VERSION = "1.2"
 """Changes whenever any feature of any record would."""
 
+FAR_APART, FEWEST_FOR_FAR = 10.0, 7
+"""Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""
+FOOT_PER_FWHM = 0.4
 JUMP_S, FRONT_S = 2e-6, 20e-6
 JUMP_PART = 0.7
 """Of the record's highest: a spike is that itself, less what noise adds elsewhere."""
@@ -88,6 +94,11 @@ class ShotFeatures:
         No flag of `INVALIDATING_FLAGS`.
     quality
         ``good`` (no flag), ``suspect`` (valid, with a flag) or ``bad`` (not valid).
+    pull_fraction
+        How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
+    sd
+        Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
+        asked for it.
     """
 
     tof_pp_s: float = math.nan
@@ -108,6 +119,8 @@ class ShotFeatures:
     flags: tuple[str, ...] = ()
     valid: bool = True
     quality: Quality = "good"
+    pull_fraction: float = math.nan
+    sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
         """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
@@ -116,6 +129,14 @@ class ShotFeatures:
     def vector(self) -> FloatArray:
         """Return the five features of the Mahalanobis vector, shape (5,)."""
         return np.array([getattr(self, name) for name in FEATURE_NAMES])
+
+
+def graded(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
+    """Give a shot its flags, in the order of `FLAGS`, and what follows from them."""
+    flags = tuple(flag for flag in FLAGS if flag in found)
+    valid = INVALIDATING_FLAGS.isdisjoint(flags)
+    quality: Quality = "bad" if not valid else "suspect" if flags else "good"
+    return replace(shot, flags=flags, valid=valid, quality=quality)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -209,29 +230,44 @@ def extract_from_volts(
     *,
     clipped: bool = False,
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+    with_sd: bool = False,
 ) -> ShotFeatures:
-    """Features of a record given as volts, shape (n_samples,); see `extract_features`."""
+    """Features of a record given as volts, shape (n_samples,); see `extract_features`.
+
+    Parameters
+    ----------
+    with_sd
+        Also tell the standard deviation of each (`analysis.waves.uncertainty`).
+    """
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1 or not np.isfinite(samples.sum()):
         raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
     record = reduce_record(samples, sample_rate_hz, pretrigger_samples, settings)
     pulses = find_pulses(record, settings)
     found = {"clipped"} if clipped else set()
-    found |= _flags(record, pulses, settings)
+    pull, pulled = math.nan, False
+    if pulses.isw is not None:
+        psw_time_s = None if pulses.psw is None else pulses.psw.time_s
+        pull, pulled = deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
+    found |= _flags(record, pulses, settings, sample_rate_hz, pulled=pulled)
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
     # What something else started looks like a wave at times: nothing is measured of it.
-    measured = {} if "false_trigger" in found else _measured(record, pulses, settings)
+    measured: dict[str, Any] = {} if "false_trigger" in found else _measured(record, pulses, settings)
     return ShotFeatures(
         **measured,
         noise_rms_v=record.noise_rms_v,
+        pull_fraction=pull,
+        sd=standard_deviations(record, pulses, measured, settings) if with_sd else {},
         flags=flags,
         valid=valid,
         quality="bad" if not valid else "suspect" if flags else "good",
     )
 
 
-def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) -> set[str]:
+def _flags(
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float, *, pulled: bool
+) -> set[str]:
     spiked, stirred = _at_trigger(record)
     if spiked:
         return {"false_trigger"}
@@ -239,9 +275,12 @@ def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) 
         return {"inverted"}
     if pulses.isw is None:
         return {"false_trigger" if stirred else "missed"}
-    found = set()
+    found = _disturbances(record, pulses, pulses.isw, settings, rate_hz)
+    if pulled:
+        found.add(DISTURBED)
     if pulses.psw is None:
-        found.add("no_psw")
+        # What is no strike alone can be no sign of a hole.
+        found.add("missed" if DISTURBED in found else "no_psw")
     if pulses.double:
         found.add("double")
     if pulses.psw_merged:
@@ -250,6 +289,24 @@ def _flags(record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings) 
         found.add("noisy")
     if _baseline_drifts(record, pulses.isw, settings):
         found.add("baseline")
+    return found
+
+
+def _disturbances(
+    record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, rate_hz: float
+) -> set[str]:
+    """Look for what no strike leaves."""
+    found = {DISTURBED} if pulses.stray else set()
+    if is_flat_topped(record, isw.matched_time_s, isw.fwhm_s) or is_cut(
+        record, isw.matched_time_s, isw.fwhm_s, rate_hz
+    ):
+        found.add("clipped")
+    if has_edge(record, isw.amplitude_v, settings.isw_fwhm_s):
+        found.add(DISTURBED)
+    alike = stretch_alike(record, rate_hz)
+    if alike is not None:
+        level = record.samples_v[alike[0]] - record.offset_v
+        found.add("clipped" if level > 0.4 * isw.amplitude_v else DISTURBED)
     return found
 
 
@@ -282,7 +339,10 @@ def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSett
     """
     width = max(1, round(10e-6 / record.step_s))
     tail = record.blocks_v[-10 * width :].mean()
-    quiet = record.blocks_v[: record.quiet_blocks - record.quiet_blocks % width]
+    # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
+    foot_s = FOOT_PER_FWHM * isw.fwhm_s if math.isfinite(isw.fwhm_s) else 0.0
+    foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
+    quiet = record.blocks_v[: foot - foot % width]
     steps = quiet.reshape(-1, width).mean(axis=1)
     noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
     limit = max(settings.baseline_drift_fraction * isw.amplitude_v, 6.0 * noise)
@@ -367,7 +427,10 @@ def _autocorrelation(
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Mean and standard deviation of the valid shots' features.
+    """Mean and standard deviation of the valid shots' features, of each without values far from the others.
+
+    A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
+    `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
 
     Parameters
     ----------
@@ -394,6 +457,8 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
             reason=f"{reason} ({listed})" if listed else reason,
         )
     table = np.array([[getattr(shot, name) for name in ALL_FEATURE_NAMES] for shot in valid])
+    if n_valid >= FEWEST_FOR_FAR:
+        table = _without_far(table)
     mean, sd = _column_statistics(table)
     reasons = []
     if n_valid < len(shots):
@@ -410,6 +475,15 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         quality="suspect" if reasons else "good",
         reason=f"{reason} ({listed})" if reason else "",
     )
+
+
+def _without_far(table: FloatArray) -> FloatArray:
+    """Put NaN in the place of values far from their column's others."""
+    known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
+    distance = np.abs(known - np.median(known, axis=0))
+    far = distance > FAR_APART * MAD_TO_SD * np.median(distance, axis=0)
+    # More than half alike have no scatter to compare with.
+    return np.where(far & (np.median(distance, axis=0) > 0.0), np.nan, table)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

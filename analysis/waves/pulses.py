@@ -8,12 +8,19 @@ from functools import lru_cache
 
 import numpy as np
 
-from analysis.waves.record_reduction import ExtractionSettings, FloatArray, ReducedRecord, moving_mean
+from analysis.waves.record_reduction import (
+    ExtractionSettings,
+    FloatArray,
+    ReducedRecord,
+    median,
+    moving_mean,
+    odd,
+)
 
 __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
 
-TOP_SMOOTHING_S = 11e-6
-"""Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
+LATEST_ISW_PER_FWHM = 2.0
+"""After the trigger: a wave that fires it itself peaks within one width."""
 FLANK_SMOOTHING_S = 5e-6
 """Moving mean in which the half-height crossings are read: too short to widen the pulse."""
 
@@ -36,6 +43,10 @@ class Pulse:
     regular
         False where the quartic has no maximum inside (two tops, a plateau): time and amplitude are
         those of the highest smoothed value then.
+    top_points, top_place, top_curvature_v
+        Points of the quartic, its maximum on -1..1 and its second derivative there, NaN without one.
+    matched_curvature_v
+        Second difference of the matched filter's output at its maximum.
     """
 
     time_s: float
@@ -43,6 +54,10 @@ class Pulse:
     matched_time_s: float
     fwhm_s: float
     regular: bool
+    top_points: int
+    top_place: float
+    top_curvature_v: float
+    matched_curvature_v: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +72,9 @@ class Pulses:
         There is a third pulse, or the ISW is too wide for one strike.
     psw_merged
         The PSW holds more than one maximum, or is much wider than the ISW.
+    stray
+        There is a pulse that no strike leaves: a small one before the PSW, or one narrower than the ISW in
+        the PSW's place.
     """
 
     isw: Pulse | None = None
@@ -65,6 +83,7 @@ class Pulses:
     inverted: bool = False
     double: bool = False
     psw_merged: bool = False
+    stray: bool = False
 
 
 def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
@@ -100,7 +119,10 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         record,
         maxima,
         isw_index + settings.psw_earliest_s / record.step_s,
-        isw_index + settings.psw_latest_s / record.step_s,
+        min(
+            isw_index + settings.psw_latest_s / record.step_s,
+            record.blocks_v.size - settings.window_half_width_s / record.step_s,
+        ),
         settings.psw_leading_fraction,
         max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
     )
@@ -115,8 +137,25 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
             1.0,
             max(floor, settings.ssw_below_fraction * isw.amplitude_v),
         )
-    double, merged = _extra_pulses(record, isw, psw, settings)
-    return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged)
+    double, merged, stray = _extra_pulses(record, isw, psw, settings)
+    if psw is not None and not double:
+        double = _second_reflection(record, maxima, isw, psw, settings)
+    return Pulses(isw=isw, psw=psw, ssw=ssw, double=double, psw_merged=merged, stray=stray)
+
+
+def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
+    """Width of a record's highest pulse before anything else is known of it; NaN where it has no flanks."""
+    block = max(1, math.floor(1e-6 * sample_rate_hz))
+    whole = samples_v.size // block
+    if not whole:
+        return math.nan
+    blocks = samples_v[: whole * block].reshape(whole, block).mean(axis=1)
+    flanks = moving_mean(
+        blocks - median(blocks[: max(1, pretrigger_samples // block)]),
+        odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
+    )
+    peak = int(flanks.argmax())
+    return _width_at(flanks, peak, 0.5 * float(flanks[peak])) * block / sample_rate_hz
 
 
 def search_windows_s(
@@ -148,8 +187,13 @@ def _find_isw(
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
-    room = (settings.psw_latest_s + settings.window_half_width_s) / record.step_s
-    if first + room > record.blocks_v.size:
+    left_s = record.end_s - record.time_s(first)
+    # In a record too short for all of the window the wave must at least be early.
+    needed_s = min(
+        settings.psw_latest_s + settings.window_half_width_s,
+        record.end_s - LATEST_ISW_PER_FWHM * settings.isw_fwhm_s,
+    )
+    if left_s < needed_s:
         return None
     pulse = _measure(record, first)
     if pulse is None or pulse.amplitude_v < settings.missed_below_snr * record.noise_rms_v:
@@ -186,11 +230,12 @@ def parabola_peak(before: float, centre: float, after: float) -> float:
 def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
     """Quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
     blocks, matched = record.blocks_v, record.matched_v
-    shift = parabola_peak(*(float(v) for v in matched[matched_index - 1 : matched_index + 2]))
+    before, centre_v, after = (float(v) for v in matched[matched_index - 1 : matched_index + 2])
+    shift = parabola_peak(before, centre_v, after)
     reach = round(150e-6 / record.step_s)
     start = max(0, matched_index - reach)
     near_pulse = blocks[start : matched_index + reach + 1]
-    smooth = moving_mean(near_pulse, _odd(TOP_SMOOTHING_S / record.step_s))
+    smooth = record.smooth_v[start : matched_index + reach + 1]
     centre = matched_index - start
     near = round(40e-6 / record.step_s)
     low = max(0, centre - near)
@@ -200,20 +245,21 @@ def _measure(record: ReducedRecord, matched_index: int) -> Pulse | None:
         return None
     fit = _quartic_maximum(near_pulse[first : last + 1])
     regular = fit is not None
-    position, height = fit if fit is not None else (float(peak - first), float(smooth[peak]))
-    flanks = moving_mean(near_pulse, _odd(FLANK_SMOOTHING_S / record.step_s))
+    n = last - first + 1
+    place, height, curvature = fit if fit is not None else (math.nan, float(smooth[peak]), math.nan)
+    position = 0.5 * (n - 1) * (1.0 + place) if regular else float(peak - first)
+    flanks = moving_mean(near_pulse, odd(FLANK_SMOOTHING_S / record.step_s))
     return Pulse(
         time_s=record.time_s(start + first + position),
         amplitude_v=height,
         matched_time_s=record.time_s(matched_index + shift),
         fwhm_s=_width_at(flanks, peak, 0.5 * height) * record.step_s,
         regular=regular,
+        top_points=n,
+        top_place=place,
+        top_curvature_v=curvature,
+        matched_curvature_v=before - 2.0 * centre_v + after,
     )
-
-
-def _odd(width: float) -> int:
-    """Nearest odd number, at least 1."""
-    return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
 def _above(values: FloatArray, peak: int, level: float) -> tuple[int, int]:
@@ -245,7 +291,7 @@ def _width_at(values: FloatArray, peak: int, level: float) -> float:
 
 
 @lru_cache(maxsize=1024)
-def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
+def quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
     """Design matrix of a quartic on n points over -1..1, shape (n, 5), and its pseudo-inverse."""
     design = np.vander(np.linspace(-1.0, 1.0, n), 5, increasing=True)
     solver: FloatArray = np.asarray(np.linalg.pinv(design), dtype=np.float64)
@@ -254,10 +300,10 @@ def _quartic_design(n: int) -> tuple[FloatArray, FloatArray]:
     return design, solver
 
 
-def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
-    """Position (samples) and height of the least-squares quartic's maximum; None if it has none inside."""
+def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
+    """Place on -1..1, height and second derivative of the least-squares quartic's maximum, if it has one."""
     n = values.size
-    design, solver = _quartic_design(n)
+    design, solver = quartic_design(n)
     coefficients = solver @ values
     c0, c1, c2, c3, c4 = coefficients.tolist()
     # Newton from the highest grid point: a quartic may have two maxima.
@@ -274,34 +320,59 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float] | None:
         if abs(step) < 1e-12:
             break
     height = c0 + u * (c1 + u * (c2 + u * (c3 + u * c4)))
-    return 0.5 * (n - 1) * (1.0 + u), height
+    return u, height, curvature
 
 
 def _extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings
-) -> tuple[bool, bool]:
-    """Whether there is a second strike, and whether the PSW is merged with another wave."""
+) -> tuple[bool, bool, bool]:
+    """Whether there is a second strike, a PSW merged with another wave, and a pulse that no strike leaves."""
     double = not (isw.regular and isw.fwhm_s <= settings.double_isw_width_ratio * settings.isw_fwhm_s)
     merged = psw is not None and not psw.regular
-    smooth = moving_mean(record.blocks_v, _odd(TOP_SMOOTHING_S / record.step_s))
+    stray = False
     for index in prominent_maxima(
-        smooth,
-        settings.double_above_fraction * isw.amplitude_v,
+        record.smooth_v,
+        settings.stray_above_fraction * isw.amplitude_v,
         settings.double_valley_fraction * isw.amplitude_v,
     ):
-        time_s = record.time_s(index)
+        time_s, strong = (
+            record.time_s(index),
+            record.smooth_v[index] >= settings.double_above_fraction * isw.amplitude_v,
+        )
         if abs(time_s - isw.time_s) <= 0.25 * settings.isw_fwhm_s:
             continue
         if psw is None and time_s > isw.time_s + settings.psw_latest_s:
             continue  # a reflected wave that came too late looks like a second strike
         if psw is None or abs(time_s - psw.time_s) > settings.merged_distance_s:
-            double = True
-        elif abs(time_s - psw.time_s) > 0.25 * settings.isw_fwhm_s:
+            double = double or strong
+            stray = stray or (not strong and (psw is None or time_s < psw.time_s))
+        elif strong and abs(time_s - psw.time_s) > 0.25 * settings.isw_fwhm_s:
             merged = True
     if psw is not None:
         double = double or psw.amplitude_v > settings.double_above_amplitude_ratio * isw.amplitude_v
         merged = merged or not psw.fwhm_s <= settings.merged_width_ratio * isw.fwhm_s
-    return double, merged
+        # Of two tops only one has been measured.
+        stray = stray or (not merged and psw.fwhm_s < settings.stray_width_ratio * isw.fwhm_s)
+    return double, merged, stray
+
+
+def _second_reflection(
+    record: ReducedRecord, maxima: list[int], isw: Pulse, psw: Pulse, settings: ExtractionSettings
+) -> bool:
+    """Whether the wall sends back a second strike, too, whose own wave the first one's reflection hides.
+
+    It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
+    the second strike than the first.
+    """
+    tof_s = psw.matched_time_s - isw.matched_time_s
+    if tof_s > settings.second_reflection_latest_tof_s:
+        return False
+    first = record.index(psw.matched_time_s + settings.second_reflection_earliest_s)
+    last = record.index(psw.matched_time_s + settings.second_reflection_latest_s)
+    highest = max((float(record.matched_v[k]) for k in maxima if first <= k <= last), default=0.0)
+    # The second wave may stand on the PSW: no more of it counts than a plate sends back.
+    reflected_v = min(psw.amplitude_v, settings.highest_reflection_fraction * isw.amplitude_v)
+    return highest > settings.second_reflection_fraction * reflected_v
 
 
 def prominent_maxima(values: FloatArray, floor: float, valley: float) -> list[int]:

@@ -13,11 +13,13 @@ from typing import Final, Literal, get_args
 
 from analysis.errors import InvalidInputError
 
+DISTURBED: Final = "disturbed"
 FLAGS = (
     "missed",
     "false_trigger",
     "double",
     "clipped",
+    DISTURBED,
     "inverted",
     "no_psw",
     "psw_merged",
@@ -26,9 +28,13 @@ FLAGS = (
 )
 """What may be wrong with a shot.
 
-``missed``: no record, or nothing in it; ``false_trigger``: something else than the wave started the record.
+``missed``: no record, or no wave of this transducer in it; ``false_trigger``: something else than the wave
+started the record; ``clipped``: a flat top, at the end of the ADC's range or below; ``disturbed``: beside the
+wave is something that no strike leaves (a knock, a foreign pulse, a jump), or samples are lost.
 """
-INVALIDATING_FLAGS = frozenset({"missed", "false_trigger", "double", "clipped", "inverted", "no_psw"})
+INVALIDATING_FLAGS = frozenset(
+    {"missed", "false_trigger", "double", "clipped", DISTURBED, "inverted", "no_psw"}
+)
 """A shot with one of these has no trustworthy feature vector and stays out of its set's mean.
 
 The other three leave the vector usable: a merged PSW is what a badly corroded wall sends back, and
@@ -54,7 +60,7 @@ class RestrikeRule:
     ----------
     flags
         Of `FLAGS`; a strike that left no record counts as ``missed``, and ``missed`` stands for
-        ``false_trigger`` too: neither gave a wave.
+        ``false_trigger`` and ``disturbed`` too: none of them gave a wave to measure.
     restrikes_per_set
         For each transducer.
     """
@@ -83,7 +89,7 @@ class RestrikeRule:
         restrikes_so_far
             Repetitions already made for this transducer in this set.
         """
-        found = {"missed" if flag == "false_trigger" else flag for flag in shot_flags}
+        found = {"missed" if flag in ("false_trigger", DISTURBED) else flag for flag in shot_flags}
         poor = not found.isdisjoint(self.flags)
         return poor and attempt == 0 and restrikes_so_far < self.restrikes_per_set
 

@@ -23,6 +23,8 @@ KERNEL_WIDTH_PER_FWHM = 2.75
 """Width of a cos^4 pulse over its full width at half maximum: pi / (2 arccos(2^-1/4)) = 2.747."""
 MAD_TO_SD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
+TOP_SMOOTHING_S = 11e-6
+"""Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
 COARSEST_MEDIAN_BIN = 16
 """In a lower bin of the noise's histogram, one bin would be more than 6 % of the median."""
 
@@ -61,6 +63,20 @@ class ExtractionSettings:
     ssw_below_fraction: float = 0.02
     double_above_fraction: float = 0.22
     """A third pulse above this is a second strike (the SSW is .08 to .19)."""
+    stray_above_fraction: float = 0.09
+    """A pulse before the PSW above this is none of the strike's (the ISW's own after-wave is .05)."""
+    stray_width_ratio: float = 0.85
+    """A PSW narrower than this times the ISW is none: no wall sends back a shorter push than it got."""
+    second_reflection_fraction: float = 0.22
+    """A second strike of a quarter of the first sends a quarter of the PSW back; what else comes then stays
+    below .2 of it on all the twin's plates of 6 to 25 mm."""
+    highest_reflection_fraction: float = 0.6
+    """The PSW counts for no more there: a second strike on top of it makes it larger."""
+    second_reflection_earliest_s: float = 230e-6
+    second_reflection_latest_s: float = 520e-6
+    """After the PSW: what the second strike came after the first, and more since smaller waves are slower."""
+    second_reflection_latest_tof_s: float = 480e-6
+    """Beyond, a thinned patch itself sends waves at that time, and a second strike comes before the PSW."""
     double_above_amplitude_ratio: float = 0.97
     """No wall sends back more than a rigid one does (.92): a PSW above this is a second strike."""
     double_valley_fraction: float = 0.05
@@ -104,6 +120,8 @@ class ReducedRecord:
     ----------
     blocks_v
         Block means minus the quiet level, shape (n_blocks,).
+    smooth_v
+        Means of ``smooth_blocks`` (odd) neighbouring blocks, `TOP_SMOOTHING_S`, shape (n_blocks,).
     matched_v
         Matched filter's output, shape (n_blocks,); a cos^4 pulse gives its amplitude.
     first_s
@@ -119,6 +137,8 @@ class ReducedRecord:
     """
 
     blocks_v: FloatArray
+    smooth_v: FloatArray
+    smooth_blocks: int
     matched_v: FloatArray
     first_s: float
     step_s: float
@@ -129,6 +149,11 @@ class ReducedRecord:
     matched_noise_v: float
     quiet_blocks: int
 
+    @property
+    def end_s(self) -> float:
+        """Where the record ends, from the trigger."""
+        return self.time_s(self.blocks_v.size - 0.5)
+
     def time_s(self, index: float) -> float:
         """Time from the trigger of a (fractional) block index."""
         return self.first_s + index * self.step_s
@@ -136,6 +161,11 @@ class ReducedRecord:
     def index(self, time_s: float) -> float:
         """Fractional block index of a time from the trigger."""
         return (time_s - self.first_s) / self.step_s
+
+
+def odd(width: float) -> int:
+    """Nearest odd number, at least 1."""
+    return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
@@ -161,17 +191,23 @@ def median(values: FloatArray) -> float:
     return float(ordered[upper - 1] + ordered[upper]) / 2.0
 
 
+def kernel(width_blocks: float) -> FloatArray:
+    """Weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
+    half = math.ceil(width_blocks / 2) - 1
+    weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
+    return weights / float(weights @ weights)
+
+
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> tuple[NDArray[np.complex128], float]:
     """Spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0, and sqrt(sum(weights^2))."""
-    half = math.ceil(width_blocks / 2) - 1
-    kernel = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
-    energy = float(kernel @ kernel)
+    weights = kernel(width_blocks)
+    half = weights.size // 2
     wrapped = np.zeros(n_fft)
-    wrapped[np.arange(-half, half + 1)] = kernel / energy
+    wrapped[np.arange(-half, half + 1)] = weights
     spectrum = rfft(wrapped)
     spectrum.flags.writeable = False
-    return spectrum, 1.0 / math.sqrt(energy)
+    return spectrum, math.sqrt(float(weights @ weights))
 
 
 def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArray, float]:
@@ -267,8 +303,11 @@ def reduce_record(
     blocks -= offset
     noise = noise_rms(samples_v)
     matched, noise_gain = matched_filter(blocks, settings.kernel_width_s / step_s)
+    smooth_blocks = odd(TOP_SMOOTHING_S / step_s)
     return ReducedRecord(
         blocks_v=blocks,
+        smooth_v=moving_mean(blocks, smooth_blocks),
+        smooth_blocks=smooth_blocks,
         matched_v=matched,
         first_s=((block_samples - 1) / 2 - pretrigger_samples) / sample_rate_hz,
         step_s=step_s,
@@ -300,9 +339,11 @@ def _check_record(
             f"an ISW of {settings.isw_fwhm_s * 1e6:.1f} us spans {settings.isw_fwhm_s / step_s:.1f} samples, "
             f"at least 16 are needed: sample at {16.0 / settings.isw_fwhm_s:.3g} Hz or more"
         )
-    needed_s = settings.psw_latest_s + 2.0 * settings.window_half_width_s
-    if n_samples / sample_rate_hz < needed_s:
+    # The reflected wave of a sound wall must fit in; how much later one is sought, the record decides.
+    needed_s = settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
+    after_s = (n_samples - pretrigger_samples) / sample_rate_hz
+    if after_s < needed_s:
         raise RecordError(
-            f"the record is {n_samples / sample_rate_hz * 1e6:.0f} us long, the search windows need "
-            f"{needed_s * 1e6:.0f} us: record longer or lower psw_latest_s"
+            f"the record ends {after_s * 1e6:.0f} us after its trigger, a reflected wave needs "
+            f"{needed_s * 1e6:.0f} us: record longer"
         )

@@ -597,6 +597,23 @@ def assess(**options: Any) -> None:
     run_assess(**options)
 
 
+@cli.command()
+@click.argument("files", metavar="FILE...", nargs=-1, required=True, type=FILE)
+@click.option("--rate-hz", type=POSITIVE, help="Sample rate; default: 10 MHz.")
+@click.option("--pretrigger-s", type=POSITIVE, help="From a record's begin to its trigger; default: 100 us.")
+@click.option("--volts-per-count", type=POSITIVE, help="The values are counts of an ADC; default: volts.")
+@click.option("--rail-counts", metavar="LOW,HIGH", help="Counts at which the ADC clips.")
+@click.option("--isw-fwhm-s", type=POSITIVE, help="Usual width of the incident wave; default: as learnt.")
+@click.option("--isw-amplitude-v", type=POSITIVE, help="Its usual amplitude; default: as learnt.")
+@click.option("--psw-window-s", metavar="FROM,TO", help="Where the reflected wave is sought, after the ISW.")
+@JSON
+def features(**options: Any) -> None:
+    """Extract features and flags of records (.npy, .csv, a set's .h5, .tdms) as the service would."""
+    from daq_service.cli.offline.features import run_features
+
+    run_features(**options)
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:

@@ -20,6 +20,7 @@ from analysis.waves.features import (
     mean_features,
 )
 from analysis.waves.quality_gate import ACCEPTED
+from analysis.waves.template import compared, learnt
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
@@ -112,6 +113,9 @@ class SolitaryWaveAssessor:
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
+        # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
+        own = learnt(features)
+        features = [compared(found, own) for found in features]
         outcomes = outcomes or {}
         accepted = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
         counting = [found for found, counts in zip(features, accepted, strict=True) if counts]

@@ -27,13 +27,22 @@ def bound_s(scene):
     return scene.noise_fraction / math.sqrt(energy) * math.sqrt(1.0 + 1.0 / scene.amplitude_ratio**2)
 
 
-@pytest.fixture(scope="module")
-def table():
+def extracted(scene, n):
     shots = [
-        extract_from_volts(SCENE.volts(seed), SCENE.rate_hz, SCENE.pretrigger_samples)
-        for seed in range(N_RECORDS)
+        extract_from_volts(scene.volts(seed), scene.rate_hz, scene.pretrigger_samples, with_sd=True)
+        for seed in range(n)
     ]
     assert all(shot.flags == () for shot in shots)
+    return shots
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return extracted(SCENE, N_RECORDS)
+
+
+@pytest.fixture(scope="module")
+def table(shots):
     return {name: np.array([getattr(shot, name) for shot in shots]) for name in ALL_FEATURE_NAMES}
 
 
@@ -43,6 +52,20 @@ def test_matched_filter_reaches_the_bound(table):
     spread = np.std(table["tof_mf_s"], ddof=1)
     # An estimator this near the bound may fall below it by the SD's own error only.
     assert bound * (1 - 4 * spread_error(N_RECORDS)) < spread < 39e-9 * (1 + 4 * spread_error(N_RECORDS))
+
+
+@pytest.mark.parametrize("snr_db", [20, 40])
+def test_each_feature_tells_its_own_scatter(shots, snr_db):
+    found = shots if snr_db == 40 else extracted(SCENE.with_(noise_fraction=0.1), 200)
+    for name in ALL_FEATURE_NAMES:
+        told = [shot.sd[name] for shot in found if name in shot.sd]
+        if (snr_db, name) == (20, "ssw_time_s"):
+            assert not told  # a wave of .8 of the noise's rms has no time of first order
+            continue
+        scatter = np.std([getattr(shot, name) for shot in found], ddof=1)
+        assert len(told) >= 0.95 * len(found)  # noise may give a small SSW two tops
+        # First order, pulses taken as cos^4: 25 %, of which 200 records' own error of an SD is 5.
+        assert 0.8 < np.median(told) / scatter < 1.25, name
 
 
 def test_autocorrelation_is_as_quiet_and_peaks_by_quartic_less(table):

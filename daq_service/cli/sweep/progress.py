@@ -24,6 +24,8 @@ class Progress:
         Where to tell; None is standard error.
     clock
         Monotonic seconds.
+    what
+        What is counted.
     """
 
     def __init__(
@@ -33,11 +35,13 @@ class Progress:
         *,
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
+        what: str = "rows",
     ) -> None:
         self._total = total
         self._done = self._found = done
         self._stream = sys.stderr if stream is None else stream
         self._clock = clock
+        self._what = what
         self._started = self._told = clock()
         self._terminal = self._stream.isatty()
         self._tenth = TENTHS * done // total
@@ -64,7 +68,7 @@ class Progress:
 
     def _text(self, now: float) -> str:
         percent = 100.0 * self._done / self._total
-        text = f"{self._done} of {self._total} rows ({percent:.0f} %)"
+        text = f"{self._done} of {self._total} {self._what} ({percent:.0f} %)"
         elapsed = now - self._started
         computed = self._done - self._found
         if computed == 0 or elapsed <= 0.0:

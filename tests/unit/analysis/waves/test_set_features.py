@@ -34,6 +34,15 @@ def test_mean_and_standard_deviation_are_those_of_the_valid_shots():
     assert outcome.reason == "1 of 8 shots left out (clipped in 1)"
 
 
+def test_a_rogue_value_is_left_out_of_its_mean_alone():
+    values = [1.0, 1.1, 0.9, 1.05, 0.95, 1.02, 0.98, 1.0, 1.1]
+    outcome = mean_features([shot(v) for v in values] + [shot(1.0, tof_mf_s=9.0)])
+    assert outcome.mean["tof_mf_s"] == pytest.approx(np.mean(values))
+    assert outcome.sd["tof_mf_s"] == pytest.approx(np.std(values, ddof=1))
+    assert outcome.mean["tof_pp_s"] == pytest.approx(np.mean([*values, 1.0]))
+    assert (outcome.quality, outcome.n_valid) == ("good", 10)
+
+
 def test_ten_good_shots_make_a_good_set_without_a_reason():
     outcome = mean_features([shot()] * 10)
     assert (outcome.quality, outcome.reason) == ("good", "")

@@ -1,0 +1,144 @@
+"""What no strike leaves in a record: a flat top, a pull, an edge, a stretch without samples, a stray pulse.
+
+A chain only pushes. Its record is a few smooth humps on a level that it leaves downwards by no more than
+the static preload, 1 % of the incident wave (twin, any depth: .9 %). Fractions are of the ISW's amplitude.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from analysis.waves.record_reduction import ReducedRecord, median, moving_mean
+
+FLAT_TOP_REACH = 0.3
+"""Of the width at half height: where the top is compared with its middle, means over a fifth of the width."""
+FLAT_TOP_FALL = 0.155
+"""Least fall from the middle to there: the twin's waves, half sines, cos^4, Gaussian and sech^2 pulses fall
+by .19-.23, a wave that is cut at .85 of its height by .11; noise of a tenth of the height moves it .011."""
+LONGEST_TOP, FEWEST_AT_TOP = 0.15, 16
+"""Of the width, and samples, at exactly the highest value: a wave of 100 codes stays on its last for .12."""
+DEEPEST_PULL = 0.05
+"""The preload is 1 % of the wave; slow vibration of the twin's chain adds 3 %, at half the gain 5 %."""
+LOOKED_AFTER_PSW_S = 520e-6
+"""Nothing is measured later."""
+WAKE_S = (50e-6, 150e-6)
+DEEPEST_WAKE = 0.13
+"""After the PSW a disk that leans by .05 rad swings back by a tenth of the wave."""
+LEVEL_BLOCKS = 5
+EDGE_S = 3e-6
+EDGE_PER_WIDTH = 2.4
+"""Steepest slope of a pulse times its width over its height: a half sine has 2.1, the twin's waves 1.5."""
+NOISE_CRESTS = 4.5
+"""Standard deviations: of a hundred independent values noise passes them in one record of 3,000."""
+NOISE_STEPS = 5.5
+"""The same for the thousand differences between neighbours."""
+FEWEST_ALIKE, SHORTEST_ALIKE_S = 32, 15e-6
+"""Samples in a row of one value: where noise moves more than every second sample, 32 never are by chance."""
+CLOSEST_ALIKE_S = 5e-6
+
+
+def is_flat_topped(record: ReducedRecord, time_s: float, fwhm_s: float) -> bool:
+    """Whether a pulse's top is too flat to be a wave's: an amplifier was at its end."""
+    if not math.isfinite(fwhm_s):
+        return False
+    half = max(1, round(0.1 * fwhm_s / record.step_s))
+    centre = round(record.index(time_s))
+    aside = round(FLAT_TOP_REACH * fwhm_s / record.step_s)
+    first, last = centre - aside - half, centre + aside + half + 1
+    if first < 0 or last > record.blocks_v.size:
+        return False
+    n = 2 * half + 1
+    middle = float(record.blocks_v[centre - half : centre + half + 1].sum())
+    sides = float(record.blocks_v[first : first + n].sum()) + float(record.blocks_v[last - n : last].sum())
+    return 1.0 - 0.5 * sides / middle < FLAT_TOP_FALL
+
+
+def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) -> bool:
+    """Whether a pulse stays at one highest value: what was before the converter could give no more."""
+    centre = round(record.index(time_s) * record.block_samples)
+    half = round(0.5 * fwhm_s * rate_hz) if math.isfinite(fwhm_s) else 0
+    top = record.samples_v[max(0, centre - half) : centre + half]
+    if not top.size:
+        return False
+    at_top = top == top.max()
+    if np.count_nonzero(at_top) < FEWEST_AT_TOP:
+        return False
+    highest = np.flatnonzero(at_top)
+    return bool(highest[-1] - highest[0] > LONGEST_TOP * fwhm_s * rate_hz)
+
+
+def deepest_pull(record: ReducedRecord, isw_v: float, psw_time_s: float | None) -> tuple[float, bool]:
+    """How far the record falls below its quiet level, a slow drift aside, and whether no push does that.
+
+    It is looked at up to `LOOKED_AFTER_PSW_S`, less strictly in the PSW's wake; the drift is a straight line.
+
+    Parameters
+    ----------
+    psw_time_s
+        None: there is none.
+
+    Returns
+    -------
+    tuple
+        Of the ISW's amplitude; 0 where only a spike falls.
+    """
+    last = record.blocks_v.size
+    if psw_time_s is not None:
+        last = min(last, round(record.index(psw_time_s + LOOKED_AFTER_PSW_S)))
+    width = record.smooth_blocks
+    seen = record.smooth_v[:last]
+    drift = min(0.0, float(seen[-20 * width :].max()))
+    fallen = seen - np.linspace(0.0, drift, seen.size) if drift < 0.0 else seen.copy()
+    deepest = -float(fallen.min()) / isw_v
+    if psw_time_s is not None:
+        begins, ends = (max(0, round(record.index(psw_time_s + after_s))) for after_s in WAKE_S)
+        fallen[begins:ends] += (DEEPEST_WAKE - DEEPEST_PULL) * isw_v
+    noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
+    limit = -(DEEPEST_PULL * isw_v + NOISE_CRESTS * noise)
+    lowest = int(fallen.argmin())
+    if fallen[lowest] > limit:
+        return deepest, False
+    # An electrical spike lowers the mean, but not the median.
+    near = record.blocks_v[max(0, lowest - width // 2) : lowest + width // 2 + 1]
+    falls = median(near) < 0.7 * limit
+    return (deepest if falls else 0.0), falls
+
+
+def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float) -> bool:
+    """Whether the record jumps: samples are lost in a flank, or an electrical pulse begins."""
+    width = max(1, round(EDGE_S / record.step_s))
+    per_block = EDGE_PER_WIDTH * record.step_s / isw_fwhm_s * isw_v
+    noise = record.noise_rms_v * math.sqrt(2.0 / record.block_samples)
+    means = moving_mean(record.blocks_v, 2 * (width // 2) + 1)[width // 2 : record.blocks_v.size - width // 2]
+    steps = np.abs(means[width:] - means[:-width])
+    highest = int(steps.argmax())
+    if steps[highest] < per_block * width + NOISE_STEPS * noise / math.sqrt(width):
+        return False
+    # An electrical spike moves two means, but the level before and after it is the same.
+    around = record.blocks_v[max(0, highest + width - LEVEL_BLOCKS) : highest + width + LEVEL_BLOCKS]
+    before, after = around[:LEVEL_BLOCKS], around[LEVEL_BLOCKS:]
+    if not (before.size and after.size):
+        return False
+    rise = abs(median(after) - median(before))
+    return rise > per_block * LEVEL_BLOCKS + NOISE_STEPS * noise / math.sqrt(0.64 * LEVEL_BLOCKS)
+
+
+def stretch_alike(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | None:
+    """Find a stretch of one value that noise would have moved: its first and last sample, or None."""
+    samples = record.samples_v
+    stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
+    if record.noise_rms_v == 0.0:
+        return None  # nothing moves the quiet parts of such a record
+    coarse = samples[::stride]
+    same = coarse[1:] == coarse[:-1]
+    for start in np.flatnonzero(same[1:] & same[:-1]).tolist():
+        place = start * stride
+        other = np.flatnonzero(samples[place:] != samples[place])
+        last = place + (int(other[0]) if other.size else samples.size - place) - 1
+        before = np.flatnonzero(samples[:place] != samples[place])
+        first = int(before[-1]) + 1 if before.size else 0
+        if last + 1 - first >= max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz):
+            return first, last
+    return None

@@ -1,0 +1,135 @@
+"""Standard deviation that a record's own white noise gives each feature, propagated to first order.
+
+With s the noise of a block mean and n blocks in a fit or window:
+
+- height and time of a top: of the least-squares quartic p(u) on n points, s^2 f^T (X^T X)^-1 f with f the
+  powers of u for p, their derivatives for p', and var(u) = var(p') / p''^2;
+- matched time: s^2 |k'|^2 / m''^2, k' the kernel's derivative, m'' the output's curvature at its maximum;
+- time of flight by autocorrelation: s^2 (1/E'_ISW + 1/E'_PSW), the Cramer-Rao bound of a known pulse, E' the
+  sum of squares of its slope; coefficient r = a / (1 + a^2): by dr/da, plus what noise adds to R(0);
+- the quiet level, median of q blocks, has pi s^2 / (2 q); it moves heights alike, and areas n times;
+- width: noise of both flanks and of the level, over their slope.
+
+Scatter from shot to shot (strike, contact) comes on top; a set's own standard deviation holds both.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from analysis.waves.pulses import FLANK_SMOOTHING_S, Pulse, Pulses, quartic_design
+from analysis.waves.record_reduction import ExtractionSettings, FloatArray, ReducedRecord, kernel, odd
+
+NOISE_SD = 1.28
+"""Of sigma / sqrt(n): 1.17 for n independent absolute values, more since differences share samples."""
+STANDS_OUT = 20.0
+"""Height over its standard deviation, below which a time's is not of first order and is not told."""
+EDGE_OF_FIT = 1.875
+"""Weight of the outermost of n points in the height of the quartic's middle, times n; half a flank is in."""
+FLANK_SLOPE = 1.4
+"""Slope at half height times width over height: cos^4 1.47, Gaussian 1.39, sech^2 1.25."""
+ENERGY, SLOPE_ENERGY, AREA = 0.751, 2.246, 1.030
+"""Integrals of a cos^4 pulse of height and width 1: its square, its slope's square, itself."""
+
+
+def standard_deviations(
+    record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
+) -> dict[str, float]:
+    """Give the standard deviation of each feature that there is.
+
+    Parameters
+    ----------
+    values
+        Features by name, without those that are not available.
+    """
+    noise = record.noise_rms_v
+    found = {"noise_rms_v": NOISE_SD * noise / math.sqrt(record.samples_v.size)}
+    isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
+    if isw is None or "isw_time_s" not in values:
+        return found
+    s2 = noise**2 / record.block_samples
+    level2 = 0.5 * math.pi * s2 / record.quiet_blocks
+    times, heights = {}, {}
+    for name, pulse in (("isw", isw), ("psw", psw), ("ssw", ssw)):
+        if pulse is not None and pulse.regular:
+            times[name], heights[name] = _top(pulse, s2, record.step_s)
+            if pulse.amplitude_v > STANDS_OUT * math.sqrt(heights[name]):
+                found[f"{name}_time_s"] = math.sqrt(times[name])
+            found[f"{name}_amplitude_v"] = math.sqrt(heights[name] + level2)
+    if "isw" in heights and isw.fwhm_s > 0.0:
+        flanks = 2.0 * s2 / odd(FLANK_SMOOTHING_S / record.step_s) - 2.0 * EDGE_OF_FIT * s2 / isw.top_points
+        slope = FLANK_SLOPE * isw.amplitude_v / isw.fwhm_s
+        found["isw_fwhm_s"] = math.sqrt(flanks + heights["isw"] + level2) / slope
+    if psw is None:
+        return found
+    ratio, isw_v = psw.amplitude_v / isw.amplitude_v, isw.amplitude_v
+    found["tof_mf_s"] = math.sqrt(_matched(isw, record, settings, s2) + _matched(psw, record, settings, s2))
+    if "isw" in heights and "psw" in heights:
+        found["tof_pp_s"] = math.sqrt(times["isw"] + times["psw"])
+        of_tops = heights["psw"] + ratio**2 * heights["isw"]
+        found["amplitude_ratio"] = math.sqrt(of_tops + level2 * (1.0 - ratio) ** 2) / isw_v
+    n = 2.0 * settings.window_half_width_s / record.step_s
+    found["psw_area_v_s"] = record.step_s * math.sqrt(n * s2 + n**2 * level2)
+    area_ratio = values["psw_isw_area_ratio"]
+    if math.isfinite(area_ratio) and area_ratio != 0.0:
+        isw_area = values["psw_area_v_s"] / area_ratio
+        of_areas = n * s2 * (1.0 + area_ratio**2) + n**2 * level2 * (1.0 - area_ratio) ** 2
+        found["psw_isw_area_ratio"] = record.step_s * math.sqrt(of_areas) / abs(isw_area)
+    if math.isfinite(values["tof_ac_s"]) and isw.fwhm_s > 0.0 and psw.fwhm_s > 0.0:
+        slopes = [SLOPE_ENERGY * one.amplitude_v**2 * record.step_s / one.fwhm_s for one in (isw, psw)]
+        found["tof_ac_s"] = record.step_s * math.sqrt(s2 * sum(1.0 / slope for slope in slopes))
+        found["autocorrelation_coefficient"] = values["autocorrelation_coefficient"] * _coefficient(
+            record, isw, ratio, values["tof_ac_s"] + 2.0 * settings.window_half_width_s, s2, level2
+        )
+    return found
+
+
+def _top(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
+    """Variances of time and height of a pulse's quartic."""
+    u, inverse = pulse.top_place, _inverse(pulse.top_points)
+    powers = np.array([1.0, u, u * u, u**3, u**4])
+    slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
+    half_s = 0.5 * (pulse.top_points - 1) * step_s
+    time = s2 * float(slopes @ inverse @ slopes) * (half_s / pulse.top_curvature_v) ** 2
+    return time, s2 * float(powers @ inverse @ powers)
+
+
+@lru_cache(maxsize=1024)
+def _inverse(n: int) -> FloatArray:
+    """(X^T X)^-1 of the quartic on n points, shape (5, 5)."""
+    _, solver = quartic_design(n)
+    return np.asarray(solver @ solver.T)
+
+
+def _matched(pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float) -> float:
+    """Variance of a matched-filter time."""
+    if pulse.matched_curvature_v >= 0.0:
+        return math.nan
+    slope2 = s2 * _kernel_slope_energy(settings.kernel_width_s / record.step_s)
+    return slope2 * (record.step_s / pulse.matched_curvature_v) ** 2
+
+
+@lru_cache(maxsize=64)
+def _kernel_slope_energy(width_blocks: float) -> float:
+    """Sum of squares of the matched filter's central differences."""
+    weights = np.pad(kernel(width_blocks), 2)
+    slopes = 0.5 * (weights[2:] - weights[:-2])
+    return float(slopes @ slopes)
+
+
+def _coefficient(
+    record: ReducedRecord, isw: Pulse, ratio: float, gate_s: float, s2: float, level2: float
+) -> float:
+    """Relative standard deviation of the autocorrelation coefficient."""
+    both = 1.0 + ratio**2
+    energy = ENERGY * isw.amplitude_v**2 * isw.fwhm_s / record.step_s
+    of_ratio = s2 / energy * ((1.0 - ratio**2) / both) ** 2 * (1.0 + 1.0 / ratio**2)
+    area = AREA * isw.amplitude_v * isw.fwhm_s / record.step_s
+    of_level = level2 * (area * (1.0 + ratio) * (1.0 - ratio) ** 2 / (ratio * both * energy)) ** 2
+    # R(0) at the full rate: the energy of n samples of noise, less n times its estimated square.
+    n, total = gate_s / record.step_s * record.block_samples, energy * both * record.block_samples
+    of_noise = 2.0 * n + (2.0 * n * NOISE_SD) ** 2 / record.samples_v.size
+    return math.sqrt(of_ratio + of_level + of_noise * (record.noise_rms_v**2 / total) ** 2)

@@ -1,0 +1,236 @@
+"""How often waves that are not a transducer's own are flagged, and its own are not, at 20, 30 and 40 dB.
+
+    python benchmarks/flags_on_waves.py [--records N] [--seed S] [--shape twin|cos4|gauss|sech2]
+
+Records are of the twin's noise-free waves at any depth from 0 to 80 %, of two sizes of patch, or of drawn
+pulses with a reflection of .38-.58 after 320-480 us; white noise is the only noise. Each is compared with
+what a file of clean records would teach. A row tells flagged and not valid shots in percent.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from analysis.waves.features import ShotFeatures, extract_from_volts
+from analysis.waves.template import Template, compared, learnt
+from simulator.parameters.chain import ChainParameters
+from simulator.parameters.plate import CorrosionParameters, PlateParameters
+from simulator.shot.model import ShotModel
+
+RATE_HZ, PRETRIGGER, SAMPLES = 10e6, 1_000, 13_000
+TIME_S = (np.arange(SAMPLES) - PRETRIGGER) / RATE_HZ
+FWHM_S = 64.7e-6
+LOST_S = 50e-6
+TAUGHT_BY = 25
+FloatArray = NDArray[np.float64]
+Wave = Callable[[float], FloatArray]
+"""Record of a strike of height 1 whose ISW peaks at a time."""
+
+SHAPES: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "cos4": lambda u: np.cos(np.pi * np.clip(u / 2.747, -0.5, 0.5)) ** 4,
+    "gauss": lambda u: np.exp(-4.0 * math.log(2.0) * u**2),
+    "sech2": lambda u: 1.0 / np.cosh(1.7627 * np.clip(u, -50.0, 50.0)) ** 2,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scene:
+    """A strike, its hole, and what the noise is of its height."""
+
+    random: Generator
+    isw_s: float
+    height: float
+    wave: Wave
+    silent: Wave
+    tof_s: float
+    noise: float
+
+    def clean(self) -> FloatArray:
+        """Draw a sound record."""
+        return self.noisy(self.height * self.wave(self.isw_s))
+
+    def noisy(self, volts: FloatArray) -> FloatArray:
+        """Add the noise."""
+        return volts + self.noise * self.random.standard_normal(volts.size)
+
+
+def hole(scene: Scene) -> FloatArray:
+    return scene.noisy(scene.height * scene.silent(scene.isw_s))
+
+
+def weak(scene: Scene) -> FloatArray:
+    return scene.noisy(scene.random.uniform(0.06, 0.25) * scene.wave(scene.isw_s))
+
+
+def saturated(scene: Scene) -> FloatArray:
+    """Cut by an amplifier at .5 to .85 of the wave, noise before or after it."""
+    end = scene.random.uniform(0.5, 0.85) * scene.height
+    if scene.random.random() < 0.5:
+        return np.minimum(scene.clean(), end)
+    return scene.noisy(np.minimum(scene.height * scene.wave(scene.isw_s), end))
+
+
+def second_strike(scene: Scene) -> FloatArray:
+    later_s = scene.isw_s + scene.random.uniform(280e-6, 450e-6)
+    return scene.clean() + scene.height * scene.random.uniform(0.25, 0.5) * scene.wave(later_s)
+
+
+def knock(scene: Scene) -> FloatArray:
+    """Add a ringing of 2 to 12 kHz and .1 to .4 that begins within 400 us of the ISW."""
+    since_s = TIME_S - scene.isw_s - scene.random.uniform(0.0, 400e-6)
+    turns = scene.random.uniform(2e3, 12e3) * since_s + scene.random.random()
+    decay = np.exp(-since_s.clip(0.0) / scene.random.uniform(0.1e-3, 0.6e-3))
+    ringing = scene.random.uniform(0.1, 0.4) * decay * np.sin(2.0 * np.pi * turns)
+    return scene.clean() + np.where(since_s > 0.0, ringing, 0.0)
+
+
+def foreign(scene: Scene, centre_s: float, height: float) -> FloatArray:
+    return height * SHAPES["gauss"]((TIME_S - centre_s) / scene.random.uniform(30e-6, 100e-6))
+
+
+def foreign_alone(scene: Scene) -> FloatArray:
+    return scene.noisy(foreign(scene, scene.isw_s, scene.random.uniform(0.1, 1.2)))
+
+
+def foreign_before(scene: Scene) -> FloatArray:
+    centre_s = scene.isw_s + scene.random.uniform(120e-6, scene.tof_s)
+    return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
+
+
+def foreign_on_the_psw(scene: Scene) -> FloatArray:
+    centre_s = scene.isw_s + scene.tof_s + scene.random.uniform(-40e-6, 40e-6)
+    return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
+
+
+def _lost(scene: Scene) -> slice:
+    first = PRETRIGGER + round((scene.isw_s + scene.random.uniform(-30e-6, 400e-6)) * RATE_HZ)
+    return slice(first, first + round(LOST_S * RATE_HZ))
+
+
+def lost_and_zero(scene: Scene) -> FloatArray:
+    volts = scene.clean()
+    volts[_lost(scene)] = 0.0
+    return volts
+
+
+def lost_and_held(scene: Scene) -> FloatArray:
+    volts, lost = scene.clean(), _lost(scene)
+    volts[lost] = volts[lost.start]
+    return volts
+
+
+def lost_and_closed_up(scene: Scene) -> FloatArray:
+    """Move the rest forward; noise follows at the end."""
+    volts = np.delete(scene.clean(), _lost(scene))
+    return np.append(volts, scene.noise * scene.random.standard_normal(SAMPLES - volts.size))
+
+
+CASES: tuple[Callable[[Scene], FloatArray], ...] = (
+    Scene.clean,
+    hole,
+    weak,
+    saturated,
+    second_strike,
+    knock,
+    foreign_alone,
+    foreign_before,
+    foreign_on_the_psw,
+    lost_and_zero,
+    lost_and_held,
+    lost_and_closed_up,
+)
+
+
+def twin_waves() -> list[tuple[Wave, Wave, float]]:
+    """Waves of the twin, with a hole's, and their times of flight; the mesh is coarse."""
+    plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
+    found = []
+    for size_m in (25.4e-3, 50.8e-3):
+        model = ShotModel(ChainParameters(), plate, CorrosionParameters(size_m=size_m), cache_folder=None)
+        gone = model.shot_at_hole()
+        silent = _sampled(gone.time_s, gone.force_n - gone.preload_n)
+        for depth in np.linspace(0.0, 0.8, 17):
+            force = model.shot(depth_fraction=float(depth))
+            pushed = force.force_n - force.preload_n
+            late = force.time_s > force.time_s[pushed.argmax()] + 200e-6
+            tof_s = force.time_s[late][pushed[late].argmax()] - force.time_s[pushed.argmax()]
+            found.append((_sampled(force.time_s, pushed), silent, float(tof_s)))
+    return found
+
+
+def _sampled(time_s: FloatArray, pushed_n: FloatArray) -> Wave:
+    peak_s, shape = time_s[pushed_n.argmax()], pushed_n / pushed_n.max()
+    return lambda isw_s: np.interp(TIME_S - isw_s + peak_s, time_s, shape, left=0.0)
+
+
+def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:
+    shape, tof_s, ratio = SHAPES[name], random.uniform(320e-6, 480e-6), random.uniform(0.38, 0.58)
+    width_s = random.uniform(1.05, 1.18) * FWHM_S
+
+    def silent(isw_s: float) -> FloatArray:
+        return shape((TIME_S - isw_s) / FWHM_S)
+
+    def wave(isw_s: float) -> FloatArray:
+        back = ratio * shape((TIME_S - isw_s - tof_s) / width_s)
+        return silent(isw_s) + back + 0.07 * shape((TIME_S - isw_s - tof_s - 170e-6) / width_s)
+
+    return wave, silent, tof_s
+
+
+def rates(
+    case: Callable[[Scene], FloatArray], shape: str, snr_db: float, n: int, seed: int
+) -> tuple[float, float]:
+    """Part of the shots that are flagged, and that are not valid."""
+    random = np.random.default_rng([seed, round(snr_db)])
+    waves = twin_waves() if shape == "twin" else None
+
+    def scene() -> Scene:
+        wave, silent, tof_s = (
+            drawn_wave(random, shape) if waves is None else waves[random.integers(len(waves))]
+        )
+        return Scene(
+            random=random,
+            isw_s=random.uniform(35e-6, 55e-6),
+            height=random.normal(1.0, 0.05),
+            wave=wave,
+            silent=silent,
+            tof_s=tof_s,
+            noise=10.0 ** (-snr_db / 20.0),
+        )
+
+    own = learnt([_extracted(scene().clean(), None) for _ in range(TAUGHT_BY)])
+    shots = [_extracted(case(scene()), own) for _ in range(n)]
+    return float(np.mean([bool(shot.flags) for shot in shots])), float(
+        np.mean([not shot.valid for shot in shots])
+    )
+
+
+def _extracted(volts: FloatArray, own: Template | None) -> ShotFeatures:
+    return compared(extract_from_volts(volts, RATE_HZ, PRETRIGGER), own)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--records", type=int, default=300, help="of each case and level of noise")
+    parser.add_argument("--seed", type=int, default=902)
+    parser.add_argument("--shape", choices=["twin", *SHAPES], default="twin")
+    arguments = parser.parse_args()
+    levels_db = (20.0, 30.0, 40.0)
+    print(f"{arguments.shape}, flagged / not valid in %   " + "   ".join(f"{db:.0f} dB" for db in levels_db))
+    for case in CASES:
+        found = [rates(case, arguments.shape, db, arguments.records, arguments.seed) for db in levels_db]
+        told = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
+        print(f"{case.__name__:22s} {told}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,225 @@
+"""``solimon features``: features and flags of records from files, by the service's own extractor."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from analysis.errors import InvalidInputError, RecordError
+from analysis.waves.features import (
+    ALL_FEATURE_NAMES,
+    EXTRACTOR_VERSION,
+    ShotFeatures,
+    extract_from_volts,
+    graded,
+)
+from analysis.waves.pulses import first_fwhm_s
+from analysis.waves.quality_gate import DISTURBED
+from analysis.waves.record_reduction import ExtractionSettings
+from analysis.waves.template import Template, compared, learnt
+from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_records
+from daq_service.cli.sweep.progress import Progress
+from daq_service.cli.terminal import console_on
+from daq_service.errors import UsageError
+
+MANY_RECORDS = 2_000
+"""More take longer than a second, so that progress is told."""
+LOOKED_AT = 50
+"""Records of a file, evenly spread, that say how wide its waves are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Own:
+    """What a person says of the transducer; None: it is learnt from the records."""
+
+    isw_fwhm_s: float | None = None
+    isw_amplitude_v: float | None = None
+    psw_window_s: tuple[float, float] | None = None
+
+
+def run_features(
+    *,
+    files: tuple[Path, ...],
+    rate_hz: float | None,
+    pretrigger_s: float | None,
+    volts_per_count: float | None,
+    rail_counts: str | None,
+    isw_fwhm_s: float | None,
+    isw_amplitude_v: float | None,
+    psw_window_s: str | None,
+    as_json: bool,
+) -> None:
+    """Extract every record of every file, and tell."""
+    told = Told(
+        rate_hz=rate_hz,
+        pretrigger_s=pretrigger_s,
+        volts_per_count=volts_per_count,
+        rails=_pair("--rail-counts", "LOW,HIGH", rail_counts),
+    )
+    own = Own(
+        isw_fwhm_s=isw_fwhm_s,
+        isw_amplitude_v=isw_amplitude_v,
+        psw_window_s=_pair("--psw-window-s", "FROM,TO", psw_window_s),
+    )
+    rows = [
+        {"file": str(path), "index": index, **told_of(shot)}
+        for path in files
+        for index, shot in enumerate(features_of_file(path, told, own))
+    ]
+    if as_json:
+        click.echo(json.dumps({"extractor_version": EXTRACTOR_VERSION, "records": rows}, allow_nan=False))
+        return
+    for path in dict.fromkeys(map(str, files)):
+        _show(path, [row for row in rows if row["file"] == path])
+
+
+def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        low, high = map(float, text.split(","))
+    except ValueError as error:
+        raise UsageError(f"{option} is {text!r}; it must be {form}, two numbers") from error
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise UsageError(f"{option} is {text!r}; it must be {form}, the first below the second")
+    return low, high
+
+
+def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
+    """Features of every record of a file, compared with its transducer's own waves.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read, or no wave can be sought in a record of it.
+    """
+    file = open_records(path, told)
+    settings = _settings(path, file, own)
+    progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
+    shots, of_position = [], defaultdict(list)
+    for index, record in enumerate(file.records(1)):
+        own_settings = settings.get(record.position) or next(iter(settings.values()))
+        shots.append(_extracted(f"{path}, record {index}", record, own_settings))
+        of_position[record.position].append(index)
+        if progress is not None:
+            progress.advance(1)
+    for position, indices in of_position.items():
+        template = _template(own, learnt([shots[index] for index in indices]))
+        if template is not None:
+            at = f"{path}{f', {position}' if position else ''}"
+            click.echo(f"{at}: {_in_words(template)}", err=True)
+        for index in indices:
+            shots[index] = compared(shots[index], template)
+    return shots
+
+
+def _settings(path: Path, file: RecordFile, own: Own) -> dict[str, ExtractionSettings]:
+    """By position: windows and widths as told, else a width that the records show."""
+    widths_s: dict[str, list[float]] = defaultdict(list)
+    for record in file.records(-(-file.n // LOOKED_AT)):
+        found = widths_s[record.position]
+        if own.isw_fwhm_s is None:
+            found.append(first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples))
+    windows = (
+        {}
+        if own.psw_window_s is None
+        else dict(zip(("psw_earliest_s", "psw_latest_s"), own.psw_window_s, strict=True))
+    )
+    try:
+        return {
+            position: ExtractionSettings(**windows, **({} if width is None else {"isw_fwhm_s": width}))
+            for position, found in widths_s.items()
+            for width in [own.isw_fwhm_s if own.isw_fwhm_s is not None else _median(found)]
+        }
+    except InvalidInputError as error:
+        raise UsageError(f"{path}: {error}") from error
+
+
+def _median(values: Sequence[float]) -> float | None:
+    known = [value for value in values if value > 0.0]
+    return float(np.median(known)) if known else None
+
+
+def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
+    if not np.isfinite(record.volts_v).all():
+        return graded(ShotFeatures(), {DISTURBED})  # samples are missing
+    try:
+        return extract_from_volts(
+            record.volts_v,
+            record.rate_hz,
+            record.pretrigger_samples,
+            clipped=record.clipped,
+            settings=settings,
+            with_sd=True,
+        )
+    except RecordError as error:
+        raise UsageError(
+            f"{where}: {error} (--rate-hz, --pretrigger-s, --isw-fwhm-s say what it is)"
+        ) from error
+
+
+def _template(own: Own, found: Template | None) -> Template | None:
+    """Put what is told before what was learnt."""
+    told: dict[str, Any] = {
+        name: value
+        for name, value in (("isw_fwhm_s", own.isw_fwhm_s), ("isw_amplitude_v", own.isw_amplitude_v))
+        if value is not None
+    }
+    if found is None:
+        return Template(**told) if len(told) == 2 else None
+    return replace(found, **told)
+
+
+def _in_words(template: Template) -> str:
+    early = template.earliest_tof_s
+    since = "" if early is None else f", reflections from {1e6 * early:.0f} us on"
+    width_us, height_v = 1e6 * template.isw_fwhm_s, template.isw_amplitude_v
+    return f"compared with an ISW {width_us:.1f} us wide and {height_v:.4g} V high{since}"
+
+
+def told_of(shot: ShotFeatures) -> dict[str, Any]:
+    """Give a shot as JSON tells it: null where something is not available."""
+    return {
+        "flags": list(shot.flags),
+        "quality": shot.quality,
+        **{name: _known(value) for name, value in shot.values().items()},
+        "sd": {name: _known(shot.sd.get(name, math.nan)) for name in ALL_FEATURE_NAMES},
+    }
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{file}, extractor {EXTRACTOR_VERSION}")
+    columns = (
+        ("ToF us", "tof_mf_s", 1e6, 2),
+        ("AR", "amplitude_ratio", 1.0, 4),
+        ("ISW V", "isw_amplitude_v", 1.0, 4),
+        ("ISW us", "isw_fwhm_s", 1e6, 1),
+        ("noise V", "noise_rms_v", 1.0, 4),
+    )
+    for name in ("record", "quality", "flags", *(title for title, *_ in columns)):
+        table.add_column(name, justify="left" if name in ("quality", "flags") else "right")
+    for row in rows:
+        cells = [_with_sd(row[name], row["sd"][name], unit, digits) for _, name, unit, digits in columns]
+        table.add_row(str(row["index"]), row["quality"], ", ".join(row["flags"]) or "-", *cells)
+    console_on("stdout").print(table)
+
+
+def _with_sd(value: float | None, sd: float | None, unit: float, digits: int) -> str:
+    if value is None:
+        return "-"
+    told = f"{unit * value:.{digits}f}"
+    return told if sd is None else f"{told} ({unit * sd:.{digits}f})"

@@ -1,0 +1,224 @@
+"""Records from a file of other people: waveforms as volts, one after the other, whatever the format."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daq_service.archive import ArchiveError
+from daq_service.archive.reader import read_records
+from daq_service.errors import UsageError
+from daq_service.shared_file import read_shared
+from hardware_drivers.errors import ConfigurationError
+from hardware_drivers.measurement import Shot, Waveform
+from hardware_drivers.playback.parameters import TdmsMapping
+
+PAPER_RATE_HZ = 10e6
+PAPER_PRETRIGGER_S = 100e-6
+"""What a `.npy` or `.csv` file cannot tell is the paper's where nobody tells it."""
+FORMATS = ".npy, .csv, .h5 (a set of solimon's) or .tdms"
+SEPARATORS = ";\t, "
+"""Of a line of CSV: the first of these that is in it, since a comma may also be decimal beside the others."""
+WHOLE_NUMBER = re.compile(r"\s*[+-]?\d+\s*")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """What a person says of the files; what a file says of itself goes before it.
+
+    Attributes
+    ----------
+    volts_per_count
+        Values are counts of an ADC; None: they are volts.
+    rails
+        Counts at and beyond which the ADC clips; None: the ends of a whole number's type.
+    """
+
+    rate_hz: float | None = None
+    pretrigger_s: float | None = None
+    volts_per_count: float | None = None
+    rails: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Record:
+    """One record; ``position`` is the transducer's, empty where the file does not tell."""
+
+    volts_v: NDArray[np.float64]
+    rate_hz: float
+    pretrigger_samples: int
+    clipped: bool
+    position: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordFile:
+    """How many records a file has; ``records(k)`` reads every k-th, one by one."""
+
+    n: int
+    records: Callable[[int], Iterator[Record]]
+
+
+def open_records(path: Path, told: Told) -> RecordFile:
+    """Open a file of records.
+
+    Raises
+    ------
+    UsageError
+        It is no such file; also while records are read, naming the record.
+    """
+    reader = {".npy": _npy, ".csv": _csv, ".h5": _hdf5, ".hdf5": _hdf5, ".nxs": _hdf5, ".tdms": _tdms}.get(
+        path.suffix.lower()
+    )
+    if reader is None:
+        raise UsageError(
+            f"{path}: records are read from {FORMATS}, not {path.suffix or 'one without ending'}"
+        )
+    try:
+        found = reader(path, told)
+    except OSError as error:
+        raise UsageError(f"cannot read {path}: {error.strerror or error}") from error
+    except (ArchiveError, ConfigurationError) as error:
+        raise UsageError(str(error)) from error
+    if not found.n:
+        raise UsageError(f"{path} holds no record of a solitary wave")
+    return found
+
+
+def _npy(path: Path, told: Told) -> RecordFile:
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise UsageError(f"{path} is no .npy file of numbers: {error}") from error
+    if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
+        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise UsageError(f"{path}: {what}; it must be numbers, records x samples, or one record")
+    table = np.atleast_2d(array)
+    if not table.shape[1]:
+        raise UsageError(f"{path} is empty: shape {array.shape}")
+    counts = array.dtype.kind in "iu"
+    limits = np.iinfo(array.dtype) if counts else None
+    ends = None if limits is None else (float(limits.min), float(limits.max))
+    scaled = _scaling(path, told, counts=counts, ends=ends)
+    return RecordFile(n=len(table), records=lambda every: map(scaled, table[::every]))
+
+
+def _csv(path: Path, told: Told) -> RecordFile:
+    try:
+        lines = [line for line in read_shared(path).decode("utf-8-sig").splitlines() if line.strip()]
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path} is no CSV file in UTF-8: {error}") from error
+    if lines and not any(map(_is_number, _cells(lines[0]))):
+        del lines[0]  # names
+    counts = bool(lines) and all(map(WHOLE_NUMBER.fullmatch, _cells(lines[0])))
+    scaled = _scaling(path, told, counts=counts, ends=None)
+
+    def records(every: int) -> Iterator[Record]:
+        for number, line in list(enumerate(lines))[::every]:
+            try:
+                values = np.array([float(cell) if cell.strip() else np.nan for cell in _cells(line)])
+            except ValueError as error:
+                raise UsageError(f"{path}, record {number}: {error}; a row is a record of numbers") from error
+            yield scaled(values)
+
+    return RecordFile(n=len(lines), records=records)
+
+
+def _cells(line: str) -> list[str]:
+    separator = next((one for one in SEPARATORS if one in line.strip()), ",")
+    return line.strip().split(None if separator == " " else separator)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _scaling(
+    path: Path, told: Told, *, counts: bool, ends: tuple[float, float] | None
+) -> Callable[[NDArray[Any]], Record]:
+    """How values of a file that says nothing of itself become a record."""
+    if counts and told.volts_per_count is None:
+        raise UsageError(
+            f"{path} holds whole numbers, which are counts of an ADC: give --volts-per-count, and with it "
+            "--rail-counts LOW,HIGH where the ADC has fewer bits than the numbers"
+        )
+    if told.rails is not None and told.volts_per_count is None:
+        raise UsageError(f"--rail-counts are counts, yet {path} holds volts: give --volts-per-count too")
+    rails = told.rails or ends
+    rate_hz = told.rate_hz or PAPER_RATE_HZ
+    pretrigger_s = PAPER_PRETRIGGER_S if told.pretrigger_s is None else told.pretrigger_s
+
+    def scaled(values: NDArray[Any]) -> Record:
+        volts = values.astype(np.float64)
+        clipped = _beyond(volts, rails)
+        if told.volts_per_count is not None:
+            volts *= told.volts_per_count
+        return Record(
+            volts_v=volts,
+            rate_hz=rate_hz,
+            pretrigger_samples=round(pretrigger_s * rate_hz),
+            clipped=clipped,
+        )
+
+    return scaled
+
+
+def _hdf5(path: Path, _: Told) -> RecordFile:
+    shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
+    return RecordFile(
+        n=len(shots),
+        records=lambda every: (_of_waveform(shot.waveform, shot.key.position) for shot in shots[::every]),
+    )
+
+
+def _of_waveform(waveform: Waveform, position: str) -> Record:
+    return Record(
+        volts_v=waveform.volts(),
+        rate_hz=waveform.sample_rate_hz,
+        pretrigger_samples=waveform.pretrigger_samples,
+        clipped=waveform.clipped,
+        position=position,
+    )
+
+
+def _tdms(path: Path, told: Told) -> RecordFile:
+    from hardware_drivers.playback.tdms_records import channel_records
+
+    mapping = TdmsMapping(
+        sample_rate_hz=told.rate_hz,
+        coefficients_v=() if told.volts_per_count is None else (0.0, told.volts_per_count),
+    )
+    channels = channel_records(
+        path, mapping, pretrigger_s=told.pretrigger_s, rails_told=told.rails is not None
+    )
+
+    def each() -> Iterator[Record]:
+        for one in channels:
+            ends = told.rails
+            if ends is None and one.conversion.polynomial is None:
+                ends = one.conversion.calibration.full_scale_counts
+            for values in one.values():
+                yield Record(
+                    volts_v=one.volts(values),
+                    rate_hz=one.sample_rate_hz,
+                    pretrigger_samples=one.pretrigger_samples,
+                    clipped=_beyond(values, ends),
+                    position=one.channel.group,
+                )
+
+    return RecordFile(n=sum(one.n for one in channels), records=lambda every: islice(each(), 0, None, every))
+
+
+def _beyond(values: NDArray[Any], ends: tuple[float, float] | None) -> bool:
+    return ends is not None and bool(values.min() <= ends[0] or values.max() >= ends[1])

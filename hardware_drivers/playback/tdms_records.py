@@ -1,0 +1,107 @@
+"""Every record of a LabVIEW file as it lies there, whatever its groups and channels are called."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hardware_drivers.methods import SOLITARY_WAVE
+from hardware_drivers.playback.parameters import TdmsMapping
+from hardware_drivers.playback.tdms_channel import (
+    Channel,
+    Conversion,
+    conversion_of,
+    pretrigger_samples,
+    sample_rate_hz,
+)
+from hardware_drivers.playback.tdms_file import ValuesReader, read_channels, require_nptdms
+from hardware_drivers.playback.tdms_key import samples_of_record
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ChannelRecords:
+    """Records of one channel, one after the other as a loop of writes leaves them.
+
+    Attributes
+    ----------
+    conversion
+        From values to counts or, of scaled values, to volts (`volts`).
+    """
+
+    channel: Channel
+    n: int
+    samples: int
+    sample_rate_hz: float
+    pretrigger_samples: int
+    conversion: Conversion
+
+    def values(self) -> Iterator[NDArray[Any]]:
+        """Give each record's values as they lie in the file, shape (samples,)."""
+        reader = ValuesReader()
+        try:
+            for number in range(self.n):
+                first = number * self.samples
+                found = self.channel
+                yield reader.read(found.path, found.group, found.name, first, self.samples)
+        finally:
+            reader.close()
+
+    def volts(self, values: NDArray[Any]) -> NDArray[np.float64]:
+        """Turn values as they lie in the file into volts."""
+        if self.conversion.polynomial is None:
+            return self.conversion.calibration.volts(values)
+        return np.asarray(
+            np.polynomial.polynomial.polyval(values.astype(np.float64), self.conversion.polynomial)
+        )
+
+
+def channel_records(
+    path: Path, mapping: TdmsMapping, *, pretrigger_s: float | None, rails_told: bool
+) -> list[ChannelRecords]:
+    """Find the channels of numbers.
+
+    Parameters
+    ----------
+    pretrigger_s
+        Whatever the file says; None: as it says.
+    rails_told
+        Somebody else sees clipping: 32-bit codes need not tell their resolution.
+
+    Raises
+    ------
+    ConfigurationError
+        npTDMS is missing; the file is damaged; a channel lacks rate, trigger, scaling or unit.
+    """
+    require_nptdms()
+    found = []
+    for channel in read_channels(path, lambda *_: True):
+        if channel.dtype.kind not in "fiu":
+            continue
+        own = mapping
+        if rails_told and channel.dtype == np.int32:
+            own = replace(own, resolution_bits=32)
+        written = channel.number(mapping.samples_property)
+        if written is not None and 0 < written < channel.n_samples:
+            own = replace(own, appended=True)
+        rate_hz = sample_rate_hz(channel, own)
+        if pretrigger_s is not None:
+            own = replace(own, pretrigger_samples=round(pretrigger_s * rate_hz))
+        samples = samples_of_record(channel, own)
+        found.append(
+            ChannelRecords(
+                channel=channel,
+                n=channel.n_samples // samples,
+                samples=samples,
+                sample_rate_hz=rate_hz,
+                pretrigger_samples=pretrigger_samples(
+                    channel, own, rate_hz=rate_hz, record_samples=samples, method=SOLITARY_WAVE
+                ),
+                conversion=conversion_of(channel, own),
+            )
+        )
+    return found

@@ -1,0 +1,79 @@
+"""A shot beside its transducer's own waves."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from analysis.waves.features import ShotFeatures
+from analysis.waves.template import Template, compared, learnt
+
+OWN = Template(
+    isw_fwhm_s=65e-6, isw_amplitude_v=2.0, amplitude_ratio=0.5, earliest_tof_s=310e-6, pull_fraction=0.02
+)
+SHOT = ShotFeatures(
+    isw_fwhm_s=65e-6,
+    isw_amplitude_v=2.0,
+    isw_time_s=5e-5,
+    tof_mf_s=335e-6,
+    amplitude_ratio=0.5,
+    pull_fraction=0.02,
+    noise_rms_v=0.02,
+)
+
+
+def test_the_transducer_s_own_shot_stays_as_it_was():
+    assert compared(SHOT, OWN) is not None
+    assert compared(SHOT, OWN) == SHOT
+    assert compared(SHOT, None) is SHOT
+
+
+@pytest.mark.parametrize(
+    ("changes", "flags"),
+    [
+        ({"isw_amplitude_v": 0.5}, ("missed",)),  # a quarter
+        ({"isw_amplitude_v": 1.0}, ()),  # a PZT aged to half
+        ({"isw_fwhm_s": 35e-6}, ("missed",)),
+        ({"isw_fwhm_s": 100e-6}, ("missed",)),
+        ({"isw_fwhm_s": 56.5e-6}, ()),  # beads worn to twice their radius
+        ({"tof_mf_s": 285e-6}, ("disturbed",)),  # 50 us lost between the waves
+        ({"tof_mf_s": 640e-6}, ()),  # a wall 80 % thinner
+        ({"amplitude_ratio": 0.75}, ("double",)),  # a second strike of a quarter on top
+        ({"amplitude_ratio": 0.58}, ()),
+        ({"pull_fraction": 0.06}, ("disturbed",)),
+    ],
+)
+def test_what_is_not_its_own_is_told(changes, flags):
+    found = compared(replace(SHOT, **changes), OWN)
+    assert found.flags == flags
+    assert found.valid is not bool(flags)
+
+
+def test_a_weak_strike_keeps_its_own_wave_and_tells_of_no_wall():
+    found = compared(replace(SHOT, isw_amplitude_v=0.4), OWN)
+    assert (found.isw_amplitude_v, found.isw_time_s, found.noise_rms_v) == (0.4, 5e-5, 0.02)
+    assert math.isnan(found.tof_mf_s)
+
+
+@pytest.mark.parametrize(("fwhm_s", "flag"), [(65e-6, "no_psw"), (72e-6, "no_psw"), (50e-6, "missed")])
+def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag):
+    silent = replace(
+        SHOT, isw_fwhm_s=fwhm_s, tof_mf_s=math.nan, flags=("no_psw",), valid=False, quality="bad"
+    )
+    assert compared(silent, OWN).flags == (flag,)
+
+
+def test_a_reflection_merged_once_is_a_second_strike_and_in_most_shots_the_wall():
+    merged = replace(SHOT, flags=("psw_merged",), quality="suspect")
+    assert compared(merged, OWN).flags == ("double", "psw_merged")
+    assert compared(merged, learnt([merged] * 6 + [SHOT] * 4)).flags == ("psw_merged",)
+    # A patch thinned by 80 % splits the wave by itself.
+    assert compared(replace(merged, tof_mf_s=640e-6), OWN).flags == ("psw_merged",)
+
+
+def test_it_is_learnt_from_valid_shots_if_there_are_three():
+    weak = replace(SHOT, isw_amplitude_v=0.1, valid=False)
+    assert learnt([SHOT, SHOT, weak]) is None
+    own = learnt([SHOT, replace(SHOT, isw_amplitude_v=2.2), SHOT, weak])
+    assert (own.isw_amplitude_v, own.isw_fwhm_s, own.merged) == (2.0, 65e-6, False)
+    assert own.earliest_tof_s == pytest.approx(0.9 * 335e-6)

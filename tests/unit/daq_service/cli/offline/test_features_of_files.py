@@ -1,0 +1,192 @@
+"""``solimon features``: records of other people in, JSON or a table out."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from support.synthetic_records import CALIBRATION, Scene, cos4
+
+from analysis.waves.features import ALL_FEATURE_NAMES, EXTRACTOR_VERSION, extract_features
+from daq_service.cli.main import cli
+from daq_service.errors import UsageError
+
+VOLTS_PER_COUNT = float(CALIBRATION.coefficients_v[1])
+SCENE = Scene(noise_fraction=0.01)
+N = 12
+
+
+@pytest.fixture(scope="module")
+def counts():
+    return np.array([SCENE.waveform(seed).counts for seed in range(N)])
+
+
+def run(*arguments):
+    return CliRunner().invoke(cli, ["features", *map(str, arguments)], catch_exceptions=False)
+
+
+def told(*arguments):
+    answer = run(*arguments, "--json")
+    assert answer.exit_code == 0, answer.output
+    found = json.loads(answer.stdout)
+    assert found["extractor_version"] == EXTRACTOR_VERSION
+    return found["records"]
+
+
+def saved(folder, values, name="records.npy"):
+    np.save(folder / name, values)
+    return folder / name
+
+
+def volts(scene=SCENE, n=N):
+    return np.array([scene.volts(seed) for seed in range(n)])
+
+
+def refused(*arguments):
+    with pytest.raises(UsageError) as caught:
+        run(*arguments)
+    return str(caught.value)
+
+
+def test_counts_give_what_the_recorder_would_have_found(tmp_path, counts):
+    path = saved(tmp_path, counts)
+    rows = told(path, "--volts-per-count", VOLTS_PER_COUNT, "--isw-fwhm-s", 64.7e-6)
+    assert [(row["file"], row["index"]) for row in rows] == [(str(path), k) for k in range(N)]
+    for seed, row in enumerate(rows):
+        expected = extract_features(SCENE.waveform(seed))
+        assert set(row) == {"file", "index", "flags", "quality", "sd", *ALL_FEATURE_NAMES}
+        assert (row["flags"], row["quality"]) == (list(expected.flags), expected.quality)
+        assert {name: row[name] for name in ALL_FEATURE_NAMES} == expected.values()
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("header", [True, False])
+def test_a_table_of_text_gives_the_same_as_the_array(tmp_path, separator, header):
+    values = np.round(volts(n=4), 6)
+    lines = [separator.join(f"{value:.6f}" for value in row) for row in values]
+    if header:
+        lines.insert(0, separator.join(f"s{k}" for k in range(values.shape[1])))
+    (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
+    rows = told(tmp_path / "records.csv")
+    expected = told(saved(tmp_path, values))
+    assert [row | {"file": ""} for row in rows] == [row | {"file": ""} for row in expected]
+
+
+@pytest.mark.parametrize(
+    ("fwhm_s", "rate_hz", "length_s"), [(30e-6, 50e6, 1e-3), (64.7e-6, 2e6, 1e-3), (95e-6, 1e6, 4e-3)]
+)
+def test_widths_and_amplitudes_are_learnt_at_any_rate_and_length(tmp_path, fwhm_s, rate_hz, length_s):
+    """Records of 1 ms end before the default windows do."""
+    scene = Scene(
+        isw_v=0.4,
+        width_s=2.747 * fwhm_s,
+        rate_hz=rate_hz,
+        pretrigger_samples=round(150e-6 * rate_hz),
+        n_samples=round(length_s * rate_hz),
+        noise_fraction=0.02,
+        offset_v=-0.7,
+    )
+    path = saved(tmp_path, volts(scene))
+    answer = run(path, "--rate-hz", rate_hz, "--pretrigger-s", 150e-6, "--json")
+    rows = json.loads(answer.stdout)["records"]
+    assert [row["flags"] for row in rows] == [[]] * N
+    # 2 % of noise shake a record's time of flight by .1 us at 10 MS/s, .3 us at a tenth of the samples.
+    assert [row["tof_mf_s"] for row in rows] == pytest.approx([scene.tof_s] * N, abs=1.5e-6)
+    assert f"ISW {1e6 * fwhm_s:.0f}" in answer.stderr.replace(".", " ") or "ISW" in answer.stderr
+
+
+def test_what_is_told_of_the_transducer_is_what_shots_are_compared_with(tmp_path):
+    path = saved(tmp_path, volts())
+    assert {tuple(row["flags"]) for row in told(path)} == {()}
+    assert {tuple(row["flags"]) for row in told(path, "--isw-amplitude-v", 30.0)} == {("missed",)}
+    assert {tuple(row["flags"]) for row in told(path, "--psw-window-s", "4e-4,9e-4")} == {
+        ("double", "no_psw")
+    }
+
+
+def test_rails_say_what_is_clipped(tmp_path, counts):
+    path = saved(tmp_path, counts)
+    scale = ("--volts-per-count", VOLTS_PER_COUNT)
+    assert not any("clipped" in row["flags"] for row in told(path, *scale))
+    rows = told(path, *scale, "--rail-counts", "-8192,8191")  # 2.5 V, half of the waves
+    assert all("clipped" in row["flags"] for row in rows)
+
+
+def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
+    values = volts()
+    values[5] *= 0.2
+    rows = told(saved(tmp_path, values))
+    assert [row["index"] for row in rows if row["flags"]] == [5]
+    assert rows[5]["flags"] == ["missed"]
+    assert rows[5]["isw_amplitude_v"] == pytest.approx(1.0, rel=0.01)
+    assert rows[5]["tof_mf_s"] is None
+
+
+def test_samples_that_are_missing_cost_their_record_only(tmp_path):
+    values = volts()
+    values[3, 700:1200] = np.nan
+    rows = told(saved(tmp_path, values))
+    assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
+    assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
+
+
+def test_one_record_alone_is_a_file_too(tmp_path):
+    (row,) = told(saved(tmp_path, SCENE.volts(0)))
+    assert row["quality"] == "good"
+
+
+def test_a_table_for_the_eye_has_a_line_a_record(tmp_path):
+    answer = run(saved(tmp_path, volts()))
+    assert answer.stdout.count("│ good") == N
+    assert "330.0" in answer.stdout
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "words"),
+    [
+        (np.zeros((2, 3, 4)), (), "records x samples"),
+        (np.array([["a", "b"]]), (), "must be numbers"),
+        (np.zeros((0, 13_000)), (), "holds no record"),
+        (np.zeros((3, 0)), (), "is empty"),
+        (np.zeros((3, 13_000), dtype=np.int16), (), "--volts-per-count"),
+        (np.zeros((3, 13_000)), ("--rail-counts", "-10,10"), "--volts-per-count"),
+        (np.zeros((3, 13_000)), ("--rail-counts", "10"), "LOW,HIGH"),
+        (np.zeros((3, 13_000)), ("--psw-window-s", "9e-4,2e-4"), "FROM,TO"),
+        (np.zeros((3, 3_000)), (), "record 0: the record ends 200 us after its trigger"),
+        (np.zeros((3, 13_000)), ("--pretrigger-s", "1"), "record 0: pretrigger_samples"),
+    ],
+)
+def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options, words):
+    assert words in refused(saved(tmp_path, values), *options)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("records.txt", b"1,2,3", "not .txt"),
+        ("records.npy", b"hello", "no .npy file"),
+        ("records.csv", b"", "holds no record"),
+        ("records.csv", b"\xff\xfe\x00", "UTF-8"),
+        ("records.csv", b"0.5,1.5\n0.5,many", "record 1: could not convert string to float: 'many'"),
+        ("records.csv", b"5,1\n0,1", "--volts-per-count"),
+        ("records.h5", b"hello", "records.h5"),
+        ("records.tdms", b"hello", "records.tdms"),
+    ],
+)
+def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    assert words in refused(tmp_path / name)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    for name in ("no.npy", "no.csv", "no.h5", "no.tdms"):
+        assert name in refused(tmp_path / name)
+
+
+def test_a_second_pulse_in_the_file_is_seen_with_its_reflection(tmp_path):
+    values = volts()
+    t, later = SCENE.time_s(), SCENE.isw_time_s + 320e-6
+    values[4] += 0.3 * SCENE.isw_v * (cos4(t, later) + SCENE.amplitude_ratio * cos4(t, later + SCENE.tof_s))
+    rows = told(saved(tmp_path, values))
+    assert [row["index"] for row in rows if row["flags"]] == [4]
+    assert "double" in rows[4]["flags"]
