@@ -34,7 +34,7 @@ def test_the_house_is_in_order(command: list[str]) -> None:
 def test_the_readme_s_commands_are_one_line_each() -> None:
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert "python -m pip install -c constraints.txt -e . && solimon demo" in lines
-    assert 'python -m pip install -c constraints.txt -e ".[test]" && pytest -n 3 --dist loadfile' in lines
+    assert 'python -m pip install -c constraints.txt -e ".[test]" && pytest -n 4 --dist loadfile' in lines
 
 
 def test_no_two_test_files_have_one_name() -> None:
