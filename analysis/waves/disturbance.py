@@ -36,6 +36,9 @@ NOISE_STEPS = 5.5
 """The same for the thousand differences between neighbours."""
 FEWEST_ALIKE, SHORTEST_ALIKE_S = 32, 15e-6
 """Samples in a row of one value: where noise moves more than every second sample, 32 never are by chance."""
+FEWEST_CODES = 1.5
+"""By which half of the samples leave the line through their neighbours, as noise of a code makes them; less
+noise leaves quiet stretches on one code."""
 CLOSEST_ALIKE_S = 5e-6
 
 
@@ -129,11 +132,16 @@ def stretch_alike(record: ReducedRecord, rate_hz: float) -> tuple[int, int] | No
     """Find a stretch of one value that noise would have moved: its first and last sample, or None."""
     samples = record.samples_v
     stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
-    if record.noise_rms_v == 0.0:
-        return None  # nothing moves the quiet parts of such a record
     coarse = samples[::stride]
     same = coarse[1:] == coarse[:-1]
-    for start in np.flatnonzero(same[1:] & same[:-1]).tolist():
+    alike = np.flatnonzero(same[1:] & same[:-1])
+    if not alike.size:
+        return None
+    steps = np.diff(samples)
+    code_v = np.abs(steps[steps != 0.0]).min(initial=math.inf)
+    if median(np.abs(np.diff(steps))) < FEWEST_CODES * code_v:
+        return None
+    for start in alike.tolist():
         place = start * stride
         other = np.flatnonzero(samples[place:] != samples[place])
         last = place + (int(other[0]) if other.size else samples.size - place) - 1

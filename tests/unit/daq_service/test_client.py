@@ -236,7 +236,9 @@ def test_the_stream_s_heartbeats_and_goodbye_are_no_events():
     assert list(parsed(iter(lines))) == [{"topic": "gap", "kind": "gap", "after": 1, "id": 7}]
 
 
-HEAVY = "numba llvmlite nidaqmx niscope serial pyvisa nptdms matplotlib scipy"
+HEAVY = (
+    "numba llvmlite nidaqmx niscope serial pyvisa nptdms matplotlib scipy.special scipy.optimize scipy.signal"
+)
 
 
 @pytest.mark.parametrize("way", ["folder", "service"])

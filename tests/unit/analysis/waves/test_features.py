@@ -463,6 +463,13 @@ def test_noise_is_measured_through_the_pulses():
     assert np.mean(measured) == pytest.approx(0.05, rel=0.01)
 
 
+@pytest.mark.parametrize("codes", [0.02, 0.2, 1.0])
+def test_noise_of_a_code_or_less_leaves_stretches_alike_and_loses_no_samples(codes):
+    # In a record so short most samples are those of pulses, which move without any noise.
+    scene = CLEAN.with_(noise_fraction=codes * 10.0 / 32768 / CLEAN.isw_v, n_samples=7500)
+    assert [extract_features(scene.waveform(seed)).flags for seed in range(10)] == [()] * 10
+
+
 def test_noise_of_a_silent_record_is_zero():
     silent = extract_from_volts(np.zeros(13_000), 1e7, 1000)
     assert silent.noise_rms_v == 0.0
