@@ -200,7 +200,7 @@ def test_the_list_is_filtered(page):
     expect(shown).to_contain_text("little is free")
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("theme", ["light", pytest.param("dark", marks=pytest.mark.slow)])
 def test_axe_finds_nothing(page, theme):
     page.goto(f"{page.url.split('?')[0]}?theme={theme}")
     expect(page.locator("#notes [data-note]")).to_have_count(1)

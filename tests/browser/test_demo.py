@@ -99,6 +99,7 @@ def asked_until(page, found, what):
     until(ask, what)
 
 
+@pytest.mark.slow
 def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledgement(demo, open_page):
     url = demo.line_with(r"http://127\.0\.0\.1:\d+")
     # The page stays open while the demo ends: only then it may miss its service.

@@ -161,6 +161,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
         assert arrays["voltage_v"].shape[0] == SHOTS
 
 
+@pytest.mark.slow
 def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
     target = tmp_path / "report.html"
     with service.client() as api:

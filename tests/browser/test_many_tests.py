@@ -92,6 +92,7 @@ def test_the_list_fits_a_phone(service, open_page):
     assert Axe().run(page).response["violations"] == []
 
 
+@pytest.mark.slow
 def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_set(
     tests, service, open_page
 ):

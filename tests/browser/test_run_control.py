@@ -50,11 +50,12 @@ def answered(filled, author="ann"):
             "Stop the test",
             ("stop", {}),
         ),
-        (
+        pytest.param(
             "Retire C",
             ["Position C strikes no more", "No sets will come from it", "press Reinstate beside its notice"],
             "Retire C",
             ("retire", {"position": "C", "note": ""}),
+            marks=pytest.mark.slow,
         ),
         (
             "Supply on, or its limits",
@@ -62,7 +63,13 @@ def answered(filled, author="ann"):
             "Switch on: 9 V, at most 1 A",
             ("supply_on", {"voltage_v": 9.0, "current_limit_a": 1.0, "note": ""}),
         ),
-        ("Supply off", ["Corrosion ends"], "Switch off", ("supply_off", {"note": ""})),
+        pytest.param(
+            "Supply off",
+            ["Corrosion ends"],
+            "Switch off",
+            ("supply_off", {"note": ""}),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(

@@ -56,6 +56,7 @@ def doubles():
         yield running
 
 
+@pytest.mark.slow
 def test_terminal_and_page_lead_from_nothing_to_a_first_good_set(doubles, open_page, tmp_path):
     file = tmp_path / "lab.toml"
     env = client_environment(doubles.wire, build_library("nidaqmx"))

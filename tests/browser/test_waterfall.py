@@ -348,7 +348,7 @@ def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_pat
     filled.close()
 
 
-@pytest.mark.parametrize("viewport", [PHONE, WALL], ids=["390", "1920"])
+@pytest.mark.parametrize("viewport", [PHONE, pytest.param(WALL, marks=pytest.mark.slow)], ids=["390", "1920"])
 def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
     page = open_page(f"{service.url}?theme=dark&position=B", viewport=viewport)
     drawn(page)

@@ -372,6 +372,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("offered")
 def test_the_drive_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
     settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
