@@ -226,6 +226,7 @@ export class Reading {
     if (firstly.length) {
       for (const position of firstly) this.dirty.fits.add(position);
       await Promise.all([...readings.splice(0), ...trendsOf(firstly), this.readFits()]);
+      this.readAt = performance.now();
       this.reader.onColumns();
     }
     readings.push(...trendsOf([...changed].filter((position) => !firstly.includes(position))));
