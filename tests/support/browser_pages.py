@@ -11,6 +11,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 from support.served_web import DEADLINE_S
+from support.waiting import until
 
 DESK = {"width": 1440, "height": 900}
 PHONE = {"width": 390, "height": 844}
@@ -101,7 +102,9 @@ def query(page: Any) -> dict[str, str]:
 
 
 def at_hour(page: Any, chart: str, hour: float, part: float = 0.5) -> tuple[float, float]:
-    """Page coordinates of an hour on a chart."""
+    """Page coordinates of an hour on a chart, once all has been read and nothing moves it any more."""
+    until(lambda: dashboard(page, "ready"), "all that the page shows is read")
+    page.locator(f"#{chart} .plot").scroll_into_view_if_needed()
     box = page.locator(f"#{chart} .u-over").bounding_box()
     low, high = dashboard(page, f"charts.{chart}.span")
     return box["x"] + box["width"] * (hour - low) / (high - low), box["y"] + part * box["height"]
