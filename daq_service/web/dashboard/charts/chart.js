@@ -67,7 +67,7 @@ export class SolimonChart extends HTMLElement {
     this.legend = el("ul", { class: "legend" });
     this.toggle.addEventListener("click", () => this.host.table(this.id, this.tableBox.hidden));
     this.canvasBox.addEventListener("keydown", (event) => this.onKey(event));
-    /** Whether it is on the screen: elsewhere nothing is drawn anew until it comes there. */
+    /** Whether it is on the screen: elsewhere another span is drawn when it comes there; new data are at once. */
     this.seen = true;
     this.late = false;
     new ResizeObserver(() => this.resize()).observe(this.canvasBox);
@@ -126,8 +126,10 @@ export class SolimonChart extends HTMLElement {
     }
     // Last, when all around it has its size.
     if (!series.x.length) this.destroy();
-    else if (this.plot && made === this.made) this.drawAgain();
-    else this.draw();
+    else if (this.plot && made === this.made) {
+      this.plot.setData(dataOf(series));
+      this.late = false;
+    } else this.draw();
     this.made = made;
     if (!this.tableBox.hidden) this.fillTable();
   }
@@ -136,12 +138,6 @@ export class SolimonChart extends HTMLElement {
   respan() {
     if (!this.seen) this.late = true;
     else if (this.plot) this.plot.setScale("x", this.plot.scales.x);
-  }
-
-  /** Show the series of now in the plot that there is. */
-  drawAgain() {
-    if (!this.seen) this.late = true;
-    else this.plot.setData(dataOf(this.series));
   }
 
   /** Draw at once what nobody saw. */
