@@ -11,6 +11,7 @@ from daq_service.errors import UsageError
 from daq_service.orders.kinds import (
     AcknowledgeAlarm,
     Annotate,
+    Confirm,
     FinishNow,
     Hold,
     Order,
@@ -34,6 +35,7 @@ AnyOrder = Annotated[
     | TrustClock
     | Retire
     | Reinstate
+    | Confirm
     | SupplyOn
     | SupplyOff
     | Annotate

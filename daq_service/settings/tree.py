@@ -233,6 +233,8 @@ class AlarmSettings(Section):
     """Such sets in a row that retire the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+    confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
+    """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
 
@@ -414,7 +416,7 @@ class Settings(BaseSettings):
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
         # Keys that came later: at their defaults, what was hashed before is hashed still.
-        for key in ("decides_by", "false_alarms_per_sensor_year"):
+        for key in ("decides_by", "false_alarms_per_sensor_year", "confirmation_sets_a_day"):
             if values["alarms"][key] == AlarmSettings.model_fields[key].default:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
