@@ -7,7 +7,7 @@ baseline.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,8 @@ class Assessed:
         Shape (rows,), NaN where there is none.
     chart_limit
         Of ``chart``.
+    unbroken
+        The chart without a restart after its alarms; shape (rows,).
     """
 
     refused: str | None
@@ -80,6 +82,7 @@ class Assessed:
     mewma_textbook: FloatArray = field(default_factory=lambda: np.empty(0))
     mcusum_textbook: FloatArray = field(default_factory=lambda: np.empty(0))
     chart: FloatArray = field(default_factory=lambda: np.empty(0))
+    unbroken: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 def assess(
@@ -149,7 +152,8 @@ def _judged(
     design = design_of(history, baseline, budget.run_length)
     followed = np.where((healthy | after)[:, None], x, np.nan)
     judged = np.flatnonzero(after)
-    statistic, onsets = design.chart.run(design.chart.whitened(followed)[judged])
+    entering = design.chart.whitened(followed)[judged]
+    statistic, onsets = design.chart.run(entering)
     statistics = {
         **_statistics(x, followed, complete, judged, design),
         CHART: _placed(len(x), judged, statistic),
@@ -184,6 +188,7 @@ def _judged(
         if textbooks
         else np.empty(0),
         chart=statistics[CHART],
+        unbroken=_placed(len(x), judged, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 

@@ -589,6 +589,14 @@ def report(**options: Any) -> None:
 )
 @click.option("--sets-per-day", type=POSITIVE, default=24.0, show_default=True, help="Rows a day.")
 @click.option("--no-rows", is_flag=True, help="With --json: without a line for each row.")
+@click.option("--fleet", is_flag=True, help="Also judge all tables together: rows of the same times.")
+@click.option(
+    "--false-discovery-rate",
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    default=0.1,
+    show_default=True,
+    help="Part of the sensors raised with --fleet that may be healthy.",
+)
 @JSON
 def assess(**options: Any) -> None:
     """Judge tables of features (.csv, .parquet, .npy; a row a set, a sensor a table) as the service would."""
