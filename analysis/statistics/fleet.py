@@ -17,7 +17,9 @@ import scipy  # `scipy.signal` and `scipy.stats` come when asked for
 from numpy.typing import ArrayLike
 
 from analysis.errors import InvalidInputError
+from analysis.statistics.memory import autocorrelation, corrected
 from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
+from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import SMALLEST_SD
 from analysis.waves.record_reduction import FloatArray
 
@@ -122,6 +124,47 @@ def shared_deviation(deviations: ArrayLike) -> FloatArray:
         result[full] = np.median(x[:, full], axis=0)
     result[partly] = np.nanmedian(x[:, partly], axis=0)
     return result
+
+
+def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
+    """Median over the sensors of each feature's memory from set to set, shape (p,).
+
+    One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
+    raised first of all.
+
+    Parameters
+    ----------
+    baselines
+        Shape (n, p) each, without what all share; NaN where a value is missing.
+    """
+    known = [(x, int(np.isfinite(x).all(axis=1).sum())) for x in baselines]
+    phi = [corrected(autocorrelation(x, 1), n) for x, n in known if n >= MINIMUM_SETS]
+    return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
+
+
+def usual_tails(baselines: Sequence[FloatArray]) -> float:
+    """Mean over the sensors of the kurtosis of their baselines, 1 for normal sets and at least.
+
+    Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
+    E[d^4]/(p (p + 2)), d the Mahalanobis distance (Mardia 1970; for elliptical distributions).
+
+    Parameters
+    ----------
+    baselines
+        As of `usual_memory`.
+    """
+    found = [_kurtosis(x[np.isfinite(x).all(axis=1)].astype(np.float64)) for x in baselines]
+    known = [one for one in found if one is not None]
+    return max(1.0, float(np.mean(known))) if known else 1.0
+
+
+def _kurtosis(x: FloatArray) -> float | None:
+    n, p = x.shape
+    if n < MINIMUM_SETS:
+        return None
+    centred = x - x.mean(axis=0)
+    distances = ((centred @ np.linalg.pinv(centred.T @ centred / n)) * centred).sum(axis=1)
+    return float((distances**2).mean() / (p * (p + 2)))
 
 
 def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int) -> tuple[Shared, ...]:

@@ -19,7 +19,10 @@ from analysis.statistics.fleet import (
     shared_causes,
     shared_deviation,
     standardized,
+    usual_memory,
+    usual_tails,
 )
+from analysis.statistics.rules import MINIMUM_SETS
 from analysis.statistics.sequence import assess
 from analysis.waves.record_reduction import FloatArray
 from daq_service.cli.offline.table_file import TableFile
@@ -42,38 +45,59 @@ class Beside:
     """
 
     refused: str | None
-    phi: float = 0.0
     alarms: bool = False
     chances: FloatArray
 
 
-def deviations(path: Path, read: Read) -> tuple[tuple[str, ...], int, np.ndarray]:
-    """Names of a table's features, its first row after the baseline, and its deviations in SD."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Deviations:
+    """What a table gives to the fleet.
+
+    Attributes
+    ----------
+    in_sd
+        Of each set from the baseline, shape (rows, features), float32 since there are many.
+    """
+
+    names: tuple[str, ...]
+    in_baseline: np.ndarray
+    in_sd: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Usual:
+    """What baselines of the fleet have in common: memory of each feature, and kurtosis."""
+
+    phi: FloatArray
+    tails: float
+
+
+def deviations(path: Path, read: Read) -> Deviations:
+    """Read a table for the first time."""
     table = read(path)
     z, _ = standardized(table.vectors, table.in_baseline)
-    return table.names, _after(table), z.astype(np.float32)
+    return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z.astype(np.float32))
 
 
-def beside(path: Path, read: Read, shared: FloatArray, budget: Budget, period: int) -> Beside:
-    """Judge a sensor without what the fleet shares."""
+def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int) -> Beside:
+    """Judge a sensor without what the fleet shares, with at least the memory and tails usual there."""
     table = read(path)
     _, sd = standardized(table.vectors, table.in_baseline)
     vectors = table.vectors - sd * shared[: len(table.vectors)]
-    found = assess(vectors, table.in_baseline, table.names, budget, textbooks=False)
+    found = assess(vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi)
     if found.refused is not None:
         return Beside(refused=found.refused, chances=np.ones(len(vectors)))
     p = len(table.names) - len(found.features_dropped)
     return Beside(
         refused=None,
-        phi=found.phi_pooled,
         alarms=bool(found.onsets),
-        chances=chance_so_far(found.unbroken, found.n, p, period),
+        chances=chance_so_far(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
     )
 
 
-def _after(table: TableFile) -> int:
+def _after(table: Deviations) -> int:
     healthy = np.flatnonzero(table.in_baseline)
-    return int(healthy[-1]) + 1 if healthy.size else len(table.vectors)
+    return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
 
 
 def judge_fleet(
@@ -95,24 +119,25 @@ def judge_fleet(
     alone
         Rows at which each sensor's own chart alarms.
     """
-    first = list(mapped(partial(deviations, read=read), paths))
-    names = first[0][0]
-    for path, (others, _, _) in zip(paths, first, strict=True):
-        if others != names:
+    first: list[Deviations] = list(mapped(partial(deviations, read=read), paths))
+    names = first[0].names
+    for path, table in zip(paths, first, strict=True):
+        if table.names != names:
             raise UsageError(
-                f"--fleet: {path} has the features {', '.join(others)}, {paths[0]} {', '.join(names)}; "
+                f"--fleet: {path} has the features {', '.join(table.names)}, {paths[0]} {', '.join(names)}; "
                 "sensors of a fleet have the same: choose them by --features"
             )
-    n_rows, after = max(len(z) for _, _, z in first), max(row for _, row, _ in first)
-    shared = shared_deviation(_stacked([z for _, _, z in first], n_rows))
-    period = max(len(z) - row for _, row, z in first)
-    one = partial(beside, read=read, shared=shared, budget=budget, period=max(period, 1))
+    n_rows, after = max(len(table.in_sd) for table in first), max(map(_after, first))
+    shared = shared_deviation(_stacked([table.in_sd for table in first], n_rows))
+    baselines = [_alone(table, shared) for table in first]
+    usual = Usual(phi=usual_memory(baselines), tails=usual_tails(baselines))
+    period = max(1, *(len(table.in_sd) - _after(table) for table in first))
+    one = partial(beside, read=read, shared=shared, usual=usual, budget=budget, period=period)
     found: list[Beside] = list(mapped(one, paths))
     judged = [k for k, sensor in enumerate(found) if sensor.refused is None]
     rows = raised_at(_held([found[k].chances for k in judged], n_rows), rate) if judged else []
-    phi = float(np.mean([found[k].phi for k in judged])) if judged else 0.0
     raised = {k: row for k, row in zip(judged, rows, strict=True) if row is not None}
-    causes = shared_causes(shared, len(paths), phi, after)
+    causes = shared_causes(shared, len(paths), float(usual.phi.max()), after)
     kept_back = [k for k in judged if alone[k] and k not in raised]
     explained = [k for k in kept_back if not found[k].alarms and _within(alone[k], causes)]
     return {
@@ -128,6 +153,11 @@ def judge_fleet(
         "kept_back": len(kept_back) - len(explained),
         "shared": [_told(cause, names) for cause in causes],
     }
+
+
+def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
+    """Baseline of a sensor without what all share."""
+    return np.asarray((table.in_sd - shared[: len(table.in_sd)])[table.in_baseline])
 
 
 def _within(rows: Sequence[int], causes: Sequence[Shared]) -> bool:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.stats import kstest
+from support.healthy_sequences import UNEQUAL, healthy
 
 from analysis.errors import InvalidInputError
 from analysis.statistics.design import Budget
@@ -13,6 +14,8 @@ from analysis.statistics.fleet import (
     shared_causes,
     shared_deviation,
     standardized,
+    usual_memory,
+    usual_tails,
 )
 from analysis.statistics.mewma import averages, estimated_limit
 from analysis.statistics.sequence import assess
@@ -66,6 +69,23 @@ def test_what_all_share_is_their_median_that_some_sick_ones_do_not_move():
     x[:9, 2, 0] = np.nan
     assert shared_deviation(x).tolist() == [[2.0, -1.0], [0.0, 0.0], [2.0, -1.0]]
     assert not shared_deviation(x[: FEWEST_SENSORS - 1]).any()
+
+
+def test_memory_and_tails_of_the_fleet_are_those_of_its_sensors():
+    random = np.random.default_rng(9)
+
+    def baselines(name):
+        return [healthy(name, 100, random) for _ in range(60)]
+
+    # A tenth of an SD is 1/sqrt(100); the median of 60 knows them to a fifth of it.
+    assert usual_memory(baselines("unequal memory")) == pytest.approx(UNEQUAL, abs=0.06)
+    assert usual_memory(baselines("independent")) == pytest.approx(np.zeros(P), abs=0.06)
+    normal, heavy = usual_tails(baselines("independent")), usual_tails(baselines("t5"))
+    assert normal == 1.0  # Mardia's (n - 1)/(n + 1) of normal sets is below 1
+    assert 1.5 < heavy < 3.0  # 3 of endless sets: (5 - 2)/(5 - 4); a hundred seldom hold the far ones
+    empty = np.full((40, P), np.nan)
+    assert usual_tails([empty]) == 1.0
+    assert not usual_memory([empty]).any()
 
 
 def test_a_shared_shift_is_named_with_its_rows_and_size():
