@@ -219,7 +219,7 @@ class NoveltySettings(Section):
 class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
-    decides_by: Literal["chart", "k_of_n"] = "k_of_n"
+    decides_by: Literal["chart", "k_of_n"] = "chart"
     """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
     false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
     """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
@@ -413,9 +413,9 @@ class Settings(BaseSettings):
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
-        # Keys that came later: at their defaults, what was hashed before is hashed still.
-        for key in ("decides_by", "false_alarms_per_sensor_year"):
-            if values["alarms"][key] == AlarmSettings.model_fields[key].default:
+        # Keys that came later: where they say what was done before, what was hashed before is hashed still.
+        for key, before in (("decides_by", "k_of_n"), ("false_alarms_per_sensor_year", 0.2)):
+            if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
         for key in ("holdoff_s", "watchdogs"):
