@@ -192,8 +192,9 @@ class BaselineSettings(Section):
     """Fewer valid sets give no limit, with the reason."""
     minimum_valid_shots: int = Field(default=MINIMUM_VALID_SHOTS, ge=1, le=1000)
     """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
-    approval: Literal["automatic"] = "automatic"
-    """`automatic`: nobody signed the baseline; every chart says so."""
+    approval: Literal["automatic", "by_a_person"] = "automatic"
+    """`automatic`: nobody signs the baseline, and the page says so; `by_a_person`: it is proposed until
+    somebody does (`solimon approve-baseline`). It judges from its last set on, signed or not."""
 
 
 class NoveltySettings(Section):

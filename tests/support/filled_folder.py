@@ -51,6 +51,28 @@ def depth(position: str, hour: float) -> float:
     return {"B": 0.7, "C": 0.55}.get(position, 0.0) * max(0.0, hour - 40.0) / 310.0
 
 
+def frozen_baseline(position: str, **columns: object) -> BaselineRow:
+    """Row of a baseline as the recorder freezes one."""
+    p = len(FEATURE_NAMES)
+    row = BaselineRow(
+        name=f"{position}-baseline-1",
+        position=position,
+        created_utc_ns=parse_utc("2024-01-02T00:00:00Z"),
+        first_set_index=0,
+        last_set_index=N_BASELINE - 1,
+        n_sets=N_BASELINE,
+        feature_names=list(FEATURE_NAMES),
+        mean=[0.0] * p,
+        covariance=np.eye(p).tolist(),
+        limit_f=LIMIT_F,
+        limit_paper=LIMIT_PAPER,
+        approval="automatic",
+        provenance={"set_indices": list(range(N_BASELINE)), "suspects": [], "warnings": []},
+        limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
+    )
+    return replace(row, **columns)
+
+
 class FilledFolder:
     """Adds sets as a recorder would: file first, then rows and events in one transaction."""
 
@@ -221,27 +243,6 @@ class FilledFolder:
             chart_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
             limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
         )
-
-    def baseline(self, position: str, **columns: object) -> BaselineRow:
-        """Row of a baseline as the recorder freezes one."""
-        p = len(FEATURE_NAMES)
-        row = BaselineRow(
-            name=f"{position}-baseline-1",
-            position=position,
-            created_utc_ns=self.due[N_BASELINE - 1].due_utc_ns,
-            first_set_index=0,
-            last_set_index=N_BASELINE - 1,
-            n_sets=N_BASELINE,
-            feature_names=list(FEATURE_NAMES),
-            mean=[0.0] * p,
-            covariance=np.eye(p).tolist(),
-            limit_f=LIMIT_F,
-            limit_paper=LIMIT_PAPER,
-            approval="automatic",
-            provenance={"set_indices": list(range(N_BASELINE)), "suspects": [], "warnings": []},
-            limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
-        )
-        return replace(row, **columns)
 
     def add_alarm(
         self,
