@@ -5,17 +5,19 @@ from __future__ import annotations
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.acquisition.schedule import due_hours
+from daq_service.judgement.life import Planned, name_of
 from daq_service.judgement.solitary_wave_step import Rules
 from daq_service.settings.tree import Settings
 
 HOURS_PER_DAY = 24.0
 
 
-def rules_of(position: str, settings: Settings, *, last_baseline_set: int, has_chart: bool = True) -> Rules:
+def rules_of(settings: Settings, *, baseline: Planned, position: str, has_chart: bool = True) -> Rules:
     """Collect what the configuration says of judging a transducer; see `Rules` for one without a chart."""
     return Rules(
-        baseline_name=f"{position}-baseline-1",
-        last_baseline_set=last_baseline_set,
+        baseline_name=name_of(position, baseline.number),
+        first_baseline_set=baseline.first_set,
+        last_baseline_set=baseline.last_set,
         minimum_sets=settings.baseline.minimum_sets,
         minimum_valid_shots=settings.baseline.minimum_valid_shots,
         shots_per_set=settings.schedule.shots_per_set,

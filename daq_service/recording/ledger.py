@@ -18,7 +18,7 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.assessment import Assessment, Assessor
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
@@ -69,10 +69,8 @@ class Ledger:
         rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
-        self._assessors = {
-            position: METHODS[place.method].restored(position, settings, catalogue, archive, rehearsal)
-            for position, place in settings.positions.items()
-        }
+        self._archive, self._rehearsal = archive, rehearsal
+        self._assessors = {position: self._restored(position) for position in settings.positions}
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -85,7 +83,7 @@ class Ledger:
 
     def passed(self, row: SetRow) -> None:
         """Take in the row of a set that gave not one record, as it was stored."""
-        self._assessors[row.position].nothing_taken(
+        self._assessor(row.position).nothing_taken(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
@@ -96,7 +94,20 @@ class Ledger:
 
     def reinstated(self, position: str) -> None:
         """Forget what retired a transducer: a person says that it may strike again."""
-        self._assessors[position].reinstate()
+        self._assessor(position).reinstate()
+
+    def renewed(self, position: str) -> None:
+        """Judge by what is stored from the next set on: a person has begun another baseline."""
+        self._assessors.pop(position, None)
+
+    def _restored(self, position: str) -> Assessor:
+        method = METHODS[self._settings.positions[position].method]
+        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
+
+    def _assessor(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            self._assessors[position] = self._restored(position)
+        return self._assessors[position]
 
     def n_planned(self, position: str) -> int:
         """Count the records wanted of a position in a set."""
@@ -130,7 +141,7 @@ class Ledger:
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             with self._cost.of("judge_s"):
-                assessment = self._assessors[position].judge(due, record, features)
+                assessment = self._assessor(position).judge(due, record, features)
             row = SetRow(
                 set_index=due.set_index,
                 position=position,
@@ -274,7 +285,7 @@ class Ledger:
             restrikes = sum(key.attempt > 0 for key in missed)
             assessment = Assessment()
             if tried is not None and not gone:
-                assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
+                assessment = self._assessor(position).nothing_taken(due, len(missed) - restrikes)
             row = replace(
                 self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]

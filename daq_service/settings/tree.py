@@ -192,8 +192,9 @@ class BaselineSettings(Section):
     """Fewer valid sets give no limit, with the reason."""
     minimum_valid_shots: int = Field(default=MINIMUM_VALID_SHOTS, ge=1, le=1000)
     """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
-    approval: Literal["automatic"] = "automatic"
-    """`automatic`: nobody signed the baseline; every chart says so."""
+    approval: Literal["automatic", "by_a_person"] = "automatic"
+    """`automatic`: nobody signs the baseline, and the page says so; `by_a_person`: it is proposed until
+    somebody does (`solimon approve-baseline`). It judges from its last set on, signed or not."""
 
 
 class NoveltySettings(Section):
@@ -219,7 +220,7 @@ class NoveltySettings(Section):
 class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
-    decides_by: Literal["chart", "k_of_n"] = "k_of_n"
+    decides_by: Literal["chart", "k_of_n"] = "chart"
     """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
     false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
     """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
@@ -413,9 +414,9 @@ class Settings(BaseSettings):
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
-        # Keys that came later: at their defaults, what was hashed before is hashed still.
-        for key in ("decides_by", "false_alarms_per_sensor_year"):
-            if values["alarms"][key] == AlarmSettings.model_fields[key].default:
+        # Keys that came later: where they say what was done before, what was hashed before is hashed still.
+        for key, before in (("decides_by", "k_of_n"), ("false_alarms_per_sensor_year", 0.2)):
+            if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
         for key in ("holdoff_s", "watchdogs"):

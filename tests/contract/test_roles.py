@@ -34,6 +34,8 @@ ARGUMENTS = {
     "return_to_service": ALARM,
     "retire": POSITION,
     "reinstate": POSITION,
+    "approve_baseline": POSITION,
+    "renew_baseline": {**POSITION, "note": "coupled anew"},
     "hold": {"note": "why"},
 }
 

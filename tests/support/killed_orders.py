@@ -100,6 +100,10 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=ledger.commit,
         reinstated=ledger.reinstated,
+        settings=WAVES_ONLY,
+        next_set=lambda: 1,
+        baseline=catalogue.baseline,
+        renewed=ledger.renewed,
         positions=tuple(WAVES_ONLY.positions),
     )
     history = HistoryFollower(folder, catalogue)

@@ -88,6 +88,8 @@ ORDERS: Mapping[str, Role] = {
     "release": "operator",
     "retire": "engineer",
     "reinstate": "engineer",
+    "approve_baseline": "engineer",
+    "renew_baseline": "engineer",
     "trust_clock": "engineer",
     "finish_now": "engineer",
     "stop": "engineer",

@@ -44,6 +44,8 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "hold": {"note": "hands in the rig"},
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
+    "approve_baseline": {"position": "B"},
+    "renew_baseline": {"position": "B", "note": "coupled anew"},
     "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
     "unshelve_alarm": {"alarm_id": 9},
     "take_out_of_service": {"alarm_id": 7, "reason": "sensor is being repaired"},
@@ -60,6 +62,7 @@ OPEN = {
     "held": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],
+    "baselines": {"B": "proposed"},
 }
 
 
