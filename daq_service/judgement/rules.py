@@ -24,7 +24,7 @@ def rules_of(settings: Settings, *, baseline: Planned, position: str, has_chart:
         limit=settings.novelty.limit,
         false_alarm_rate=settings.novelty.false_alarm_rate,
         run_length=run_length(settings) if has_chart else None,
-        false_alarms_per_sensor_year=settings.alarms.false_alarms_per_sensor_year,
+        false_alarms_per_sensor_year=settings.false_alarms_per_sensor_year(),
         decides_by=settings.alarms.decides_by,
         alarm=AlarmRule(k=settings.alarms.k, n=settings.alarms.n),
         hole=HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets),
@@ -39,6 +39,5 @@ def run_length(settings: Settings) -> float:
     begin_h, phases = settings.baseline.hours, settings.schedule.phases
     later = [hour for hour in due_hours(phases) if hour > begin_h]
     interval_h = (later[-1] - begin_h) / len(later) if later else phases[-1].interval_h
-    return Budget(
-        alarms_per_year=settings.alarms.false_alarms_per_sensor_year, sets_per_day=HOURS_PER_DAY / interval_h
-    ).run_length
+    budget = settings.false_alarms_per_sensor_year()
+    return Budget(alarms_per_year=budget, sets_per_day=HOURS_PER_DAY / interval_h).run_length

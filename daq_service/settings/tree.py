@@ -224,6 +224,8 @@ class AlarmSettings(Section):
     """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
     false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
     """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
+    false_alarms_per_year: float | None = Field(default=None, gt=0.0, le=3650.0)
+    """Budget of all transducers together, which share it evenly; absent: each has its own."""
     k: int = Field(default=AlarmRule().k, ge=1, le=100)
     """Outliers among the last `n` judged sets that raise the alarm."""
     n: int = Field(default=AlarmRule().n, ge=1, le=100)
@@ -410,6 +412,13 @@ class Settings(BaseSettings):
                     f"{unknown[0]!r}"
                 )
 
+    def false_alarms_per_sensor_year(self) -> float:
+        """Budget of one transducer's chart: its own, or its part of that of all."""
+        of_all = self.alarms.false_alarms_per_year
+        if of_all is None:
+            return self.alarms.false_alarms_per_sensor_year
+        return of_all / sum(place.method == SOLITARY_WAVE for place in self.positions.values())
+
     def measured(self) -> dict[str, Any]:
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
@@ -419,6 +428,8 @@ class Settings(BaseSettings):
             if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
+        if self.alarms.false_alarms_per_year is None:
+            del values["alarms"]["false_alarms_per_year"]
         for key in ("holdoff_s", "watchdogs"):
             if rig["daqmx"] is not None and rig["daqmx"][key] is None:
                 del rig["daqmx"][key]
