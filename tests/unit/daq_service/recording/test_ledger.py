@@ -98,6 +98,9 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     assert "not promised: 16 sets cannot show slow memory" in raised[0].message
     assert [row.limits.keys() for row in expected["baselines"]] == [LIMITS.keys()] * 3
     assert {row.readiness["why_not_guaranteed"][:7] for row in expected["baselines"]} == {"16 sets"}
+    assert [(row.state, row.approved_utc_ns is None) for row in expected["baselines"]] == [
+        ("approved", False)
+    ] * 3
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_index):
@@ -122,13 +125,13 @@ def renewing(line):
 def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
-        baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1},
+        baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
     )
     line.listen_every_s, line.script = 0.0, renewing(line)
     line.run()
     first, second = line.rows("baselines", "B")
     assert (first.id, first.name, first.state, first.last_set_index) == (2, "B-baseline-1", "retired", 14)
-    assert (second.id, second.name, second.state, second.n_sets) == (6, "B-baseline-2", "approved", 15)
+    assert (second.id, second.name, second.state, second.n_sets) == (6, "B-baseline-2", "proposed", 15)
     assert (second.first_set_index, second.last_set_index) == (18, 32)
     tofs = [row.tof_pp_s for row in line.rows("features", "B") if row.shot_index is None]
     assert second.mean[0] == pytest.approx(np.mean(tofs[18:33]), rel=1e-12)  # the same doubles, summed alike
@@ -138,7 +141,7 @@ def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
     assert [row.outlier for row in verdicts[15:18]] == [False, True, None], "16 by the baseline of before"
     assert verdicts[17].reason == "its baseline was retired before it was judged"
     assert {(row.baseline_id, row.outlier) for row in verdicts[33:]} == {(6, False)}
-    assert [row.state for row in line.rows("baselines", "C")] == ["approved"]
+    assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
     stopped.folder.mkdir()
     script = renewing(stopped)
