@@ -23,6 +23,7 @@ Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 Suppression = Literal["shelved", "out_of_service"]
+BaselineState = Literal["collecting", "proposed", "approved", "retired"]
 CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "stale", "lost", "absent"]
@@ -167,7 +168,10 @@ class EnvironmentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaselineRow(Row):
-    """A frozen baseline; it is never updated, a new one gets a new id."""
+    """A baseline; once frozen its numbers are never updated, a new one gets a new id.
+
+    The first one of a position has its row when it is frozen, a successor when it begins to collect.
+    """
 
     id: int | None = None
     name: str
@@ -182,7 +186,7 @@ class BaselineRow(Row):
     limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
     limit_paper: float | None = None
     limit_reason: str | None = None  # why there is no limit
-    approval: str  # "automatic" or the name of who signed
+    approval: str  # "automatic", "by_a_person" until somebody has signed, or the name of who did
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
     limits: Annotated[
         dict[str, float] | None,
@@ -192,6 +196,13 @@ class BaselineRow(Row):
         dict[str, Any] | None,
         "How far it can be trusted, and whether the chart keeps its rate",
     ] = None
+    state: Annotated[
+        BaselineState, "`collecting`, `proposed` until a person signs, `approved`, or `retired` by a person"
+    ] = "approved"
+    approved_utc_ns: int | None = None
+    retired_utc_ns: int | None = None
+    retired_by: str | None = None
+    retired_because: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

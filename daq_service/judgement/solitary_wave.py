@@ -29,6 +29,7 @@ from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
 from daq_service.judgement.confirmation import confirms, suspicion
+from daq_service.judgement.life import AUTOMATIC, Planned
 from daq_service.judgement.readiness import readiness_of
 from daq_service.judgement.rules import rules_of
 from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, alone, reinstated, step
@@ -42,10 +43,8 @@ class SolitaryWaveAssessor:
 
     Parameters
     ----------
-    last_baseline_set
-        Index of the last set that belongs to the baseline.
-    baseline_id
-        Id that this position's baseline will have.
+    baseline
+        Which sets the present baseline is made of.
     rehearsal
         Records are noise: what they say of wall and transducer is no alarm.
     has_chart
@@ -57,17 +56,16 @@ class SolitaryWaveAssessor:
         position: str,
         settings: Settings,
         *,
-        last_baseline_set: int,
-        baseline_id: int,
+        baseline: Planned,
         rehearsal: bool = False,
         has_chart: bool = True,
     ) -> None:
         self.position = position
-        self._rules = rules_of(position, settings, last_baseline_set=last_baseline_set, has_chart=has_chart)
+        self._rules = rules_of(settings, baseline=baseline, position=position, has_chart=has_chart)
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
-        self._baseline_id = baseline_id
+        self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
         self._state = State()
 
@@ -238,6 +236,7 @@ class SolitaryWaveAssessor:
             limits=dict(state.baseline.limits) or None,
             readiness=readiness_of(state, rules),
             approval=self._approval,
+            state="approved" if self._approval == AUTOMATIC else "proposed",
             provenance={
                 "set_indices": indices,
                 "sets_left_out": state.n_left_out,

@@ -36,8 +36,9 @@ class Rules:
 
     Attributes
     ----------
-    last_baseline_set
-        Index of the last set that belongs to the baseline.
+    first_baseline_set, last_baseline_set
+        Indices of the first and last set that belong to the baseline; one before them belongs to a baseline
+        that was retired meanwhile.
     minimum_sets, minimum_valid_shots
         Fewer valid sets make no baseline, fewer valid shots a poor set.
     limit
@@ -50,6 +51,7 @@ class Rules:
     """
 
     baseline_name: str
+    first_baseline_set: int
     last_baseline_set: int
     minimum_sets: int
     minimum_valid_shots: int
@@ -193,6 +195,10 @@ def step(
         Its verdict, where it was judged before: a restart reads only the last sets, and what came before them
         is in what they remember.
     """
+    if found.set_index < rules.first_baseline_set:
+        return state, Verdict(
+            reason="its baseline was retired before it was judged"
+        ) if found.n_taken else None
     poor_sets = next_poor_sets(
         state.poor_sets,
         n_valid=found.n_valid,

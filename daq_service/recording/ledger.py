@@ -18,7 +18,7 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.assessment import Assessment, Assessor
 from daq_service.judgement.confirmation import confirmed, no_room
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
@@ -74,10 +74,8 @@ class Ledger:
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
         self.confirmations = Confirmations(settings, catalogue)
-        self._assessors = {
-            position: METHODS[place.method].restored(position, settings, catalogue, archive, rehearsal)
-            for position, place in settings.positions.items()
-        }
+        self._archive, self._rehearsal = archive, rehearsal
+        self._assessors = {position: self._restored(position) for position in settings.positions}
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -90,7 +88,7 @@ class Ledger:
 
     def passed(self, row: SetRow) -> None:
         """Take in the row of a set that gave not one record, as it was stored."""
-        self._assessors[row.position].nothing_taken(
+        self._assessor(row.position).nothing_taken(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
@@ -101,7 +99,20 @@ class Ledger:
 
     def reinstated(self, position: str) -> None:
         """Forget what retired a transducer: a person says that it may strike again."""
-        self._assessors[position].reinstate()
+        self._assessor(position).reinstate()
+
+    def renewed(self, position: str) -> None:
+        """Judge by what is stored from the next set on: a person has begun another baseline."""
+        self._assessors.pop(position, None)
+
+    def _restored(self, position: str) -> Assessor:
+        method = METHODS[self._settings.positions[position].method]
+        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
+
+    def _assessor(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            self._assessors[position] = self._restored(position)
+        return self._assessors[position]
 
     def n_planned(self, position: str) -> int:
         """Count the records wanted of a position in a set."""
@@ -137,7 +148,7 @@ class Ledger:
                 transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
-            assessor = self._assessors[position]
+            assessor = self._assessor(position)
             with self._cost.of("judge_s"):
                 judge = assessor.judge if due.position is None else assessor.judge_beside
                 assessment = judge(due, record, features)
@@ -196,7 +207,7 @@ class Ledger:
         ValueError
             It cannot be taken, and why.
         """
-        if self._assessors[position].awaits_baseline:
+        if self._assessor(position).awaits_baseline:
             raise ValueError(
                 f"{position} has no baseline yet to compare a set with; wait until it is recorded"
             )
@@ -330,7 +341,7 @@ class Ledger:
             restrikes = sum(key.attempt > 0 for key in missed)
             assessment = Assessment()
             if tried is not None and not gone and due.position is None:
-                assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
+                assessment = self._assessor(position).nothing_taken(due, len(missed) - restrikes)
             row = replace(
                 self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]

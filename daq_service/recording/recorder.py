@@ -145,6 +145,7 @@ class Recorder:
         sequences = [item.sequence for opened in self._open.values() for item in opened.records]
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
+        self._next_set = 0
         drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
@@ -155,6 +156,10 @@ class Recorder:
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
             confirmation=self._order_confirmation,
+            settings=settings,
+            next_set=lambda: self._next_set,
+            baseline=catalogue.baseline,
+            renewed=self._ledger.renewed,
             positions=settings.names_of(SOLITARY_WAVE),
             supply=drive if drive is not None and drive.has_supply else None,
         )
@@ -182,6 +187,7 @@ class Recorder:
                 self._newest = due
                 continue
             self._confirm(before=due)
+            self._next_set = due.set_index + (due.set_index in self._open or due.set_index in self._orphans)
             if not (self._adopt(due) or self._miss(due, absences)):
                 self._take_when_due(due)
             self._newest = due
@@ -246,6 +252,8 @@ class Recorder:
             self._gap(due, f"the memory for what waits is full: {self._kept.trouble.message}")
             return
         self._begin(f"taking {_named(due)}")
+        if due.position is None:
+            self._next_set = due.set_index + 1
         taken = self._begun(due)
         self._take(due, taken)
         if self._stays_open(taken):

@@ -35,6 +35,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
 )
 from daq_service.judgement.confirmation import CONFIRMATION_ASKED
+from daq_service.judgement.life import STEPS
 from daq_service.judgement.results import differing, results_of
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
@@ -175,6 +176,9 @@ class _Replay:
             self._take_alarm(event)
             if event.topic == "annotations":
                 self._catalogue.restore([_told_with_id(AnnotationRow, event, "annotation_id")])
+            if event.kind in STEPS:
+                self._catalogue.restore([_told_with_id(BaselineRow, event, "id")])
+                self._ledger.renewed(str(event.position))
             retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
             if retired and event.position in self._settings.positions:
                 self._ledger.reinstated(event.position)

@@ -35,6 +35,8 @@ ARGUMENTS = {
     "confirm": POSITION,
     "retire": POSITION,
     "reinstate": POSITION,
+    "approve_baseline": POSITION,
+    "renew_baseline": {**POSITION, "note": "coupled anew"},
     "hold": {"note": "why"},
 }
 

@@ -102,6 +102,10 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         store=ledger.commit,
         reinstated=ledger.reinstated,
         confirmation=lambda position, author, because: Transaction(),
+        settings=WAVES_ONLY,
+        next_set=lambda: 1,
+        baseline=catalogue.baseline,
+        renewed=ledger.renewed,
         positions=tuple(WAVES_ONLY.positions),
     )
     history = HistoryFollower(folder, catalogue)

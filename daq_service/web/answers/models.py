@@ -124,7 +124,11 @@ class VerdictRow(Answer):
 
 @_of_row(rows.BaselineRow)
 class BaselineRow(Answer):
-    """A frozen baseline."""
+    """A baseline."""
+
+    temperature_c: list[float] | None = Field(
+        description="Least and greatest temperature around its sets; null: none was measured"
+    )
 
 
 class AlarmRule(Answer):

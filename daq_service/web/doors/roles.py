@@ -89,6 +89,8 @@ ORDERS: Mapping[str, Role] = {
     "confirm": "operator",
     "retire": "engineer",
     "reinstate": "engineer",
+    "approve_baseline": "engineer",
+    "renew_baseline": "engineer",
     "trust_clock": "engineer",
     "finish_now": "engineer",
     "stop": "engineer",

@@ -45,6 +45,8 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
     "confirm": {"position": "B"},
+    "approve_baseline": {"position": "B"},
+    "renew_baseline": {"position": "B", "note": "coupled anew"},
     "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
     "unshelve_alarm": {"alarm_id": 9},
     "take_out_of_service": {"alarm_id": 7, "reason": "sensor is being repaired"},
@@ -61,6 +63,7 @@ OPEN = {
     "held": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],
+    "baselines": {"B": "proposed"},
 }
 
 

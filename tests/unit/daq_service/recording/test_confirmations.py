@@ -21,7 +21,7 @@ def settings(schedule=None, baseline=None, **alarms):
     return memory_settings(
         schedule=schedule or {"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
         baseline={"hours": 8.0, "minimum_sets": 15} | (baseline or {}),
-        alarms=alarms,
+        alarms={"decides_by": "k_of_n"} | alarms,
     )
 
 
