@@ -8,7 +8,7 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import Line, healthy, memory_settings
 
 from daq_service.catalogue.rows import CommandRow, FeatureRow, SetRow, VerdictRow
-from daq_service.judgement.confirmation import confirmation_of
+from daq_service.judgement.confirmation import ALARM, STEP, confirmation_of
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 
 SETS, FIRST = 22, 17
@@ -98,6 +98,11 @@ def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
     assert [told["set_index"] for told in proven] == [AFTER_FIRST, AFTER_THIRD]
     assert the_alarm(whole).proof["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
+
+
+def test_a_transducer_that_stays_sick_is_not_asked_every_set(whole):
+    asked = [row.payload["because"] for row in whole.rows("events") if row.kind == "confirmation_asked"]
+    assert asked == [STEP, ALARM]
 
 
 def test_a_single_odd_set_is_not_confirmed(line):
