@@ -614,6 +614,24 @@ def features(**options: Any) -> None:
     run_features(**options)
 
 
+@cli.command()
+@click.argument("data_dir", type=FOLDER)
+@click.option(
+    "--set",
+    "given",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Judge by this setting instead, for example alarms.decides_by=chart; may be given several times.",
+)
+@click.option("--extract", is_flag=True, help="Extract the features from the waveforms again first.")
+@JSON
+def replay(**options: Any) -> None:
+    """Judge a stored test again, with other settings or another version, and list what changes."""
+    from daq_service.cli.offline.evidence.replay import run_replay
+
+    run_replay(**options)
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:
