@@ -615,6 +615,19 @@ def features(**options: Any) -> None:
 
 
 @cli.command()
+@click.argument("alarm_id", metavar="ALARM", type=click.IntRange(min=1))
+@FOLDER_ALONE
+@click.option("--out", type=FOLDER, help="Folder for page and JSON; default: a new one here.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@JSON
+def explain(**options: Any) -> None:
+    """Recompute an alarm from the stored records and write why it stands: a page with pictures, and JSON."""
+    from daq_service.cli.offline.evidence.explain import run_explain
+
+    run_explain(**options)
+
+
+@cli.command()
 @click.argument("data_dir", type=FOLDER)
 @click.option(
     "--set",

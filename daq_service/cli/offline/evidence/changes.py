@@ -148,7 +148,9 @@ def differences(
         columns: dict[tuple[str, str], list[tuple[int, Any, Any]]] = {}
         for key in sorted({*old, *new}):
             set_index, _ = old.get(key) or new[key]
-            for name, left, right in _differing(old.get(key, (0, None))[1], new.get(key, (0, None))[1]):
+            for name, left, right in differing_columns(
+                old.get(key, (0, None))[1], new.get(key, (0, None))[1]
+            ):
                 if name.partition(".")[0] in known or name == "row":
                     columns.setdefault((key[0], name), []).append((set_index, left, right))
         found += [
@@ -184,9 +186,10 @@ def _rows(
     return found
 
 
-def _differing(
+def differing_columns(
     stored: Mapping[str, Any] | None, again: Mapping[str, Any] | None
 ) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name and both values of each column that differs; ``row`` where only one of them is there."""
     if stored is None or again is None:
         there = [None if row is None else "there" for row in (stored, again)]
         yield "row", there[0], there[1]

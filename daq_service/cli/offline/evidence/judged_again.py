@@ -15,6 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import click
+
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
@@ -201,3 +203,8 @@ class _Again:
             self._ledger.commit(transaction)
         if event.kind == "alarm_reset" and kind in RETIRING and event.position in self._settings.positions:
             self._ledger.reinstated(event.position)
+
+
+def told_progress(done: int, total: int) -> None:
+    """Tell on standard error how far it is."""
+    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)

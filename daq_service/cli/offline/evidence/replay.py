@@ -32,6 +32,7 @@ from daq_service.cli.offline.evidence.judged_again import (
     extracted_features,
     judge_again,
     stored_features,
+    told_progress,
 )
 from daq_service.cli.offline.evidence.other_settings import changed, parsed
 from daq_service.errors import UsageError
@@ -59,11 +60,11 @@ class Replayed:
 
 def run_replay(*, data_dir: Path, given: tuple[str, ...], extract: bool, as_json: bool) -> None:
     """Judge a stored test again and print what changed; the folder is only read."""
-    found = replayed(data_dir, given, extract=extract, progress=_progress)
+    found = replayed(data_dir, given, extract=extract, progress=told_progress)
     if as_json:
         click.echo(json.dumps(asdict(found)))
         return
-    for line in _lines(found):
+    for line in in_words(found):
         click.echo(line)
 
 
@@ -126,7 +127,8 @@ def _one_extractor(versions: Iterable[str]) -> str:
     return found[0] if found else EXTRACTOR_VERSION
 
 
-def _lines(found: Replayed) -> Iterable[str]:
+def in_words(found: Replayed) -> Iterable[str]:
+    """Say it in lines."""
     source = "from the waveforms" if found.extracted else "as stored"
     told = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
     yield f"{found.experiment}: {found.sets} sets judged again with {told or 'the same settings'}"
@@ -167,7 +169,3 @@ def _where(onset: Onset) -> str:
 
 def _short(value: float | None) -> str:
     return "none" if value is None else f"{value:.6g}"
-
-
-def _progress(done: int, total: int) -> None:
-    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
