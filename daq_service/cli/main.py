@@ -629,6 +629,37 @@ def features(**options: Any) -> None:
     run_features(**options)
 
 
+@cli.command()
+@click.argument("alarm_id", metavar="ALARM", type=click.IntRange(min=1))
+@FOLDER_ALONE
+@click.option("--out", type=FOLDER, help="Folder for page and JSON; default: a new one here.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@JSON
+def explain(**options: Any) -> None:
+    """Recompute an alarm from the stored records and write why it stands: a page with pictures, and JSON."""
+    from daq_service.cli.offline.evidence.explain import run_explain
+
+    run_explain(**options)
+
+
+@cli.command()
+@click.argument("data_dir", type=FOLDER)
+@click.option(
+    "--set",
+    "given",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Judge by this setting instead, for example alarms.decides_by=chart; may be given several times.",
+)
+@click.option("--extract", is_flag=True, help="Extract the features from the waveforms again first.")
+@JSON
+def replay(**options: Any) -> None:
+    """Judge a stored test again, with other settings or another version, and list what changes."""
+    from daq_service.cli.offline.evidence.replay import run_replay
+
+    run_replay(**options)
+
+
 def main() -> None:
     """Entry point: errors of the tree become one line and their exit code."""
     try:

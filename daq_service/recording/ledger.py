@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 
 from analysis.waves.features import ShotFeatures
@@ -86,12 +86,13 @@ class Ledger:
                 settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
             )
 
-    def passed(self, row: SetRow) -> None:
-        """Take in the row of a set that gave not one record, as it was stored."""
-        self._assessor(row.position).nothing_taken(
+    def passed(self, row: SetRow) -> Sequence[Condition]:
+        """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
+        assessment = self._assessor(row.position).nothing_taken(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
+        return assessment.conditions
 
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""

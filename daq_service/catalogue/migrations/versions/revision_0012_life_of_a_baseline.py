@@ -5,6 +5,8 @@ Those of an earlier version were approved automatically as they were frozen.
 
 from __future__ import annotations
 
+from typing import Any
+
 import sqlalchemy as sa
 from alembic import op
 
@@ -13,7 +15,7 @@ down_revision = "0009"
 branch_labels = None
 depends_on = None
 
-ADDED = {
+ADDED: dict[str, sa.types.TypeEngine[Any]] = {
     "approved_utc_ns": sa.BigInteger(),
     "retired_utc_ns": sa.BigInteger(),
     "retired_by": sa.String(),
