@@ -18,8 +18,7 @@ from typing import Any
 import click
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
+from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
 from daq_service.alarms.states import (
     AFTER_ACKNOWLEDGEMENT,
     RETIRING,
@@ -36,6 +35,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -157,8 +157,9 @@ class _Again:
 
     @staticmethod
     def _is_set(event: EventRow, up_to_set: int | None) -> bool:
-        wanted = up_to_set is None or (event.set_index is not None and event.set_index <= up_to_set)
-        return event.topic == "sets" and event.set_index is not None and wanted
+        if event.topic != "sets" or event.set_index is None:
+            return False
+        return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
 
     def _take_set(self, set_index: int) -> None:
         rows = self._stored.rows(SetRow, set_index=set_index)
@@ -167,14 +168,15 @@ class _Again:
             self._take_empty(rows)
             return
         record = self._read_set(SetReference(file))
-        due = DueSet(set_index=set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
-        self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
+        due = due_of(record)
+        if due.position in (None, *self._settings.positions):
+            self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
 
     def _take_empty(self, rows: list[SetRow]) -> None:
         """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
         self._ledger.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
-            if row.state != "retired" and row.n_missed:
+            if row.purpose is None and row.state != "retired" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
                 for condition in self._ledger.passed(row):
