@@ -35,7 +35,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import in_order
+from hardware_drivers.measurement import PLANNED_SETS, in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -153,7 +153,7 @@ class _Again:
                 progress(len(done), total)
                 if event.set_index == up_to_set:
                     break
-        return done
+        return {index for index in done if index < PLANNED_SETS}
 
     @staticmethod
     def _is_set(event: EventRow, up_to_set: int | None) -> bool:
