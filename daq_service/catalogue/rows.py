@@ -321,7 +321,7 @@ class CommandRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CountsRow(Row):
-    """Sizes of the experiment so far, kept up with every commit, so that nobody counts; there is one row."""
+    """Sizes of the plan's part so far, kept up with every commit, so that nobody counts; there is one row."""
 
     id: int = 1
     sets: int = 0  # due times with at least one record

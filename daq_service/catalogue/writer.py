@@ -13,7 +13,7 @@ from sqlalchemy import Connection, func, insert, select, update
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.pyramid import last_sets, touched_sets, update_trends
-from daq_service.catalogue.reader import Catalogue, due_time_counts, made, stored_command
+from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, made, stored_command
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -33,6 +33,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.sealed import checked_rows, numbered, storable
 from daq_service.catalogue.tables import commands, counts, events, experiment, sets, shots, table_of, verdicts
+from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
@@ -244,7 +245,7 @@ class RecorderCatalogue(Catalogue):
         echoes = select(sets.c.position).where(sets.c.method == PULSE_ECHO)
         with self._writing("counting") as connection:
             numbers = {
-                "shots": select(func.count()).where(shots.c.position.not_in(echoes)),
+                "shots": select(func.count()).where(shots.c.position.not_in(echoes), in_plan(shots)),
                 "pulse_echo_records": select(func.count()).where(shots.c.position.in_(echoes)),
                 "events": select(func.count()).select_from(events),
             }
@@ -324,9 +325,10 @@ def _count(
 ) -> None:
     """Carry the counts over a commit; a shot comes with the row of its set."""
     echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
-    n_echoes = sum(row.position in echoes for row in commit.shots)
+    of_plan = [row for row in commit.shots if row.set_index < PLANNED_SETS]
+    n_echoes = sum(row.position in echoes for row in of_plan)
     added = {name: after[name] - before[name] for name in after} | {
-        "shots": len(commit.shots) - n_echoes,
+        "shots": len(of_plan) - n_echoes,
         "pulse_echo_records": n_echoes,
         "events": len(commit.events),
     }
