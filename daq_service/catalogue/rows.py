@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+from hardware_drivers.measurement import Purpose
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
@@ -50,7 +51,7 @@ class ExperimentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetRow(Row):
-    """One planned set of one position; partial: what was taken is stored, missed: nothing was."""
+    """One set of one position; partial: what was taken is stored, missed: nothing was."""
 
     id: int | None = None
     set_index: int
@@ -69,6 +70,9 @@ class SetRow(Row):
     n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
     file: str | None = None  # relative to the data folder
     file_sha256: Annotated[str | None, "Of the file, once it is made"] = None
+    purpose: Annotated[
+        Purpose | None, "`confirmation`: beside the plan, outside chart and baseline; null: planned"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,6 +233,11 @@ class VerdictRow(Row):
     ] = None
     averages: Annotated[
         dict[str, list[float]] | None, "Exponentially weighted vector behind each chart; null: not judged"
+    ] = None
+    confirms: Annotated[
+        bool | None,
+        "Of a confirmation set: it lies where the planned sets before it do, not where the baseline does; "
+        "null: it cannot tell, or the set is a planned one",
     ] = None
 
 

@@ -26,6 +26,7 @@ from daq_service.catalogue.rows import (
 from daq_service.judgement.life import planned
 from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import in_order
 
 LOOK_BACK_SETS = (64, 1024, None)
 """How many sets a restart reads; as a rule the first look tells all that a recorder would remember."""
@@ -86,7 +87,10 @@ def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
     if not resets:
         return 0
     first = catalogue.rows(EventRow, topic="sets", position=position, after_id=resets[-1], limit=1)
-    return NEVER if not first or first[0].set_index is None else first[0].set_index
+    if not first or first[0].set_index is None:
+        return NEVER
+    index, beside = in_order(first[0].set_index)
+    return index + 1 if beside else index
 
 
 def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:

@@ -12,6 +12,7 @@ from daq_service.orders.baselines import ApproveBaseline, RenewBaseline
 from daq_service.orders.kinds import (
     AcknowledgeAlarm,
     Annotate,
+    Confirm,
     FinishNow,
     Hold,
     Order,
@@ -35,6 +36,7 @@ AnyOrder = Annotated[
     | TrustClock
     | Retire
     | Reinstate
+    | Confirm
     | SupplyOn
     | SupplyOff
     | Annotate

@@ -496,6 +496,28 @@ class Reinstate(TransducerOrder):
         return f"{position} strikes again from the next set"
 
 
+class Confirm(TransducerOrder):
+    """Strike a confirmation set beside the plan, outside chart and baseline."""
+
+    kind: Literal["confirm"]
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.held:
+            reason = f"the test is on hold: {facts.held}"
+            return Refusal(reason, "Release it when nobody's hands are in the rig any more.")
+        return super()._forbidden(facts)
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is retired", "Reinstate it when it is put right."
+        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position = self.arguments.position
+        because = self.arguments.note or f"{self.author} wants to know"
+        test.store(test.confirmation(position, self.author, because))
+        return f"a confirmation set is struck at {position} as soon as the line is free"
+
+
 class _SupplyOrder(Order):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         if facts.has_supply:

@@ -86,6 +86,8 @@ class RunningTest(StoredTest):
     ----------
     reinstated
         Called with a position that may strike again.
+    confirmation
+        Makes what asks for a confirmation set, of position, author and reason; a refusal is a ValueError.
     positions
         The solitary-wave transducers.
     supply
@@ -103,6 +105,7 @@ class RunningTest(StoredTest):
     clock: Clock
     stop: threading.Event
     reinstated: Callable[[str], None]
+    confirmation: Callable[[str, str, str], Transaction]
     positions: Sequence[str]
     settings: Settings
     next_set: Callable[[], int]

@@ -236,6 +236,8 @@ class AlarmSettings(Section):
     """Such sets in a row that retire the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+    confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
+    """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
 
@@ -424,7 +426,11 @@ class Settings(BaseSettings):
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
         # Keys that came later: where they say what was done before, what was hashed before is hashed still.
-        for key, before in (("decides_by", "k_of_n"), ("false_alarms_per_sensor_year", 0.2)):
+        for key, before in (
+            ("decides_by", "k_of_n"),
+            ("false_alarms_per_sensor_year", 0.2),
+            ("confirmation_sets_a_day", AlarmSettings.model_fields["confirmation_sets_a_day"].default),
+        ):
             if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 WORDS: Mapping[str, str] = {
     # Where and when.
     "position": "Monitored place, as the configuration names it",
-    "set_index": "Running number of the planned set, from 0",
+    "set_index": "Running number of the planned set, from 0; beside the plan n times 10,000,000 more",
     "shot_index": "Running number of the shot in its set, from 0; null: the set as a whole",
     "sequence": "Number of the record in the order in which records were taken",
     "attempt": "Which strike for this shot, from 0: the quality gate repeats some",
@@ -229,7 +229,7 @@ WORDS: Mapping[str, str] = {
     **{
         f"{order}.{name}": told
         for order in (
-            *("AcknowledgeAlarm", "FinishNow", "Hold", "Reinstate", "Release"),
+            *("AcknowledgeAlarm", "Confirm", "FinishNow", "Hold", "Reinstate", "Release"),
             *("ApproveBaseline", "RenewBaseline", "Retire", "Stop", "SupplyOff", "SupplyOn", "TrustClock"),
             *("Annotate", "WithdrawAnnotation", "ShelveAlarm", "UnshelveAlarm"),
             *("TakeOutOfService", "ReturnToService"),

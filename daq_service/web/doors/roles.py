@@ -86,6 +86,7 @@ ORDERS: Mapping[str, Role] = {
     "withdraw_annotation": "operator",
     "hold": "operator",
     "release": "operator",
+    "confirm": "operator",
     "retire": "engineer",
     "reinstate": "engineer",
     "approve_baseline": "engineer",

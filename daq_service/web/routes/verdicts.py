@@ -12,7 +12,7 @@ from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, VerdictRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import BaselineList, VerdictPage, problems
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.listing import HOURS, POSITION, SET_INDEX, PositionFilter, add_listing
+from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, PositionFilter, add_listing
 from daq_service.web.tables.quality import judged_qualities
 
 router = APIRouter(tags=["verdicts"])
@@ -31,7 +31,7 @@ add_listing(
     VerdictRow,
     VerdictPage,
     "List verdicts with the quality of the feature that was judged.",
-    POSITION | SET_INDEX | HOURS,
+    POSITION | SET_INDEX | HOURS | PURPOSE,
     with_quality,
 )
 

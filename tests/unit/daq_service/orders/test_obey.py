@@ -10,12 +10,14 @@ import pytest
 from support.begun_experiment import begun_catalogue
 from support.filled_folder import frozen_baseline
 
+from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow, EventRow
 from daq_service.clock import SimulatedClock, WallClock
+from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
 from daq_service.recording.cost import Cost
@@ -57,6 +59,12 @@ class Bench:
         self.next_set = 10
         self.restart()
 
+    def confirmation(self, position: str, author: str, because: str) -> Transaction:
+        """What the recorder would store, if the ledger allows it."""
+        after = DueSet(set_index=0, due_h=0.5, due_utc_ns=round(0.5 * NS_PER_H))
+        moment = Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None)
+        return self.ledger.order_confirmation(after, position, author, because, moment)
+
     def restart(self, *, begin: bool = True) -> None:
         """What a new recorder process finds."""
         rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
@@ -69,6 +77,7 @@ class Bench:
             annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
             reinstated=self.ledger.reinstated,
+            confirmation=self.confirmation,
             settings=Settings(),
             next_set=lambda: self.next_set,
             baseline=self.catalogue.baseline,
@@ -356,6 +365,7 @@ def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench:
 def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
     assert bench.obey("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.obey("confirm", position="B") == ("refused", "B is retired")
     assert bench.obey("retire", position="B") == ("refused", "B is retired already")
     bench.restart()
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}

@@ -10,6 +10,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.taken_set import due_of as due_of_record
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
@@ -17,7 +18,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
-from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.measurement import PLANNED_SETS, ShotKey, Waveform, in_order
 from simulator.echo.pulse import echo_calibration, echo_volts
 from simulator.electronics.transduction import counts_of
 from simulator.parameters.echo import EchoParameters
@@ -78,7 +79,8 @@ def due_of(line, index):
 
 def judge(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
-    ledger.commit(ledger.judged(due_of(line, record.set_index), record, file, features))
+    due = due_of_record(record) if record.set_index >= PLANNED_SETS else due_of(line, record.set_index)
+    ledger.commit(ledger.judged(due, record, file, features))
 
 
 def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
@@ -88,7 +90,9 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
         alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
     )
     wall = {"B": 0.01, "C": 0.0, "D": 0.1}
-    line.script = lambda key: healthy(key, shift=wall.get(key.position, 0.0) * max(0, key.set_index - 15))
+    line.script = lambda key: healthy(
+        key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
+    )
     line.run()
     expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
     raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
@@ -103,7 +107,7 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     ] * 3
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
-    for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_index):
+    for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
         with ledger_of(again) as ledger:  # a new one for every set
             judge(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
