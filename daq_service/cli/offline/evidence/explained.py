@@ -187,7 +187,7 @@ def _recomputed(
             again,
             folder,
             settings,
-            partial(extracted_features, settings),
+            lambda record: extracted_features(settings.rig.dry_run, record.shots),
             up_to_set=up_to_set,
             read_set=read_set,
             progress=progress,

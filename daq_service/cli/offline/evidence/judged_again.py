@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -36,6 +36,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import Shot
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -71,10 +72,10 @@ def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFe
     return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
 
 
-def extracted_features(settings: Settings, record: SetRecord) -> dict[int, ShotFeatures]:
+def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
     """Extract the features of a set's shots from their waveforms, as the recorder does."""
-    extract = features_of_a_rehearsal if settings.rig.dry_run else features_of
-    return {shot.sequence: extract(shot) for shot in record.shots}
+    extract = features_of_a_rehearsal if rehearsal else features_of
+    return {shot.sequence: extract(shot) for shot in shots}
 
 
 def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
