@@ -36,8 +36,9 @@ class Rules:
 
     Attributes
     ----------
-    last_baseline_set
-        Index of the last set that belongs to the baseline.
+    first_baseline_set, last_baseline_set
+        Indices of the first and last set that belong to the baseline; one before them belongs to a baseline
+        that was retired meanwhile.
     minimum_sets, minimum_valid_shots
         Fewer valid sets make no baseline, fewer valid shots a poor set.
     limit
@@ -50,6 +51,7 @@ class Rules:
     """
 
     baseline_name: str
+    first_baseline_set: int
     last_baseline_set: int
     minimum_sets: int
     minimum_valid_shots: int
@@ -97,6 +99,14 @@ class SetOfShots:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedSet:
+    """A planned set behind the baseline: its five features, and whether it lies beyond the limit."""
+
+    vector: tuple[float, ...]
+    outlier: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrozenBaseline:
     """The closed baseline with its limits.
 
@@ -134,6 +144,8 @@ class State:
         What the charts remember; None: they have not begun, or there are none.
     poor_sets
         Sets running with too few valid shots.
+    judged
+        The last judged sets, as many as ``alarm`` remembers: a confirmation set is compared with them.
     """
 
     healthy: tuple[SetOfShots, ...] = ()
@@ -143,6 +155,7 @@ class State:
     memory: Memory | None = None
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
+    judged: tuple[JudgedSet, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +195,10 @@ def step(
         Its verdict, where it was judged before: a restart reads only the last sets, and what came before them
         is in what they remember.
     """
+    if found.set_index < rules.first_baseline_set:
+        return state, Verdict(
+            reason="its baseline was retired before it was judged"
+        ) if found.n_taken else None
     poor_sets = next_poor_sets(
         state.poor_sets,
         n_valid=found.n_valid,
@@ -209,6 +226,10 @@ def step(
         )
     assert state.baseline is not None, "it closes at the first set after it"
     verdict = stored or _judged(found, state, state.baseline, rules)
+    vector = found.vector()
+    if verdict.outlier is not None and vector is not None:
+        last = JudgedSet(vector=vector, outlier=verdict.outlier)
+        state = replace(state, judged=(*state.judged, last)[-rules.alarm.n :])
     return replace(
         state,
         alarm=next_alarm_state(state.alarm, verdict.outlier, rules.alarm),
@@ -274,6 +295,11 @@ def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Ru
         statistics=statistics,
         memory=memory,
     )
+
+
+def alone(found: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> Verdict:
+    """Judge a set by its own distance; no chart takes it in."""
+    return _judged(found, State(baseline=baseline), baseline, rules)
 
 
 def beyond(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:

@@ -44,7 +44,7 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
-from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform
+from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform, in_order
 from support.empty_catalogue import empty_catalogue
 from support.memory_archive import MemoryArchive, Shelf
 
@@ -140,7 +140,7 @@ class ScriptedInstruments:
             raise AcquisitionTimeoutError(f"no trigger at {key.position}")
         if isinstance(told, Waveform):
             return told
-        counts = [ord(key.position[0]), key.set_index, key.shot_index, key.attempt]
+        counts = [ord(key.position[0]), *in_order(key.set_index), key.shot_index, key.attempt]
         return Waveform(
             counts=np.array(counts, dtype=np.int16),
             sample_rate_hz=1e7,

@@ -182,7 +182,7 @@ def _recomputed(
     read_set = partial(_records_at, position, archive)
     with ExitStack() as stack:
         again = stack.enter_context(catalogue_beside(stored.experiment_row()))
-        judged = judge_again(
+        judge_again(
             stored,
             again,
             folder,
@@ -204,7 +204,7 @@ def _recomputed(
         if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
             pulses = pulses_of(again, read_set, baseline, position, up_to_set)
         return Recomputed(
-            n_sets=len(judged),
+            n_sets=len({shot.set_index for shot in shots}),
             n_records=len(shots),
             raised=raised,
             differences=found,

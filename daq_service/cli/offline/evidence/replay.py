@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.archive import FolderSetReader, SetReference
+from daq_service.archive import FolderSetReader
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.cli.offline.evidence.ahead import ExtractedAhead
@@ -38,6 +38,7 @@ from daq_service.cli.offline.evidence.other_settings import changed, parsed
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import refuse_other_folders
 from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
+from hardware_drivers.measurement import in_order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,15 +121,17 @@ def replayed(
         else:
             extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
             executor = stack.enter_context(opened_executor(name, workers))
+            archive = FolderSetReader(folder)
+            files = archive.sets()
             ahead = ExtractedAhead(
                 executor=executor,
                 workers=workers_of(executor, workers),
                 rehearsal=settings.rig.dry_run,
-                read=FolderSetReader(folder).read_set,
-                references=iter([SetReference(file) for file in stored.files_but_of(()).values()]),
+                read=archive.read_set,
+                references=iter([files[index] for index in sorted(files, key=in_order)]),
             )
             sets = judge(ahead.features, read_set=ahead.read_set)
-        last = max(sets, default=None)
+        last = max(sets, key=in_order, default=None)
         return Replayed(
             experiment=experiment.name,
             changed={".".join(path): value for path, value in settings_given.items()},

@@ -71,4 +71,4 @@ def test_a_cluster_and_processes_have_the_same_digits_and_a_worker_may_be_killed
     assert told["died"]
     assert told["done"] == list(range(6))
     assert told["sweep"]["cluster"] == told["sweep"]["threads"]
-    assert told["replay"] == [{"sets": 25, "differences": [], "kept": 2}] * 2
+    assert told["replay"] == [{"sets": 27, "differences": [], "kept": 2}] * 2

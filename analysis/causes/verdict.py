@@ -1,0 +1,319 @@
+"""Is it the wall? What each set says of its transducer, and how sure that is.
+
+Averages of the logarithms of seven features, of three lengths, are remembered. A cause is a direction (or a
+curve) in the features and a course in time: a wall grows, a re-seat is there from one set to the next. Each
+cause is judged by the likelihood of the three averages together, beside that of a healthy transducer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from analysis.causes.hypotheses import COUPLING, OK, PRIOR, Hypothesis, hypotheses
+from analysis.causes.slopes import COMPONENTS
+from analysis.errors import InvalidInputError
+from analysis.statistics.chart import Chart, designed
+from analysis.statistics.design import next_alarming, parts_of
+from analysis.statistics.memory import innovation
+from analysis.statistics.mewma import WEIGHT
+from analysis.waves.record_reduction import FloatArray
+
+CANNOT_TELL = "cannot tell"
+STATED = 0.9
+"""Least probability of a cause that is named."""
+RATES = (0.5, 0.1, 0.02)
+"""Weights of the averages: the last sets, those of half a day, those of two days at one an hour."""
+STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
+"""Sets since a step. Finely, or a gross step between two of them would fit a growth better."""
+GROWTHS = np.round(np.geomspace(16.0, 512.0, 8))
+"""Sets since a growth began: no wall is lost in half a day of sets."""
+POWERS = (1.0, 2.0)
+"""Of a growth in time: even, or ever faster, as the time of flight over an even loss of wall."""
+BLOCKS = 10
+FEWEST_AVERAGED, MOST_AVERAGED = 10, 250
+"""Sets: the three averages of one or two are copies of each other, and further ones change nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CauseDesign:
+    """What a frozen baseline gives to tell causes by.
+
+    Attributes
+    ----------
+    chart
+        Of the seven logarithms: it says when there is something to explain.
+    whitening
+        Turns a change of the logarithms, shape (7,), into one with covariance 1: row @ whitening.
+    phi
+        Memory from set to set, of all components together.
+    slow_variance
+        Of the difference between the baseline's mean and the transducer's slow mean, in units of a set's.
+    rows
+        Which hypotheses stand for a cause.
+    weights
+        Of each hypothesis with each course in time, beforehand; shape (h, s).
+    means, variances, directions
+        The hypotheses in whitened coordinates: shapes (h, 7), (h, 7), (h, 7, 7), the last two an
+        eigendecomposition of their covariances.
+    """
+
+    chart: Chart
+    whitening: FloatArray
+    phi: float
+    slow_variance: float
+    rows: Mapping[str, list[int]]
+    weights: FloatArray
+    means: FloatArray
+    variances: FloatArray
+    directions: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recollection:
+    """What the next set is judged with beside the design.
+
+    Attributes
+    ----------
+    index, logs
+        Of the last complete set.
+    n
+        Sets judged so far.
+    charted
+        Average of the chart, shape (7,).
+    changes
+        Averages of the change from the baseline's mean, one for each of `RATES`.
+    """
+
+    index: int
+    logs: tuple[float, ...]
+    n: int
+    charted: tuple[float, ...]
+    changes: tuple[tuple[float, ...], ...]
+    alarming: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CauseVerdict:
+    """What a set says.
+
+    Attributes
+    ----------
+    cause
+        `OK`, one of `hypotheses.CAUSES`, or `CANNOT_TELL`.
+    probability
+        Of that cause; where it cannot be told, that of the likeliest one, `OK` included.
+    probabilities
+        Of `OK` and of all causes.
+    abrupt
+        Probability that the change came from one set to the next.
+    changes
+        Relative change of each component, by its name: the average of some ten sets.
+    """
+
+    cause: str
+    probability: float
+    probabilities: Mapping[str, float]
+    abrupt: float
+    changes: Mapping[str, float]
+    confirmed: bool
+
+
+def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
+    """Logarithms of a set's features in the order of `COMPONENTS`; None where one is missing."""
+    found = [values.get(name) for name in COMPONENTS]
+    known = [value for value in found if value is not None and math.isfinite(value) and value > 0.0]
+    return np.log(known) if len(known) == len(found) else None
+
+
+def cause_design(history: ArrayLike, run_length: float) -> CauseDesign:
+    """Design from the baseline's sets.
+
+    Parameters
+    ----------
+    history
+        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
+    run_length
+        Sets from one false alarm of the chart to the next.
+    """
+    x = np.asarray(history, dtype=np.float64)
+    if x.ndim != 2 or x.shape[1] != len(COMPONENTS):
+        raise InvalidInputError(f"history has shape {x.shape}; it must be (n, {len(COMPONENTS)})")
+    chart = designed(x, run_length)
+    complete = x[np.isfinite(x).all(axis=1)]
+    n, p = complete.shape
+    phi = float(chart.phi.mean())
+    # Inverse of a covariance estimated from few sets is too large by this.
+    covariance = np.cov(complete, rowvar=False) * (n - 1.0) / (n - p - 2.0)
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    known = hypotheses(covariance)
+    in_white = [whitening.T @ one.covariance @ whitening for one in known]
+    variances, directions = np.linalg.eigh(np.array(in_white))
+    return CauseDesign(
+        chart=chart,
+        whitening=whitening,
+        phi=phi,
+        slow_variance=_slow_variance((complete - chart.mean) @ whitening, phi),
+        rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
+        weights=np.array([_weights(one) for one in known]),
+        means=np.array([one.mean for one in known]) @ whitening,
+        variances=np.maximum(variances, 0.0),
+        directions=directions,
+    )
+
+
+def _slow_variance(whitened: FloatArray, phi: float) -> float:
+    """Variance of means of a tenth of the baseline, at least that of the baseline's own mean."""
+    n = len(whitened)
+    length = max(1, n // BLOCKS)
+    blocks = n // length
+    means = whitened[: blocks * length].reshape(blocks, length, -1).mean(axis=1)
+    return max(float((means**2).mean()), (1.0 + phi) / (1.0 - phi) / n)
+
+
+def begun(index: int, logs: FloatArray) -> Recollection:
+    """Recollection before the first set after a baseline, whose last complete set is given."""
+    zero = (0.0,) * len(COMPONENTS)
+    return Recollection(
+        index=index, logs=tuple(logs.tolist()), n=0, charted=zero, changes=(zero,) * len(RATES)
+    )
+
+
+def recollected(before: Recollection, design: CauseDesign, index: int, logs: FloatArray) -> Recollection:
+    """Take in one more complete set."""
+    chart = design.chart
+    new = innovation(
+        logs - chart.mean, np.array(before.logs) - chart.mean, max(1, index - before.index), chart.phi
+    )
+    charted = WEIGHT * chart.entering(new) + (1.0 - WEIGHT) * np.array(before.charted)
+    changes = [
+        rate * (logs - chart.mean) + (1.0 - rate) * np.array(change)
+        for rate, change in zip(RATES, before.changes, strict=True)
+    ]
+    statistic = float(parts_of(charted).sum())
+    return Recollection(
+        index=index,
+        logs=tuple(logs.tolist()),
+        n=before.n + 1,
+        charted=tuple(charted.tolist()),
+        changes=tuple(tuple(change.tolist()) for change in changes),
+        alarming=next_alarming(before.alarming, statistic, chart.limit, len(logs)),
+    )
+
+
+def verdict_of(
+    memory: Recollection,
+    design: CauseDesign,
+    *,
+    suspicious: bool = False,
+    confirmation: Sequence[FloatArray] = (),
+) -> CauseVerdict:
+    """Say what the sets so far mean.
+
+    Parameters
+    ----------
+    suspicious
+        Another chart of this transducer alarms.
+    confirmation
+        Logarithms of the sets struck because of the suspicion, which stand outside the averages.
+    """
+    probabilities, abrupt = _posterior(memory, design, confirmation)
+    likeliest = max(probabilities, key=probabilities.__getitem__)
+    # A step alone may be a knock that is gone with the next strike.
+    unconfirmed = likeliest == COUPLING and abrupt > 0.5 and not confirmation
+    if likeliest != OK and probabilities[likeliest] >= STATED and not unconfirmed:
+        named = likeliest
+    else:
+        named = CANNOT_TELL if suspicious or memory.alarming or unconfirmed else OK
+    changes = memory.changes[RATES.index(WEIGHT)]
+    return CauseVerdict(
+        cause=named,
+        probability=probabilities[OK if named == OK else likeliest],
+        probabilities=probabilities,
+        abrupt=abrupt,
+        changes={name: math.expm1(change) for name, change in zip(COMPONENTS, changes, strict=True)},
+        confirmed=bool(confirmation),
+    )
+
+
+def _posterior(
+    memory: Recollection, design: CauseDesign, confirmation: Sequence[FloatArray]
+) -> tuple[dict[str, float], float]:
+    """Probability of each cause, and of a step."""
+    averages, noise = np.array(memory.changes), _noise(memory.n, design, len(confirmation))
+    if confirmation:
+        averages = np.vstack([averages, np.mean(confirmation, axis=0) - design.chart.mean])
+    whole = np.linalg.inv(np.linalg.cholesky(noise))
+    seen = whole @ averages @ design.whitening
+    course = _courses(min(max(memory.n, 1), MOST_AVERAGED))
+    if confirmation:
+        course = np.hstack([course, np.ones((len(course), 1))])
+    course = course @ whole.T
+    length = np.sqrt((course**2).sum(axis=1))
+    along = (course / length[:, None]) @ seen
+    # Of every hypothesis h and course s: the density along the course, over that of no change at all.
+    off = along[None] - length[None, :, None] * design.means[:, None]
+    parts = np.einsum("hij,hsi->hsj", design.directions, off)
+    spread = 1.0 + length[None, :, None] ** 2 * design.variances[:, None]
+    log = 0.5 * (along**2).sum(axis=1) - 0.5 * (parts**2 / spread + np.log(spread)).sum(axis=2)
+    weights = design.weights.copy()
+    if memory.n < GROWTHS[0]:
+        weights[:, len(STEPS) :] = 0.0
+    share = np.exp(log - log.max()) * weights
+    share /= share.sum()
+    of_each = share.sum(axis=1)
+    by_cause = {cause: float(of_each[rows].sum()) for cause, rows in design.rows.items()}
+    return by_cause, float(share[:, : len(STEPS)].sum())
+
+
+def _weights(one: Hypothesis) -> FloatArray:
+    """Probability beforehand with each course; half of what may be abrupt or gradual is either."""
+    both = 0.5 if one.abrupt and one.gradual else 1.0
+    step, growth = (both * one.weight * may for may in (one.abrupt, one.gradual))
+    since = np.gradient(np.log(STEPS))
+    courses = len(GROWTHS) * len(POWERS)
+    return np.concatenate([step * since / since.sum(), np.full(courses, growth / courses)])
+
+
+@lru_cache(maxsize=256)
+def _courses(n: int) -> FloatArray:
+    """Averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
+
+    The averages begin with the first of n sets after the baseline.
+    """
+    ago = np.arange(n)
+    steps = ago < STEPS[:, None]
+    grown = np.maximum(1.0 - ago / np.minimum(GROWTHS, n)[:, None], 0.0)  # none began in the baseline
+    course = np.vstack([steps, *(grown**power for power in POWERS)])
+    return np.asarray(course @ _memories(n).T)
+
+
+def _memories(n: int) -> FloatArray:
+    """Weights of the last n sets in the averages, the newest first; shape (r, n)."""
+    ago = np.arange(n)
+    return np.array([rate * (1.0 - rate) ** ago for rate in RATES])
+
+
+def _noise(n: int, design: CauseDesign, n_confirming: int) -> FloatArray:
+    """Covariance of the averages of a healthy transducer, in units of a set's covariance; shape (r, r).
+
+    The slow mean adds to all of them, a confirmation's too.
+    """
+    remembered = _of_averages(min(max(n, FEWEST_AVERAGED), MOST_AVERAGED), design.phi)
+    noise = np.zeros((len(RATES) + bool(n_confirming),) * 2)
+    noise[: len(RATES), : len(RATES)] = remembered
+    if n_confirming:
+        noise[-1, -1] = 1.0 / n_confirming
+    return np.asarray(noise + design.slow_variance)
+
+
+@lru_cache(maxsize=512)
+def _of_averages(n: int, phi: float) -> FloatArray:
+    """Covariance of the averages of n sets of a first-order autoregression of variance 1."""
+    ago, weights = np.arange(n), _memories(n)
+    return np.asarray(weights @ phi ** np.abs(ago[:, None] - ago) @ weights.T)

@@ -1,0 +1,153 @@
+"""A cause is named by its direction and its course in time, and not where nothing is sure."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from analysis.causes.hypotheses import COUPLING, OK, SENSOR, WALL
+from analysis.causes.slopes import (
+    COMPONENTS,
+    DAMPING,
+    DEPTHS,
+    DROP_HEIGHT,
+    GAIN,
+    STIFFNESS,
+    TILT,
+    WALL_B,
+)
+from analysis.causes.verdict import (
+    CANNOT_TELL,
+    CauseDesign,
+    CauseVerdict,
+    Recollection,
+    begun,
+    cause_design,
+    logs_of,
+    recollected,
+    verdict_of,
+)
+from analysis.errors import InvalidInputError
+from analysis.statistics.design import ONE_IN_FIVE_YEARS
+from analysis.waves.record_reduction import FloatArray
+
+BASELINE, AFTER, EVERY = 200, 120, 5
+SOURCES = np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
+SD = np.array([0.01] * 9 + [0.05] * 9 + [0.06, 0.003])
+FOOT = 0.12 * np.array(STIFFNESS[-1])
+ZERO = np.zeros(len(COMPONENTS))
+
+
+def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
+    """Independent sets of a chain whose every contact sits a little differently in each."""
+    random = np.random.default_rng(seed)
+    shape = (sets, len(SD))
+    noise = 1e-3 * random.standard_normal((sets, len(COMPONENTS)))
+    return np.asarray((SD * random.standard_normal(shape)) @ SOURCES + noise)
+
+
+def growing(target: FloatArray) -> FloatArray:
+    """Change of each set: nothing in the baseline, then evenly more."""
+    return np.linspace(0.0, 1.0, AFTER + 1)[1:, None] * target
+
+
+def wall(depth: float) -> FloatArray:
+    """Change by a wall that thins evenly to this depth."""
+    depths = np.linspace(0.0, depth, AFTER + 1)[1:]
+    curve = np.vstack([ZERO, WALL_B])
+    return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
+
+
+def judged(
+    change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
+) -> Iterator[CauseVerdict]:
+    """Verdicts of every fifth set after the baseline; a confirmation is given from their 30th on."""
+    logs = healthy(seed)
+    logs[BASELINE:] += change
+    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
+    memory = begun(BASELINE - 1, logs[BASELINE - 1])
+    for index in range(BASELINE, BASELINE + AFTER):
+        memory = recollected(memory, design, index, logs[index])
+        if index % EVERY:
+            continue
+        known = confirmation is not None and index >= BASELINE + 30
+        yield verdict_of(memory, design, confirmation=[logs[0] + confirmation] if known else ())
+
+
+def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
+    found = list(judged(wall(0.3)))
+    assert found[-1].cause == WALL
+    assert found[-1].probability > 0.99
+    assert found[-1].abrupt < 0.01
+    assert found[-1].changes["tof_pp_s"] == pytest.approx(0.033, abs=0.005)
+    assert found[-1].changes["isw_amplitude_v"] == pytest.approx(0.0, abs=0.03)
+    assert {one.cause for one in found} <= {OK, CANNOT_TELL, WALL}
+
+
+def test_a_healthy_transducer_is_never_told_to_have_a_sick_wall() -> None:
+    causes = [one.cause for seed in range(5) for one in judged(np.zeros((AFTER, 7)), seed)]
+    assert WALL not in causes
+    assert causes.count(OK) > 0.98 * len(causes)
+
+
+@pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
+def test_what_moves_the_incident_wave_is_the_sensor_s(target: FloatArray) -> None:
+    found = list(judged(growing(target)))
+    assert found[-1].cause == SENSOR
+    assert WALL not in {one.cause for one in found}
+
+
+def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
+    alone = list(judged(np.tile(FOOT, (AFTER, 1))))
+    assert alone[4].cause == CANNOT_TELL
+    assert alone[4].abrupt > 0.9
+    confirmed = list(judged(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
+    assert confirmed[8].cause == COUPLING
+    assert confirmed[8].confirmed
+    assert WALL not in {one.cause for one in alone + confirmed}
+
+
+@pytest.mark.parametrize("depth", [2, 4])
+def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth: int) -> None:
+    found = judged(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
+    assert WALL not in {one.cause for one in found}
+
+
+def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
+    logs = healthy(3)
+    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
+    memory = recollected(begun(BASELINE - 1, logs[BASELINE - 1]), design, BASELINE, logs[BASELINE])
+    assert verdict_of(memory, design).cause == OK
+    told = verdict_of(memory, design, suspicious=True)
+    assert (told.cause, told.probability) == (CANNOT_TELL, told.probabilities[OK])
+    assert sum(told.probabilities.values()) == pytest.approx(1.0)
+
+
+def test_what_is_remembered_survives_a_restart_as_json() -> None:
+    logs = healthy(4) + 0.002
+    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
+    memory = begun(BASELINE - 1, logs[BASELINE - 1])
+    for index in range(BASELINE, BASELINE + 20):
+        stored = json.loads(json.dumps(asdict(memory)))
+        stored["changes"] = tuple(tuple(one) for one in stored["changes"])
+        told = Recollection(**{**stored, "logs": tuple(stored["logs"]), "charted": tuple(stored["charted"])})
+        assert told == memory
+        memory = recollected(told, design, index, logs[index])
+    assert memory.n == 20
+
+
+def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_told() -> None:
+    values: dict[str, float | None] = dict.fromkeys(COMPONENTS, 2.0)
+    assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
+    assert logs_of(values | {"isw_fwhm_s": None}) is None
+    assert logs_of(values | {"psw_area_v_s": -1.0}) is None
+    with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
+        cause_design(healthy(1)[:200, :5], ONE_IN_FIVE_YEARS.run_length)
+
+
+def test_few_sets_make_a_design_too_and_know_their_means_less_well() -> None:
+    few, many = (cause_design(healthy(6)[:n], ONE_IN_FIVE_YEARS.run_length) for n in (24, 200))
+    assert isinstance(few, CauseDesign)
+    assert few.slow_variance > 3.0 * many.slow_variance
