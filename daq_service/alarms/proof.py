@@ -21,6 +21,11 @@ FEATURES: Mapping[str, str] = {
     "psw_area_v_s": "area of the reflected wave",
 }
 """The five of the distance, in words."""
+INCIDENT: Mapping[str, str] = {
+    "isw_amplitude_v": "height of the incident wave",
+    "isw_fwhm_s": "width of the incident wave",
+}
+"""The two that no wall changes."""
 MOST_FEATURES = 3
 
 
@@ -41,6 +46,16 @@ def evidence(kind: str, proof: Proof) -> list[str]:
 
 
 def _wall_change(proof: Proof) -> Iterator[str]:
+    yield from _by_rule(proof)
+    if told := _known(proof.get("cause_told") or {}, "sentence", "action", "changes"):
+        sentence, action, changes = told
+        yield f"What it comes from: {sentence}. What to do: {action}."
+        words = {**FEATURES, **INCIDENT}
+        moved = [f"{words.get(name, name)} {100.0 * change:+.1f} %" for name, change in changes.items()]
+        yield f"Against the baseline, over some ten sets: {', '.join(moved)}."
+
+
+def _by_rule(proof: Proof) -> Iterator[str]:
     if proof.get("chart") is not None:
         yield from _by_chart(proof)
         return
@@ -167,6 +182,7 @@ def _supply(proof: Proof) -> Iterator[str]:
 
 _OF_KIND: Mapping[str, Callable[[Proof], Iterator[str]]] = {
     "wall_change": _wall_change,
+    "transducer_change": _wall_change,
     "thickness": _thickness,
     "hole": _hole,
     "no_data": _poor_sets,

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from analysis.statistics.design import Memory
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
-from analysis.statistics.named_limits import CHART, DISTANCE
+from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE
 from analysis.waves.features import (
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
@@ -27,10 +27,11 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.cause import averages_of, recollection_of, told_of
 from daq_service.judgement.readiness import readiness_of
 from daq_service.judgement.rules import rules_of
 from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, reinstated, step
-from daq_service.judgement.wall_condition import wall_condition
+from daq_service.judgement.wall_condition import wall_conditions
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
 
@@ -148,8 +149,8 @@ class SolitaryWaveAssessor:
             verdicts.append(self._verdict_row(due.set_index, due.due_h, verdict))
         # Strikes that come back without a reflection tell of the wall, not of the transducer.
         conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
-        wall = wall_condition(self.position, self._state, self._rules, verdicts[-1])
-        conditions += [wall, self._hole_condition(due, counting)]
+        conditions += wall_conditions(self.position, self._state, self._rules, verdicts[-1])
+        conditions.append(self._hole_condition(due, counting))
         return Assessment(
             features=rows,
             baseline=self._baseline_row() if closes else None,
@@ -246,9 +247,10 @@ class SolitaryWaveAssessor:
             chart_alarm=None if verdict.memory is None else verdict.memory.alarming,
             statistics=further or None,
             limits=dict(limits) or None,
-            averages=None
-            if verdict.memory is None
-            else {name: list(average) for name, average in verdict.memory.averages.items()},
+            averages=_averages(verdict),
+            cause=None if verdict.cause is None else verdict.cause.cause,
+            cause_probability=None if verdict.cause is None else verdict.cause.probability,
+            cause_told=None if verdict.cause is None else told_of(verdict.cause),
         )
 
     # Conditions ----------------------------------------------------------------------------------
@@ -313,15 +315,30 @@ def _stored(found: SetOfShots, row: VerdictRow | None) -> Verdict | None:
     """Give a verdict as it was stored; None: the set belongs to the baseline, or was not judged."""
     if row is None or row.in_baseline:
         return None
-    vector, memory = found.vector(), None
+    vector, memory, recollection = found.vector(), None, None
     if vector is not None and row.averages is not None:
         memory = Memory(
             index=found.set_index,
             vector=vector,
-            averages={name: tuple(average) for name, average in row.averages.items()},
+            averages={name: tuple(row.averages[name]) for name in (AVERAGE, CHART)},
             alarming=bool(row.chart_alarm),
         )
-    return Verdict(outlier=row.outlier, outlier_paper=row.outlier_paper, reason=row.reason, memory=memory)
+        recollection = recollection_of(row.averages)
+    return Verdict(
+        outlier=row.outlier,
+        outlier_paper=row.outlier_paper,
+        reason=row.reason,
+        memory=memory,
+        recollection=recollection,
+    )
+
+
+def _averages(verdict: Verdict) -> dict[str, list[float]] | None:
+    """Give everything that is remembered as averages, by name."""
+    if verdict.memory is None:
+        return None
+    charts = {name: list(average) for name, average in verdict.memory.averages.items()}
+    return charts if verdict.recollection is None else charts | averages_of(verdict.recollection)
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:
