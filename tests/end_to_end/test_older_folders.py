@@ -28,6 +28,7 @@ FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselin
 the verdicts of a baseline's sets wait for it."""
 
 CAME_LATER = {"limits", "readiness", "statistics", "averages", "chart", "chart_alarm"}
+CAME_LATER |= {"cause", "cause_probability", "cause_told"}
 """Columns of a baseline that has a chart, and of its verdicts."""
 
 Unpack = Callable[[str], Path]
