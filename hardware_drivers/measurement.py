@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,6 +126,26 @@ class Waveform:
         """
         low, high = self.calibration.full_scale_counts
         return bool(self.counts.size and (self.counts.min() <= low + 1 or self.counts.max() >= high))
+
+
+PLANNED_SETS = 10_000_000
+"""Sets of a plan have indices below it. The n-th set beside the plan that follows planned set k, a
+confirmation set, has the index ``n * PLANNED_SETS + k``: no index of the plan ever depends on it."""
+MOST_BESIDE = 200
+"""Sets beside the plan between two planned ones: all indices stay below 2**31."""
+
+Purpose = Literal["planned", "confirmation"]
+
+
+def purpose_of(set_index: int) -> Purpose:
+    """Tell what a set is taken for."""
+    return "planned" if set_index < PLANNED_SETS else "confirmation"
+
+
+def in_order(set_index: int) -> tuple[int, int]:
+    """Planned set, and which set beside the plan after it (0: none): sorts sets by time."""
+    beside, planned = divmod(set_index, PLANNED_SETS)
+    return planned, beside
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

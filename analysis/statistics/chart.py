@@ -102,13 +102,21 @@ class Chart:
         return statistic, onsets
 
 
-def designed(baseline: ArrayLike, run_length: float) -> Chart:
-    """Design the chart of a baseline, shape (n, p); rows with a NaN are gaps and keep their place."""
+def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
+    """Design the chart of a baseline.
+
+    Parameters
+    ----------
+    baseline
+        Shape (n, p); rows with a NaN are gaps and keep their place.
+    least_phi
+        Memory of the features that is known from elsewhere; a number, or shape (p,).
+    """
     x = np.asarray(baseline, dtype=np.float64)
     complete = x[np.isfinite(x).all(axis=1)]
     n, p = complete.shape
     mean = complete.mean(axis=0)
-    phi = widened_phi(guarded_phi(x), n)
+    phi = np.maximum(widened_phi(guarded_phi(x), n), least_phi)
     residuals = prewhitened(x, mean, phi)
     covariance = np.atleast_2d(np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False))
     sd = np.sqrt(np.diag(covariance))

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from analysis.statistics.baseline import Baseline, whitening_matrix
 from analysis.statistics.chart import Chart, designed, unshown_memory
@@ -72,7 +73,11 @@ class Design:
 
 
 def design_of(
-    history: FloatArray, baseline: Baseline, run_length: float, rate: float = NOMINAL_RATE
+    history: FloatArray,
+    baseline: Baseline,
+    run_length: float,
+    rate: float = NOMINAL_RATE,
+    least_phi: ArrayLike = 0.0,
 ) -> Design:
     """Design limits and chart.
 
@@ -84,8 +89,10 @@ def design_of(
         Fitted to its complete rows.
     run_length, rate
         See `named_limits.Facts`.
+    least_phi
+        See `chart.designed`.
     """
-    chart, by_default = designed(history, run_length), default_limit(history, baseline, rate)
+    chart, by_default = designed(history, run_length, least_phi), default_limit(history, baseline, rate)
     facts = Facts(baseline=baseline, by_default=by_default, chart=chart, rate=rate, run_length=run_length)
     phi = pooled_phi(history)
     return Design(

@@ -7,7 +7,7 @@ baseline.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -58,6 +58,8 @@ class Assessed:
         Shape (rows,), NaN where there is none.
     chart_limit
         Of ``chart``.
+    unbroken
+        The chart without a restart after its alarms; shape (rows,).
     """
 
     refused: str | None
@@ -80,6 +82,7 @@ class Assessed:
     mewma_textbook: FloatArray = field(default_factory=lambda: np.empty(0))
     mcusum_textbook: FloatArray = field(default_factory=lambda: np.empty(0))
     chart: FloatArray = field(default_factory=lambda: np.empty(0))
+    unbroken: FloatArray = field(default_factory=lambda: np.empty(0))
 
 
 def assess(
@@ -89,6 +92,7 @@ def assess(
     budget: Budget = ONE_IN_FIVE_YEARS,
     *,
     textbooks: bool = True,
+    least_phi: ArrayLike = 0.0,
 ) -> Assessed:
     """Judge a sequence.
 
@@ -100,6 +104,8 @@ def assess(
         Shape (rows,), True for the sets that are known to be healthy.
     textbooks
         Also run the MCUSUM, which nothing here decides by.
+    least_phi
+        Memory of the features that is known from sensors like this one; a number, or one for each.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
     x = np.where(np.isfinite(x), x, np.nan)
@@ -111,7 +117,8 @@ def assess(
     if not names:
         return Assessed(refused="every feature is constant in the baseline", features_dropped=dropped)
     try:
-        return _judged(x[:, varies], healthy, names, dropped, budget, textbooks=textbooks)
+        least = np.broadcast_to(least_phi, varies.shape)[varies]
+        return _judged(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)
 
@@ -135,6 +142,7 @@ def _judged(
     names: Sequence[str],
     dropped: tuple[str, ...],
     budget: Budget,
+    least_phi: FloatArray,
     *,
     textbooks: bool,
 ) -> Assessed:
@@ -146,10 +154,11 @@ def _judged(
     begins, ends = np.flatnonzero(healthy)[[0, -1]]
     after: np.ndarray = np.arange(len(x)) > ends
     history = np.where(healthy[:, None], x, np.nan)[begins : ends + 1]  # gaps where other sets lie between
-    design = design_of(history, baseline, budget.run_length)
+    design = design_of(history, baseline, budget.run_length, least_phi=least_phi)
     followed = np.where((healthy | after)[:, None], x, np.nan)
     judged = np.flatnonzero(after)
-    statistic, onsets = design.chart.run(design.chart.whitened(followed)[judged])
+    entering = design.chart.whitened(followed)[judged]
+    statistic, onsets = design.chart.run(entering)
     statistics = {
         **_statistics(x, followed, complete, judged, design),
         CHART: _placed(len(x), judged, statistic),
@@ -184,6 +193,7 @@ def _judged(
         if textbooks
         else np.empty(0),
         chart=statistics[CHART],
+        unbroken=_placed(len(x), judged, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 
 

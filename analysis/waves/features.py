@@ -96,6 +96,8 @@ class ShotFeatures:
         ``good`` (no flag), ``suspect`` (valid, with a flag) or ``bad`` (not valid).
     pull_fraction
         How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
+    compared
+        The flags count what the set's other shots say already, as stored ones do (`template.compared`).
     sd
         Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
         asked for it.
@@ -120,6 +122,7 @@ class ShotFeatures:
     valid: bool = True
     quality: Quality = "good"
     pull_fraction: float = math.nan
+    compared: bool = False
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:

@@ -82,7 +82,7 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
 
     A shot that is flagged ``missed`` keeps what was measured of its incident wave, and nothing else.
     """
-    if template is None or not math.isfinite(shot.isw_amplitude_v):
+    if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot
     width = shot.isw_fwhm_s / template.isw_fwhm_s
     # A plateau widens a wave, two strikes in one do too: those are told already.

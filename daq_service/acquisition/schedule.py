@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.nanoseconds import NS_PER_H
 
 
@@ -32,11 +33,33 @@ class PhaseLike(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DueSet:
-    """One planned set."""
+    """One planned set of every position, or one beside the plan.
+
+    Attributes
+    ----------
+    position
+        The only one of a set beside the plan; None: a planned set.
+    """
 
     set_index: int
     due_h: float
     due_utc_ns: int
+    position: str | None = None
+
+
+def beside_the_plan(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
+    """Give the ``number``-th set beside the plan after a planned one, due at a time.
+
+    The hour is counted from the planned set, so that hour 0 follows from both alike.
+    """
+    due_h = after.due_h + (utc_ns - after.due_utc_ns) / NS_PER_H
+    epoch_ns = after.due_utc_ns - round(after.due_h * NS_PER_H)
+    return DueSet(
+        set_index=number * PLANNED_SETS + after.set_index,
+        due_h=due_h,
+        due_utc_ns=epoch_ns + round(due_h * NS_PER_H),
+        position=position,
+    )
 
 
 def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:

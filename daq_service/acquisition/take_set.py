@@ -15,7 +15,7 @@ from typing import Literal
 from daq_service.acquisition.schedule import DueSet
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp, in_order
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -91,16 +91,18 @@ def strikes_after(
             return
         number = order.index((key.position, key.shot_index))
         start_ns = utc_ns - slots_ns[number]
-        following = itertools.islice(sets, key.set_index + 1, None)
+        planned_set, beside = in_order(key.set_index)
+        last = (number // shots_per_set + 1) * shots_per_set if beside else len(order)
+        following = itertools.islice(sets, planned_set + 1, None)
         begins = itertools.chain(
             [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
         )
         left = number + 1
         for set_index, start_ns in begins:
-            for slot, (position, shot_index) in enumerate(order[left:], left):
+            for slot, (position, shot_index) in enumerate(order[left:last], left):
                 shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
                 yield shot, start_ns + slots_ns[slot]
-            left = 0
+            left, last = 0, len(order)
 
     return planned
 

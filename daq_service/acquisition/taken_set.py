@@ -11,10 +11,11 @@ import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
+from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import Begun, Measurement, MissedShot, MissReason
 from daq_service.archive import MissedRecord, OpenSet, SetRecord
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.measurement import PulseEchoRecord, Shot, purpose_of
 
 log = logging.getLogger(__name__)
 
@@ -177,6 +178,17 @@ def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int
             if outcome == SUPERSEDED:
                 found[shot.sequence] = outcome
     return found
+
+
+def due_of(record: SetRecord) -> DueSet:
+    """Tell when a set was due, and of which position alone."""
+    beside = purpose_of(record.set_index) != "planned"
+    return DueSet(
+        set_index=record.set_index,
+        due_h=record.due_h,
+        due_utc_ns=record.due_utc_ns,
+        position=record.positions[0].position if beside else None,
+    )
 
 
 def n_missed(record: SetRecord, position: str) -> int:

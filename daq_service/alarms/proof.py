@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow
+from daq_service.clock import format_utc
 
 Proof = Mapping[str, Any]
 
@@ -46,16 +47,32 @@ def evidence(kind: str, proof: Proof) -> list[str]:
 
 
 def _wall_change(proof: Proof) -> Iterator[str]:
-    yield from _by_rule(proof)
+    yield from _what_it_rests_on(proof)
     if told := _known(proof.get("cause_told") or {}, "sentence", "action", "changes"):
         sentence, action, changes = told
         yield f"What it comes from: {sentence}. What to do: {action}."
         words = {**FEATURES, **INCIDENT}
         moved = [f"{words.get(name, name)} {100.0 * change:+.1f} %" for name, change in changes.items()]
         yield f"Against the baseline, over some ten sets: {', '.join(moved)}."
+    if said := proof.get("confirmation"):
+        yield confirmation_sentence(said)
 
 
-def _by_rule(proof: Proof) -> Iterator[str]:
+def confirmation_sentence(said: Proof) -> str:
+    """Tell what a confirmation set says (`judgement.confirmation.Confirmed`)."""
+    at = f"{format_utc(said['utc_ns'], 0)} (hour {said['due_h']:.2f})"
+    if said["confirms"] is None:
+        return f"The confirmation set at {at} cannot tell: {said['why_not'] or 'a feature is missing'}."
+    if told := _known(said, "distance_squared", "limit"):
+        distance, limit = told
+        beyond = "beyond" if distance > limit else "within"
+        at += f", squared distance {_number(distance)}, {beyond} the limit of {_number(limit)},"
+    if said["confirms"]:
+        return f"Confirmed: the set at {at} lies where the planned sets before it do."
+    return f"Not confirmed: the set at {at} lies nearer to the baseline than to the planned sets before it."
+
+
+def _what_it_rests_on(proof: Proof) -> Iterator[str]:
     if proof.get("chart") is not None:
         yield from _by_chart(proof)
         return

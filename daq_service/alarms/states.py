@@ -181,6 +181,11 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     )
 
 
+def proven_by(row: AlarmRow, proof: Mapping[str, Any], moment: Moment) -> Change:
+    """Add to the proof of an alarm what was found out since; its state stays."""
+    return _to(row, row.state, moment, "alarm_proof_added", proof=row.proof | dict(proof))
+
+
 def as_it_stands(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
     """Return the row as it is at a moment: a shelf that has expired is none, whoever has noted that.
 

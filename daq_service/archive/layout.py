@@ -3,7 +3,7 @@
 ::
 
     / NXroot            @default=entry @creator @solimon_format_version
-    /entry NXentry      @default=preview, title, start_time, end_time, program_name, set_index, due_h, ...
+    /entry NXentry      @default=preview, title, start_time, program_name, set_index, purpose, due_h, ...
       instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
@@ -49,11 +49,11 @@ from daq_service.archive.nexus import (
 )
 from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.clock import format_utc
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpose_of
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 
-FORMAT_VERSION = "1.3"
+FORMAT_VERSION = "1.4"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
 """Tables of a set's results, each with the column that tells its rows apart."""
@@ -166,6 +166,7 @@ def _add_facts(entry: GroupID, record: SetRecord) -> None:
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=hash_)
     add_field(entry, "set_index", np.int64(record.set_index))
+    add_field(entry, "purpose", purpose_of(record.set_index))
     add_field(entry, "due_h", np.float64(record.due_h), units="h")
     if record.trouble:
         add_field(entry, "trouble", record.trouble, description="instrument error that ended the set early")

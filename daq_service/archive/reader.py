@@ -36,6 +36,7 @@ from daq_service.archive.records import (
     PositionRecord,
     SetRecord,
     SetReference,
+    ordered,
     referenced_sets,
     waveform_crc32,
 )
@@ -75,7 +76,7 @@ class FolderSetReader:
     def sets(self) -> dict[int, SetReference]:
         """Complete sets: index to reference, in the order of the sets."""
         journaled = {index: item.reference for index, item in self._journal().items() if item.reference}
-        return dict(sorted({**journaled, **self._files()}.items()))
+        return ordered({**journaled, **self._files()})
 
     def n_bytes(self) -> int:
         """Bytes of the complete files, and of the sets that have none yet."""

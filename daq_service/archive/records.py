@@ -8,11 +8,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Any, NewType
+from typing import Any, NewType, TypeVar
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform, in_order
 from hardware_drivers.nanoseconds import NS_PER_S
+
+T = TypeVar("T")
 
 SETS_FOLDER = "sets"
 QUARANTINE_FOLDER = "quarantine"
@@ -214,7 +216,7 @@ def waveform_crc32(waveform: Waveform) -> int:
 
 
 def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
-    """Make the reference of a set; references sort by time."""
+    """Make the reference of a set; those of planned sets sort by time."""
     due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
     return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5")
 
@@ -231,9 +233,15 @@ def set_indices(names: Iterable[str]) -> set[int]:
 
 def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
     """Set index to reference of the names that complete sets have, in the order of the sets."""
-    found = {
-        int(match[1]): SetReference(f"{SETS_FOLDER}/{match[0]}")
-        for match in map(_NAME.fullmatch, names)
-        if match
-    }
-    return dict(sorted(found.items()))
+    return ordered(
+        {
+            int(match[1]): SetReference(f"{SETS_FOLDER}/{match[0]}")
+            for match in map(_NAME.fullmatch, names)
+            if match
+        }
+    )
+
+
+def ordered(sets: Mapping[int, T]) -> dict[int, T]:
+    """Put what belongs to sets in their order."""
+    return dict(sorted(sets.items(), key=lambda item: in_order(item[0])))

@@ -40,8 +40,8 @@ def json_text(value: Any) -> str:
     return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
-def make_engine(path: Path, *, writable: bool) -> Engine:
-    """Engine on an existing or (writable) new file.
+def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
+    """Engine on an existing or (writable) new file; one that is not durable waits for no disk.
 
     A transaction of `Engine.begin` sees a single state of the file from its first to its last
     query; one that changes something is begun by `writing`.
@@ -59,7 +59,7 @@ def make_engine(path: Path, *, writable: bool) -> Engine:
             if writable:
                 connection.execute("PRAGMA journal_mode = WAL")
                 # With NORMAL a power cut takes the last commits along although they were acknowledged.
-                connection.execute("PRAGMA synchronous = FULL")
+                connection.execute(f"PRAGMA synchronous = {'FULL' if durable else 'OFF'}")
             connection.execute("PRAGMA foreign_keys = ON")
             # Opens every file: a writer whose file is held for a moment could only read from then on.
             connection.execute("BEGIN IMMEDIATE" if writable else "BEGIN")

@@ -21,7 +21,7 @@ from sqlalchemy import Connection, bindparam, delete, func, insert, select
 
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
 from analysis.statistics.trend import PART, joined_part, parts_of_points
-from daq_service.catalogue.reader import Catalogue, Filters, Scope, chosen, made, set_at
+from daq_service.catalogue.reader import Catalogue, Filters, Scope, chosen, in_plan, made, set_at
 from daq_service.catalogue.rows import (
     MEASURED_BY,
     AlarmRow,
@@ -36,6 +36,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.sealed import DamagedRow, checked_values, storable
 from daq_service.catalogue.tables import alarms, sets, table_of, trend_blocks
+from hardware_drivers.measurement import PLANNED_SETS
 
 log = logging.getLogger(__name__)
 
@@ -234,7 +235,7 @@ def _store(
 # Built once: building it costs more than asking.
 _NEWEST = (
     select(sets.c.set_index, sets.c.method)
-    .where(sets.c.position == bindparam("position"))
+    .where(sets.c.position == bindparam("position"), in_plan(sets))
     .order_by(sets.c.set_index.desc())
     .limit(1)
 )
@@ -257,12 +258,12 @@ def last_sets(connection: Connection, positions: Iterable[str]) -> dict[str, int
 
 
 def touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
-    """Find of which sets of each position some rows say anything."""
+    """Find of which planned sets of each position some rows say anything."""
     touched: dict[str, set[int]] = {}
     for row in rows:
         index = row.raised_set_index if isinstance(row, AlarmRow) else getattr(row, "set_index", None)
         position = getattr(row, "position", None)
-        if position is not None and index is not None:
+        if position is not None and index is not None and index < PLANNED_SETS:
             touched.setdefault(position, set()).add(index)
     return touched
 

@@ -16,6 +16,7 @@ from sqlalchemy import (
     ColumnElement,
     Connection,
     Engine,
+    FromClause,
     ScalarSelect,
     Select,
     Table,
@@ -59,6 +60,7 @@ from daq_service.catalogue.tables import (
     table_of,
 )
 from daq_service.clock import boot_name, elapsed_ns
+from hardware_drivers.measurement import PLANNED_SETS, Purpose
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -77,6 +79,8 @@ ORDER_WITHIN_S = 60.0
 class Filters(TypedDict, total=False):
     """Which rows of a table are meant; what is left out or None excludes nothing.
 
+    Of what belongs to sets only those of the plan are meant, unless a ``set_index`` or a ``purpose`` says
+    otherwise: no chart, trend or count takes in a confirmation set by mistake.
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
     single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations
     any of their hours, of alarms when they were raised), ``withdrawn`` annotations or the others,
@@ -100,6 +104,7 @@ class Filters(TypedDict, total=False):
     first_set: int | None
     last_set: int | None
     after_id: int | None
+    purpose: Purpose | Literal["any"] | None
 
 
 _HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
@@ -129,8 +134,25 @@ _CONDITIONS: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
     "last_set": lambda table, index: table.c.set_index <= index,
     # As text in the statement: only then is it found in the index of this topic.
     "topic": lambda table, topic: table.c.topic == literal(topic, literal_execute=True),
+    "purpose": lambda table, purpose: (
+        true()
+        if purpose == "any"
+        else in_plan(table)
+        if purpose == "planned"
+        else table.c.set_index >= PLANNED_SETS
+    ),
 }
 """A filter that is not listed asks for a column's value; ``after_id`` is `_behind`."""
+_HOURS_BESIDE: Mapping[str, Callable[[Table, Any], ColumnElement[bool]]] = {
+    "first_h": lambda table, hour: table.c.due_h >= hour,
+    "last_h": lambda table, hour: table.c.due_h <= hour,
+}
+"""Beside the plan hours do not rise with the index; there are few such sets."""
+
+
+def in_plan(table: FromClause) -> ColumnElement[bool]:
+    """Choose what belongs to planned sets."""
+    return table.c.set_index < PLANNED_SETS
 
 
 def set_at(table: Table, hour: float, which: Literal["first", "last"]) -> ScalarSelect[int]:
@@ -139,7 +161,7 @@ def set_at(table: Table, hour: float, which: Literal["first", "last"]) -> Scalar
     Hours rise with the index of the set: so a range of hours is a range of sets, and read by index.
     """
     due = sets if "position" in table.c else table
-    found = select(due.c.set_index).limit(1)
+    found = select(due.c.set_index).where(in_plan(due)).limit(1)
     if which == "first":
         found = found.where(due.c.due_h >= hour).order_by(due.c.due_h)
     else:
@@ -317,8 +339,9 @@ class Catalogue:
     def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
         """Files that rows point at, by set index, of all sets but these; a few looks into an index."""
         positions = self.position_names()
-        found: dict[int, str] = {}
         with self.reading() as connection:
+            beside = connection.execute(_files_beside_the_plan())
+            found = {row.set_index: row.file for row in beside if row.set_index not in indices}
             last = connection.execute(_last_set_index()).scalar()
             left = sorted(set(range(0 if last is None else last + 1)) - set(indices))
             for start in range(0, len(left), _ASKED_AT_ONCE):
@@ -361,6 +384,10 @@ class Catalogue:
     def baseline(self, position: str) -> BaselineRow | None:
         """Newest baseline of a position."""
         return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
+
+    def baseline_states(self) -> dict[str, str]:
+        """State of the newest baseline of each position that has one."""
+        return {row.position: row.state for row in self.rows(BaselineRow)}
 
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Id of the newest row, 0 before the first: these count from 1, and none is ever taken away."""
@@ -447,7 +474,7 @@ def _counted_due_times(*of: ColumnElement[bool]) -> Select[int, int, int]:
         func.sum(lacking).label("lacking"),
         func.sum(missed).label("missed"),
     )
-    found = due_times.where(*of).group_by(sets.c.set_index).subquery()
+    found = due_times.where(in_plan(sets), *of).group_by(sets.c.set_index).subquery()
     has_data = found.c.taken > 0
     return select(
         func.count().filter(has_data).label("sets"),
@@ -473,11 +500,14 @@ def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any
     """Narrow a question down to some rows of a table, and put it in their order."""
     given = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
+    if "set_index" in table.c and table is not events and "set_index" not in given:
+        given.setdefault("purpose", "planned")
+    in_hours = _HOURS_BESIDE if given.get("purpose", "planned") != "planned" else {}
     for name, value in given.items():
-        condition = _CONDITIONS.get(name)
+        condition = in_hours.get(name) or _CONDITIONS.get(name)
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
     # Indices begin with what is asked for and go on with the set: so a page needs no sorting.
-    by_set = "set_index" in table.c and table is not events and not given.keys() <= {"scope"}
+    by_set = "set_index" in table.c and table is not events and not given.keys() <= {"scope", "purpose"}
     order = (*([table.c.set_index] if by_set else []), *table.primary_key.columns)
     if after_id is not None:
         statement = statement.where(_behind(table, order, after_id))
@@ -527,7 +557,7 @@ def _places() -> CTE:
 @cache
 def _newest_of(table: Table) -> Select[Any]:
     places, of_place = _places(), table.alias("of_place")
-    newest = select(of_place.c.id).where(of_place.c.position == places.c.position)
+    newest = select(of_place.c.id).where(of_place.c.position == places.c.position, in_plan(of_place))
     if table is features:  # of a set
         newest = newest.where(of_place.c.shot_index.is_(None))
     last = newest.order_by(of_place.c.set_index.desc()).limit(1).scalar_subquery()
@@ -537,8 +567,14 @@ def _newest_of(table: Table) -> Select[Any]:
 @cache
 def _last_set_index() -> Select[Any]:
     places = _places()
-    newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position)
+    newest = select(func.max(sets.c.set_index)).where(sets.c.position == places.c.position, in_plan(sets))
     return select(func.max(newest.scalar_subquery())).select_from(places)
+
+
+@cache
+def _files_beside_the_plan() -> Select[Any]:
+    files = select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
+    return files.order_by(sets.c.set_index)
 
 
 @cache
@@ -553,7 +589,9 @@ def _newest_gaps(count: int) -> Select[Any]:
     states = union_all(*(select(literal(state).label("state")) for state in GAP_STATES)).cte("states")
     newest = (
         select(of_place.c.id)
-        .where(of_place.c.position == places.c.position, of_place.c.state == states.c.state)
+        .where(
+            of_place.c.position == places.c.position, of_place.c.state == states.c.state, in_plan(of_place)
+        )
         .order_by(of_place.c.set_index.desc())
         .limit(count)
     )

@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
+from hardware_drivers.measurement import Purpose
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
@@ -22,6 +23,7 @@ Family = Literal["damage", "device"]
 Severity = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 Suppression = Literal["shelved", "out_of_service"]
+BaselineState = Literal["collecting", "proposed", "approved", "retired"]
 CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "stale", "lost", "absent"]
@@ -49,7 +51,7 @@ class ExperimentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetRow(Row):
-    """One planned set of one position; partial: what was taken is stored, missed: nothing was."""
+    """One set of one position; partial: what was taken is stored, missed: nothing was."""
 
     id: int | None = None
     set_index: int
@@ -68,6 +70,9 @@ class SetRow(Row):
     n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
     file: str | None = None  # relative to the data folder
     file_sha256: Annotated[str | None, "Of the file, once it is made"] = None
+    purpose: Annotated[
+        Purpose | None, "`confirmation`: beside the plan, outside chart and baseline; null: planned"
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,7 +168,10 @@ class EnvironmentRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaselineRow(Row):
-    """A frozen baseline; it is never updated, a new one gets a new id."""
+    """A baseline; once frozen its numbers are never updated, a new one gets a new id.
+
+    The first one of a position has its row when it is frozen, a successor when it begins to collect.
+    """
 
     id: int | None = None
     name: str
@@ -178,7 +186,7 @@ class BaselineRow(Row):
     limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
     limit_paper: float | None = None
     limit_reason: str | None = None  # why there is no limit
-    approval: str  # "automatic" or the name of who signed
+    approval: str  # "automatic", "by_a_person" until somebody has signed, or the name of who did
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
     limits: Annotated[
         dict[str, float] | None,
@@ -188,6 +196,13 @@ class BaselineRow(Row):
         dict[str, Any] | None,
         "How far it can be trusted, and whether the chart keeps its rate",
     ] = None
+    state: Annotated[
+        BaselineState, "`collecting`, `proposed` until a person signs, `approved`, or `retired` by a person"
+    ] = "approved"
+    approved_utc_ns: int | None = None
+    retired_utc_ns: int | None = None
+    retired_by: str | None = None
+    retired_because: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -227,6 +242,11 @@ class VerdictRow(Row):
     cause_told: Annotated[
         dict[str, Any] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
+    ] = None
+    confirms: Annotated[
+        bool | None,
+        "Of a confirmation set: it lies where the planned sets before it do, not where the baseline does; "
+        "null: it cannot tell, or the set is a planned one",
     ] = None
 
 

@@ -88,6 +88,15 @@ def open_for_one_order(folder: Path) -> RecorderCatalogue:
     return RecorderCatalogue(path, make_engine(path, writable=True))
 
 
+def open_for_a_while(folder: Path) -> RecorderCatalogue:
+    """Make a catalogue that is thrown away with its folder: nothing of it is durable."""
+    path = folder / FILE_NAME
+    engine = make_engine(path, writable=True, durable=False)
+    with translated(path, "making"):
+        migrate(engine, path, None)
+    return RecorderCatalogue(path, engine)
+
+
 def _refuse_network(folder: Path) -> None:
     kind = network_filesystem(folder)
     if kind is not None:

@@ -145,7 +145,9 @@ thickness = _table(
 _index(thickness, "set_index")
 environment = _table("environment", rows.EnvironmentRow, _unique("environment", "set_index"))
 _index(environment, "due_h")
-baselines = _table("baselines", rows.BaselineRow, _unique("baselines", "name"))
+baselines = _table(
+    "baselines", rows.BaselineRow, _unique("baselines", "name"), state=DefaultClause("approved")
+)
 verdicts = _table(
     "verdicts",
     rows.VerdictRow,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
-from daq_service.catalogue.rows import AlarmRow, Row, VerdictRow, columns_of
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, VerdictRow, columns_of
 from hardware_drivers.units import unit_of
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
@@ -28,10 +28,11 @@ class ToldColumn:
 
 
 BESIDE: Mapping[type[Row], ToldColumn] = {
+    BaselineRow: ToldColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
     VerdictRow: ToldColumn(name="quality", form="text", unit="", nullable=True),
     AlarmRow: ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),
 }
-"""What the service adds: the quality of what was judged, a proof in sentences."""
+"""What the service adds: temperatures of a baseline, quality of what was judged, a proof in sentences."""
 
 
 def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:

@@ -54,6 +54,8 @@ class SetCommit:
         Which of ``alarms`` an event tells of, by their numbers here: ``alarm_id`` is put into its payload.
     annotations
         A row with an id changes that annotation, one without is a new one.
+    baselines
+        A row whose id is stored already takes that one's place: what becomes of a baseline.
     annotation_of_event
         As ``alarm_of_event``, with ``annotation_id``.
     order
@@ -175,7 +177,7 @@ class RecorderCatalogue(Catalogue):
             _insert(connection, commit.shots)
             _insert(connection, commit.features)
             _insert(connection, commit.thickness)
-            baseline_ids = _ids(_insert(connection, commit.baselines))
+            baseline_ids = [_kept(connection, row) for row in commit.baselines]
             _judge(connection, commit.verdicts)
             _insert(connection, commit.environment)
             alarm_ids = [_store(connection, row) for row in commit.alarms]
@@ -352,6 +354,12 @@ def _judge(connection: Connection, rows: Sequence[VerdictRow]) -> None:
 
 def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     return _changed(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
+
+
+def _kept(connection: Connection, row: BaselineRow) -> int:
+    if row.id is not None and _change(connection, row):
+        return row.id
+    return _ids(_insert(connection, [row]))[0]
 
 
 def _answer(connection: Connection, row: CommandRow) -> int:

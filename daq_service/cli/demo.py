@@ -22,6 +22,8 @@ from daq_service.processes.data_folder import new_folder, prepare_data_folder, w
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 
+NUISANCE = "laboratory"
+"""Of the twin's levels: a demonstration on a rig that is quieter than any would promise too much."""
 WATCHABLE_PACE_H_PER_S = 5.0
 """The 350 h pass in 70 s."""
 
@@ -118,8 +120,15 @@ def _run_on(
 
 
 def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, Any]:
-    given = (("schedule", "end_h", hours), ("twin", "seed", seed), ("clock", "pace_h_per_s", pace))
-    return {table: {key: value} for table, key, value in given if value is not None}
+    given: dict[str, dict[str, Any]] = {
+        "schedule": {"end_h": hours},
+        "twin": {"nuisance": NUISANCE, "seed": seed},
+        "clock": {"pace_h_per_s": pace},
+    }
+    return {
+        table: {key: value for key, value in keys.items() if value is not None}
+        for table, keys in given.items()
+    }
 
 
 def _process_start_s() -> float:

@@ -390,6 +390,12 @@ add_order("release", "End a hold: the next due set is taken.")
 add_order("trust_clock", "Go on with this computer's clock though it is doubted after a restart.")
 add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
 add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
+add_order("approve_baseline", "Sign the proposed baseline of a transducer.", POSITION)
+add_order(
+    "renew_baseline",
+    "Retire a transducer's baseline, with --reason: another one is collected from the next planned set on.",
+    POSITION,
+)
 
 
 @cli.command()
@@ -589,6 +595,14 @@ def report(**options: Any) -> None:
 )
 @click.option("--sets-per-day", type=POSITIVE, default=24.0, show_default=True, help="Rows a day.")
 @click.option("--no-rows", is_flag=True, help="With --json: without a line for each row.")
+@click.option("--fleet", is_flag=True, help="Also judge all tables together: rows of the same times.")
+@click.option(
+    "--false-discovery-rate",
+    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+    default=0.1,
+    show_default=True,
+    help="Part of the sensors raised with --fleet that may be healthy.",
+)
 @JSON
 def assess(**options: Any) -> None:
     """Judge tables of features (.csv, .parquet, .npy; a row a set, a sensor a table) as the service would."""
@@ -612,6 +626,37 @@ def features(**options: Any) -> None:
     from daq_service.cli.offline.features import run_features
 
     run_features(**options)
+
+
+@cli.command()
+@click.argument("alarm_id", metavar="ALARM", type=click.IntRange(min=1))
+@FOLDER_ALONE
+@click.option("--out", type=FOLDER, help="Folder for page and JSON; default: a new one here.")
+@click.option("--overwrite", is_flag=True, help="Replace files that exist.")
+@JSON
+def explain(**options: Any) -> None:
+    """Recompute an alarm from the stored records and write why it stands: a page with pictures, and JSON."""
+    from daq_service.cli.offline.evidence.explain import run_explain
+
+    run_explain(**options)
+
+
+@cli.command()
+@click.argument("data_dir", type=FOLDER)
+@click.option(
+    "--set",
+    "given",
+    metavar="KEY=VALUE",
+    multiple=True,
+    help="Judge by this setting instead, for example alarms.decides_by=chart; may be given several times.",
+)
+@click.option("--extract", is_flag=True, help="Extract the features from the waveforms again first.")
+@JSON
+def replay(**options: Any) -> None:
+    """Judge a stored test again, with other settings or another version, and list what changes."""
+    from daq_service.cli.offline.evidence.replay import run_replay
+
+    run_replay(**options)
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ import xarray
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    BaselineRow,
     EnvironmentRow,
     FeatureRow,
     Row,
@@ -105,6 +106,11 @@ class Experiment:
         """Read squared distances, limits and outliers, with the quality of what was judged."""
         asked = {"position": position, "from_h": from_h, "to_h": to_h}
         return self._table(VerdictRow, "verdicts", **asked)
+
+    def baselines(self, position: str | None = None) -> pd.DataFrame:
+        """Read the baselines of each position, the newest last: their life, statistics and limits."""
+        answer = self._connection.get("baselines", position=position)
+        return frame(BaselineRow, answer["items"], answer["as_of"])
 
     def thickness(
         self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None

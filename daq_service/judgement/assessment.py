@@ -29,6 +29,8 @@ class Assessment:
         Flags of each record by its sequence, and the sequences of those without trustworthy features.
     note
         What the reader of the result should know, empty if nothing.
+    suspicion
+        Why a confirmation set is wanted, empty if none is.
     """
 
     features: Sequence[FeatureRow] = ()
@@ -40,6 +42,7 @@ class Assessment:
     shot_flags: Mapping[int, Sequence[str]] = field(default_factory=dict)
     invalid: frozenset[int] = frozenset()
     note: str = ""
+    suspicion: str = ""
 
 
 class Assessor(Protocol):
@@ -47,6 +50,17 @@ class Assessor(Protocol):
 
     def judge(self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]) -> Assessment:
         """Judge what a set took at this position; ``features`` of its shots by their sequence."""
+        ...
+
+    def judge_beside(
+        self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
+    ) -> Assessment:
+        """Judge a set beside the plan by what the planned ones say; nothing is remembered of it."""
+        ...
+
+    @property
+    def awaits_baseline(self) -> bool:
+        """There is nothing yet to compare a set with."""
         ...
 
     def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:

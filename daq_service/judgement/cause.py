@@ -117,6 +117,12 @@ def cause_after(
     return remembering(memory, verdict), verdict
 
 
+def cause_confirmed(memory: Recollection, design: CauseDesign, values: Values) -> CauseVerdict | None:
+    """Say what the planned sets mean beside one struck because of them; nothing is remembered of it."""
+    logs = logs_of(values)
+    return None if logs is None else verdict_of(memory, design, suspicious=True, confirmation=[logs])
+
+
 def words_of(cause: str, abrupt: float) -> tuple[str, str]:
     """Say for operators what is seen and what to do."""
     return ABRUPT if cause == CANNOT_TELL and abrupt > 0.5 else SENTENCES[cause]

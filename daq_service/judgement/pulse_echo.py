@@ -57,6 +57,17 @@ class PulseEchoAssessor:
         echoes = [echo for echo in record.echoes if echo.key.position == self.position]
         return self.assess(due, echoes[0]) if echoes else Assessment()
 
+    def judge_beside(
+        self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
+    ) -> Assessment:
+        """Refuse it: nobody asks a probe to confirm."""
+        raise AssertionError(f"{due} is no set of a striker")
+
+    @property
+    def awaits_baseline(self) -> bool:
+        """A probe has none."""
+        return True
+
     def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:
         """Say nothing: that the probe's instrument did not answer is the rig's alarm."""
         del due, n_tried

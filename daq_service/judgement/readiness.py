@@ -6,8 +6,21 @@ from typing import Any
 
 import numpy as np
 
+from analysis.statistics.baseline import ADVISED_SETS
 from analysis.statistics.baseline_check import named_in
 from daq_service.judgement.solitary_wave_step import Rules, State
+
+GOOD_SETS = 200
+"""From so many on the chart sees what it can, and slow memory shows."""
+
+
+def advice(n_sets: int) -> str | None:
+    """Say what a baseline of so many sets lacks; None: nothing."""
+    if n_sets >= GOOD_SETS:
+        return None
+    warned = f"fewer than {ADVISED_SETS} sets: the rate of false alarms is uncertain; "
+    few = warned if n_sets < ADVISED_SETS else ""
+    return f"{few}{GOOD_SETS} sets and more are advised, {n_sets} are there"
 
 
 def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
@@ -23,6 +36,7 @@ def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
     return {
         "n": baseline.fitted.n,
         "n_left_out": state.n_left_out,
+        "advice": advice(baseline.fitted.n),
         "n_eff": design.n_eff,
         "phi_pooled": design.phi_pooled,
         "tail": design.by_default.tail,

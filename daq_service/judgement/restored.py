@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from analysis.statistics.rules import AlarmRule, decides
 from analysis.waves.quality_gate import ACCEPTED
-from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import SetNotFoundError, SetReader, SetReference
 from daq_service.catalogue import Catalogue
@@ -24,8 +23,10 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
+from daq_service.judgement.life import planned
 from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import in_order
 
 LOOK_BACK_SETS = (64, 1024, None)
 """How many sets a restart reads; as a rule the first look tells all that a recorder would remember."""
@@ -45,27 +46,25 @@ def restored_solitary_wave(
     from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
 
     del archive
-    # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
-    in_baseline = [hour for hour in due_hours(settings.schedule.phases) if hour <= settings.baseline.hours]
-    last_baseline_set = len(in_baseline) - 1
-    stored_baseline = catalogue.baseline(position)
+    stored = catalogue.baseline(position)
+    baseline = planned(position, settings, stored)
     assessor = SolitaryWaveAssessor(
         position,
         settings,
-        last_baseline_set=last_baseline_set,
-        baseline_id=1 + list(settings.positions).index(position),
+        baseline=baseline,
         rehearsal=rehearsal,
-        has_chart=stored_baseline is None or stored_baseline.limits is not None,
+        has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
     reinstated_at = _first_set_reinstated(position, catalogue)
-    healthy = catalogue.rows(SetRow, position=position, tried=True, last_set=last_baseline_set)
+    first, last = baseline.first_set, baseline.last_set
+    healthy = catalogue.rows(SetRow, position=position, tried=True, first_set=first, last_set=last)
     recent = _recent_sets(position, settings, catalogue, reinstated_at)
-    sets = [*healthy, *(row for row in recent if row.set_index > last_baseline_set)]
-    since = max([last_baseline_set + 1, *(row.set_index for row in recent[:1])])
+    sets = [*healthy, *(row for row in recent if row.set_index > last)]
+    since = max([last + 1, *(row.set_index for row in recent[:1])])
     features = {
         row.set_index: row
-        for first, last in ((0, last_baseline_set), (since, None))
-        for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=first, last_set=last)
+        for begin, end in ((first, last), (since, None))
+        for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=begin, last_set=end)
     }
     verdicts = {row.set_index: row for row in catalogue.rows(VerdictRow, position=position, first_set=since)}
     for part in (
@@ -88,7 +87,10 @@ def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
     if not resets:
         return 0
     first = catalogue.rows(EventRow, topic="sets", position=position, after_id=resets[-1], limit=1)
-    return NEVER if not first or first[0].set_index is None else first[0].set_index
+    if not first or first[0].set_index is None:
+        return NEVER
+    index, beside = in_order(first[0].set_index)
+    return index + 1 if beside else index
 
 
 def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:

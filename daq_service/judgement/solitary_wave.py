@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 
 from analysis.statistics.design import Memory
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
@@ -27,10 +28,12 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
-from daq_service.judgement.cause import averages_of, recollection_of, told_of
+from daq_service.judgement.cause import averages_of, cause_confirmed, recollection_of, told_of
+from daq_service.judgement.confirmation import confirms, suspicion
+from daq_service.judgement.life import AUTOMATIC, Planned
 from daq_service.judgement.readiness import readiness_of
 from daq_service.judgement.rules import rules_of
-from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, reinstated, step
+from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, alone, reinstated, step
 from daq_service.judgement.wall_condition import wall_conditions
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
@@ -41,10 +44,8 @@ class SolitaryWaveAssessor:
 
     Parameters
     ----------
-    last_baseline_set
-        Index of the last set that belongs to the baseline.
-    baseline_id
-        Id that this position's baseline will have.
+    baseline
+        Which sets the present baseline is made of.
     rehearsal
         Records are noise: what they say of wall and transducer is no alarm.
     has_chart
@@ -56,17 +57,16 @@ class SolitaryWaveAssessor:
         position: str,
         settings: Settings,
         *,
-        last_baseline_set: int,
-        baseline_id: int,
+        baseline: Planned,
         rehearsal: bool = False,
         has_chart: bool = True,
     ) -> None:
         self.position = position
-        self._rules = rules_of(position, settings, last_baseline_set=last_baseline_set, has_chart=has_chart)
+        self._rules = rules_of(settings, baseline=baseline, position=position, has_chart=has_chart)
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
-        self._baseline_id = baseline_id
+        self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
         self._state = State()
 
@@ -88,7 +88,7 @@ class SolitaryWaveAssessor:
             outcomes=record.outcomes,
             n_tried=n_tried(record, self.position),
         )
-        return replace(assessment, conditions=()) if self._rehearsal else assessment
+        return replace(assessment, conditions=(), suspicion="") if self._rehearsal else assessment
 
     def nothing_taken(self, due: DueSet, n_tried: int) -> Assessment:
         """Judge a set that gave not one record."""
@@ -114,36 +114,14 @@ class SolitaryWaveAssessor:
         n_tried
             Shots that were struck, with or without a record; None: those that have one.
         """
-        # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
-        own = learnt(features)
-        features = [compared(found, own) for found in features]
-        outcomes = outcomes or {}
-        accepted = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
-        counting = [found for found, counts in zip(features, accepted, strict=True) if counts]
-        mean = self._set_features(
-            [shot for shot, counts in zip(shots, accepted, strict=True) if counts], counting
-        )
-        before = self._state.baseline
-        self._state, verdict = step(
-            self._state,
-            SetOfShots(
-                set_index=due.set_index,
-                due_h=due.due_h,
-                n_taken=len(shots),
-                n_tried=len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried,
-                n_valid=mean.n_valid,
-                quality=mean.quality,
-                reason=mean.reason,
-                values=mean.mean,
-                flags=[found.flags for found in counting],
-            ),
-            self._rules,
-        )
+        features, counting, mean = self._seen(shots, features, outcomes or {})
+        before = self._state
+        tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
+        found = self._set_of_shots(due, len(shots), tried, counting, mean)
+        self._state, verdict = step(before, found, self._rules)
         if verdict is None:
             return Assessment(conditions=self._device_conditions(due, mean), note=mean.reason)
-        rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
-        rows.append(_set_feature_row(self.position, due, mean))
-        closes = before is None and self._state.baseline is not None
+        closes = before.baseline is None and self._state.baseline is not None
         verdicts = self._baseline_verdicts() if closes else []
         if not any(row.set_index == due.set_index for row in verdicts):
             verdicts.append(self._verdict_row(due.set_index, due.due_h, verdict))
@@ -151,11 +129,73 @@ class SolitaryWaveAssessor:
         conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
         conditions += wall_conditions(self.position, self._state, self._rules, verdicts[-1])
         conditions.append(self._hole_condition(due, counting))
-        return Assessment(
-            features=rows,
+        return replace(
+            self._told(due, shots, features, mean),
             baseline=self._baseline_row() if closes else None,
             verdicts=verdicts,
             conditions=conditions,
+            suspicion=suspicion(before, self._state, verdict, self._rules),
+        )
+
+    def judge_beside(
+        self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
+    ) -> Assessment:
+        """Judge a set beside the plan by what the planned ones say; nothing is remembered of it."""
+        shots = [shot for shot in record.shots if shot.key.position == self.position]
+        own, counting, mean = self._seen(shots, [features[shot.sequence] for shot in shots], record.outcomes)
+        told = self._told(due, shots, own, mean)
+        if self._state.baseline is None:
+            return told
+        found = self._set_of_shots(due, len(shots), n_tried(record, self.position), counting, mean)
+        verdict, causes = alone(found, self._state.baseline, self._rules), self._state.baseline.causes
+        if causes is not None:
+            cause = cause_confirmed(self._state.recollection, causes, found.values)
+            verdict = replace(verdict, cause=cause)
+        row = self._verdict_row(due.set_index, due.due_h, verdict)
+        vector, fitted = found.vector(), self._state.baseline.fitted
+        if vector is not None and fitted is not None:
+            row = replace(row, confirms=confirms(self._state.judged, fitted, vector))
+        return replace(told, verdicts=[row])
+
+    @property
+    def awaits_baseline(self) -> bool:
+        """There is nothing yet to compare a set with."""
+        return self._state.baseline is None or self._state.baseline.fitted is None
+
+    def _seen(
+        self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
+    ) -> tuple[list[ShotFeatures], list[ShotFeatures], SetFeatures]:
+        """Look at the shots of a set together: features of all, those of the accepted ones, the set's."""
+        # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
+        own = learnt(features)
+        features = [compared(found, own) for found in features]
+        counts = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
+        counting = list(compress(features, counts))
+        return features, counting, self._set_features(list(compress(shots, counts)), counting)
+
+    def _set_of_shots(
+        self, due: DueSet, n_taken: int, n_tried: int, counting: Sequence[ShotFeatures], mean: SetFeatures
+    ) -> SetOfShots:
+        return SetOfShots(
+            set_index=due.set_index,
+            due_h=due.due_h,
+            n_taken=n_taken,
+            n_tried=n_tried,
+            n_valid=mean.n_valid,
+            quality=mean.quality,
+            reason=mean.reason,
+            values=mean.mean,
+            flags=[found.flags for found in counting],
+        )
+
+    def _told(
+        self, due: DueSet, shots: Sequence[Shot], features: Sequence[ShotFeatures], mean: SetFeatures
+    ) -> Assessment:
+        """Tell of a set what no other one changes."""
+        rows = [_feature_row(due, shot, found) for shot, found in zip(shots, features, strict=True)]
+        rows.append(_set_feature_row(self.position, due, mean))
+        return Assessment(
+            features=rows,
             n_valid=mean.n_valid,
             shot_flags={shot.sequence: found.flags for shot, found in zip(shots, features, strict=True)},
             invalid=frozenset(
@@ -200,6 +240,7 @@ class SolitaryWaveAssessor:
             limits=dict(state.baseline.limits) or None,
             readiness=readiness_of(state, rules),
             approval=self._approval,
+            state="approved" if self._approval == AUTOMATIC else "proposed",
             provenance={
                 "set_indices": indices,
                 "sets_left_out": state.n_left_out,

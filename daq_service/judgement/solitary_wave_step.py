@@ -38,8 +38,9 @@ class Rules:
 
     Attributes
     ----------
-    last_baseline_set
-        Index of the last set that belongs to the baseline.
+    first_baseline_set, last_baseline_set
+        Indices of the first and last set that belong to the baseline; one before them belongs to a baseline
+        that was retired meanwhile.
     minimum_sets, minimum_valid_shots
         Fewer valid sets make no baseline, fewer valid shots a poor set.
     limit
@@ -52,6 +53,7 @@ class Rules:
     """
 
     baseline_name: str
+    first_baseline_set: int
     last_baseline_set: int
     minimum_sets: int
     minimum_valid_shots: int
@@ -99,6 +101,14 @@ class SetOfShots:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JudgedSet:
+    """A planned set behind the baseline: its five features, and whether it lies beyond the limit."""
+
+    vector: tuple[float, ...]
+    outlier: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FrozenBaseline:
     """The closed baseline with its limits.
 
@@ -141,6 +151,8 @@ class State:
         What the causes are told by.
     poor_sets
         Sets running with too few valid shots.
+    judged
+        The last judged sets, as many as ``alarm`` remembers: a confirmation set is compared with them.
     """
 
     healthy: tuple[SetOfShots, ...] = ()
@@ -151,6 +163,7 @@ class State:
     recollection: Recollection = field(default_factory=Recollection)
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
+    judged: tuple[JudgedSet, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -194,6 +207,10 @@ def step(
         Its verdict, where it was judged before: a restart reads only the last sets, and what came before them
         is in what they remember.
     """
+    if found.set_index < rules.first_baseline_set:
+        return state, Verdict(
+            reason="its baseline was retired before it was judged"
+        ) if found.n_taken else None
     poor_sets = next_poor_sets(
         state.poor_sets,
         n_valid=found.n_valid,
@@ -224,6 +241,10 @@ def step(
     alarm = next_alarm_state(state.alarm, verdict.outlier, rules.alarm)
     if stored is None:
         verdict = _with_cause(verdict, found, state, suspicious=alarm.active)
+    vector = found.vector()
+    if verdict.outlier is not None and vector is not None:
+        last = JudgedSet(vector=vector, outlier=verdict.outlier)
+        state = replace(state, judged=(*state.judged, last)[-rules.alarm.n :])
     return replace(
         state,
         alarm=alarm,
@@ -283,6 +304,7 @@ def _frozen(state: State, rules: Rules) -> State:
             causes=design_of_causes([(found.set_index, found.values) for found in state.healthy]),
         ),
         memory=at_the_end_of(fitted, vectors[-1]),
+        recollection=Recollection(),
     )
 
 
@@ -304,6 +326,11 @@ def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Ru
         statistics=statistics,
         memory=memory,
     )
+
+
+def alone(found: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> Verdict:
+    """Judge a set by its own distance; no chart takes it in."""
+    return _judged(found, State(baseline=baseline), baseline, rules)
 
 
 def beyond(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:

@@ -14,6 +14,7 @@ from daq_service.archive import waveform_crc32
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import (
     AnnotationRow,
+    BaselineRow,
     EnvironmentRow,
     EventRow,
     Outcome,
@@ -76,7 +77,8 @@ class Transaction(SetCommit):
         for thickness in assessment.thickness:
             tell("thickness", "thickness_read", payload_of(thickness))
         if assessment.baseline is not None:
-            baseline = replace(assessment.baseline, created_utc_ns=moment.utc_ns)
+            approved_ns = moment.utc_ns if assessment.baseline.state == "approved" else None
+            baseline = replace(assessment.baseline, created_utc_ns=moment.utc_ns, approved_utc_ns=approved_ns)
             self.baselines.append(baseline)
             payload = payload_of(baseline, last="created_utc_ns")
             tell("verdicts", "baseline_frozen", payload)
@@ -118,6 +120,11 @@ class Transaction(SetCommit):
         self.annotation_of_event[len(self.events)] = len(self.annotations)
         self.annotations.append(row)
         self._tell("annotations", kind, payload_of(row, last="id"), moment, position=row.position)
+
+    def change_baseline(self, row: BaselineRow, kind: str, moment: Moment) -> None:
+        """Add what a person made of a baseline; the event tells the whole row."""
+        self.baselines.append(row)
+        self._tell("verdicts", kind, payload_of(row), moment, position=row.position)
 
     def _tell(
         self,

@@ -8,9 +8,11 @@ from typing import Annotated, Any, get_args
 from pydantic import Field, ValidationError
 
 from daq_service.errors import UsageError
+from daq_service.orders.baselines import ApproveBaseline, RenewBaseline
 from daq_service.orders.kinds import (
     AcknowledgeAlarm,
     Annotate,
+    Confirm,
     FinishNow,
     Hold,
     Order,
@@ -34,6 +36,7 @@ AnyOrder = Annotated[
     | TrustClock
     | Retire
     | Reinstate
+    | Confirm
     | SupplyOn
     | SupplyOff
     | Annotate
@@ -41,7 +44,9 @@ AnyOrder = Annotated[
     | ShelveAlarm
     | UnshelveAlarm
     | TakeOutOfService
-    | ReturnToService,
+    | ReturnToService
+    | ApproveBaseline
+    | RenewBaseline,
     Field(discriminator="kind"),
 ]
 KINDS: Mapping[str, type[Order]] = {

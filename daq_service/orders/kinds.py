@@ -7,8 +7,8 @@ recorder of what is so now. A new kind is a class here, or in a module beside, a
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -57,6 +57,8 @@ class Facts:
         Every position, of any method.
     annotations
         Rows.
+    baselines
+        State of the newest baseline of each position that has one.
     """
 
     recorder: str = "running"
@@ -68,6 +70,7 @@ class Facts:
     alarms: Sequence[AlarmRow]
     places: Sequence[str] = ()
     annotations: Sequence[AnnotationRow] = ()
+    baselines: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,7 +429,9 @@ class TrustClock(Order):
         return test.clock.trust()
 
 
-class _TransducerOrder(Order):
+class TransducerOrder(Order):
+    """About a solitary-wave transducer."""
+
     rows_only = True
     arguments: TransducerArguments
 
@@ -442,7 +447,7 @@ class _TransducerOrder(Order):
         raise NotImplementedError
 
 
-class Retire(_TransducerOrder):
+class Retire(TransducerOrder):
     """Strike a transducer no more; the others go on."""
 
     kind: Literal["retire"]
@@ -469,7 +474,7 @@ class Retire(_TransducerOrder):
         return f"{position} strikes no more"
 
 
-class Reinstate(_TransducerOrder):
+class Reinstate(TransducerOrder):
     """Let a retired transducer strike again: what was wrong is put right."""
 
     kind: Literal["reinstate"]
@@ -489,6 +494,28 @@ class Reinstate(_TransducerOrder):
         test.change_alarms(moment, *changes)
         test.reinstated(position)
         return f"{position} strikes again from the next set"
+
+
+class Confirm(TransducerOrder):
+    """Strike a confirmation set beside the plan, outside chart and baseline."""
+
+    kind: Literal["confirm"]
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        if facts.held:
+            reason = f"the test is on hold: {facts.held}"
+            return Refusal(reason, "Release it when nobody's hands are in the rig any more.")
+        return super()._forbidden(facts)
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = f"{position} is retired", "Reinstate it when it is put right."
+        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position = self.arguments.position
+        because = self.arguments.note or f"{self.author} wants to know"
+        test.store(test.confirmation(position, self.author, because))
+        return f"a confirmation set is struck at {position} as soon as the line is free"
 
 
 class _SupplyOrder(Order):

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from daq_service.alarms.states import Change, Moment, as_it_stands
-from daq_service.catalogue.rows import AlarmRow, AnnotationRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.judgement.transaction import Transaction
+from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock
 
 AlarmKey = tuple[str | None, str]
@@ -85,17 +86,39 @@ class RunningTest(StoredTest):
     ----------
     reinstated
         Called with a position that may strike again.
+    confirmation
+        Makes what asks for a confirmation set, of position, author and reason; a refusal is a ValueError.
     positions
         The solitary-wave transducers.
     supply
         None where the test has no supply.
+    settings
+        What the test was begun with.
+    next_set
+        Index of the first planned set of which no shot is struck yet.
+    baseline
+        Newest baseline of a position, None while its first one is being recorded.
+    renewed
+        Called with a position that is judged against another baseline from its next set on.
     """
 
     clock: Clock
     stop: threading.Event
     reinstated: Callable[[str], None]
+    confirmation: Callable[[str, str, str], Transaction]
     positions: Sequence[str]
+    settings: Settings
+    next_set: Callable[[], int]
+    baseline: Callable[[str], BaselineRow | None]
+    renewed: Callable[[str], None]
     supply: SupplySwitch | None = None
+
+    def change_baselines(self, *steps: tuple[BaselineRow, str]) -> None:
+        """Store what a person made of baselines, each with the kind of its event, together."""
+        transaction, moment = Transaction(), self.moment()
+        for row, kind in steps:
+            transaction.change_baseline(row, kind, moment)
+        self.store(transaction)
 
     @property
     def switch(self) -> SupplySwitch:

@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, followed
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
-from daq_service.alarms.states import Condition, Moment, expired, retired_positions, update
+from daq_service.alarms.states import Condition, Moment, expired, proven_by, retired_positions, update
 from daq_service.archive import SetReader, SetRecord
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.assessment import Assessment, Assessor
+from daq_service.judgement.confirmation import confirmed, no_room
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
+from daq_service.recording.confirmations import Confirmations
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
@@ -45,6 +47,8 @@ class Ledger:
         The newest alarm of each position and kind, as stored.
     proven
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
+    confirmations
+        Sets beside the plan.
     drive
         The corrosion drive; None where the test has neither supply nor climate probe.
     """
@@ -69,26 +73,26 @@ class Ledger:
         rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
-        self._assessors = {
-            position: METHODS[place.method].restored(position, settings, catalogue, archive, rehearsal)
-            for position, place in settings.positions.items()
-        }
+        self.confirmations = Confirmations(settings, catalogue)
+        self._archive, self._rehearsal = archive, rehearsal
+        self._assessors = {position: self._restored(position) for position in settings.positions}
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
-            self.take_delay(event)
+            self.take_told(event)
         self.drive = None
         if rig is not None and (rig.supply or rig.climate or remote_drive):
             self.drive = DriveWatch(
                 settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
             )
 
-    def passed(self, row: SetRow) -> None:
-        """Take in the row of a set that gave not one record, as it was stored."""
-        self._assessors[row.position].nothing_taken(
+    def passed(self, row: SetRow) -> Sequence[Condition]:
+        """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
+        assessment = self._assessor(row.position).nothing_taken(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
+        return assessment.conditions
 
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
@@ -96,7 +100,20 @@ class Ledger:
 
     def reinstated(self, position: str) -> None:
         """Forget what retired a transducer: a person says that it may strike again."""
-        self._assessors[position].reinstate()
+        self._assessor(position).reinstate()
+
+    def renewed(self, position: str) -> None:
+        """Judge by what is stored from the next set on: a person has begun another baseline."""
+        self._assessors.pop(position, None)
+
+    def _restored(self, position: str) -> Assessor:
+        method = METHODS[self._settings.positions[position].method]
+        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
+
+    def _assessor(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            self._assessors[position] = self._restored(position)
+        return self._assessors[position]
 
     def n_planned(self, position: str) -> int:
         """Count the records wanted of a position in a set."""
@@ -114,6 +131,8 @@ class Ledger:
     ) -> Transaction:
         """Assess every position, once: rows, alarms and events of one transaction, to be committed.
 
+        A set beside the plan is judged at its own position, and changes nothing that others are judged by.
+
         Parameters
         ----------
         file, sha256
@@ -123,23 +142,20 @@ class Ledger:
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
         transaction = Transaction()
-        for position, place in self._settings.positions.items():
+        suspicions: dict[str, str] = {}
+        for position in self._places(due):
             if position not in causes:
                 cause = retired.get(position, "retired")
                 transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
+            assessor = self._assessor(position)
             with self._cost.of("judge_s"):
-                assessment = self._assessors[position].judge(due, record, features)
-            row = SetRow(
-                set_index=due.set_index,
-                position=position,
-                method=place.method,
-                due_utc_ns=due.due_utc_ns,
-                due_h=due.due_h,
+                judge = assessor.judge if due.position is None else assessor.judge_beside
+                assessment = judge(due, record, features)
+            row = replace(
+                self.without_records(due, position, retired=False, cause=causes[position]),
                 state="done" if not causes[position] else "partial" if measurements else "missed",
-                cause=causes[position] or None,
-                n_planned=self.n_planned(position),
                 n_taken=len(measurements),
                 n_valid=assessment.n_valid,
                 n_missed=n_missed(record, position),
@@ -150,11 +166,61 @@ class Ledger:
                 file_sha256=sha256 if measurements else None,
             )
             transaction.add_position(row, measurements, assessment, moment, record.outcomes)
+            suspicions[position] = assessment.suspicion
             for condition in assessment.conditions:
-                self._carry_alarm(condition, moment, transaction)
-        self._carry_alarm(self._rig_condition(due, record), moment, transaction)
+                further = self.confirmations.proof(condition, due.set_index)
+                self._carry_alarm(
+                    replace(condition, proof=dict(condition.proof) | further), moment, transaction
+                )
+        rig_now = self._rig_condition(due, record)
+        if due.position is not None:
+            self._prove(due.position, transaction, moment)
+            if rig_now.present:  # that one position is well again says nothing of the other instruments
+                self._carry_alarm(rig_now, moment, transaction)
+            return transaction
+        self._carry_alarm(rig_now, moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
+        standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
+        for position, because in suspicions.items():
+            if because:
+                self.confirmations.ask(because, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
+
+    def _places(self, due: DueSet) -> list[str]:
+        """Positions that a set is of."""
+        return list(self._settings.positions) if due.position is None else [due.position]
+
+    def _prove(self, position: str, transaction: Transaction, moment: Moment) -> None:
+        """Let the alarm that stands at a position say what its confirmation set says."""
+        row = self.alarms.get((position, "wall_change"))
+        if row is not None and row.state != "normal":
+            verdict = transaction.verdicts[0] if transaction.verdicts else None
+            told = asdict(confirmed(transaction.sets[0], verdict))
+            transaction.add_alarm(proven_by(row, {"confirmation": told}, moment), moment)
+
+    def order_confirmation(
+        self, planned: DueSet, position: str, author: str, note: str, moment: Moment
+    ) -> Transaction:
+        """Ask for a confirmation set after a planned one by a person's order; to be committed.
+
+        Raises
+        ------
+        ValueError
+            It cannot be taken, and why.
+        """
+        if self._assessor(position).awaits_baseline:
+            raise ValueError(
+                f"{position} has no baseline yet to compare a set with; wait until it is recorded"
+            )
+        too_late = no_room(self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns)
+        if too_late:
+            raise ValueError(f"{too_late}: that one says the same")
+        transaction = Transaction()
+        if self.confirmations.add(note, planned, position, moment, transaction, author) is None:
+            raise ValueError(
+                "there are too many confirmation sets since the last planned set; wait for the next one"
+            )
+        return transaction
 
     def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
         """Tell whether the instruments of any method had trouble; each method has its own."""
@@ -199,8 +265,9 @@ class Ledger:
             transaction.add_alarm(change, moment)
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
-    def take_delay(self, event: EventRow) -> None:
-        """Take in since when an alarm is held back, once that is stored; other events say nothing of it."""
+    def take_told(self, event: EventRow) -> None:
+        """Take in since when an alarm is held back and what is asked for, once that is stored."""
+        self.confirmations.take_event(event)
         if event.kind == DELAY_EVENT:
             told = event.payload
             self._delayed_since_ns[(event.position, told["alarm_kind"])] = told["since_utc_ns"]
@@ -231,10 +298,11 @@ class Ledger:
     def _tell_news(self, transaction: Transaction) -> None:
         """Tell whoever started the test what is not as it should be, and what is again."""
         for event in transaction.events:
-            self.take_delay(event)
+            self.take_told(event)
+        self.confirmations.take_rows(transaction)
         lacking: dict[tuple[int, str, str], list[str]] = {}
         for row in transaction.sets:
-            if row.state in ("missed", "partial"):
+            if row.state in ("missed", "partial") and row.purpose is None:
                 lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
         for (set_index, state, cause), positions in lacking.items():
             self._news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
@@ -264,7 +332,7 @@ class Ledger:
         moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
         retired = self.retired() if tried is None else tried.retired
-        for position in self._settings.positions:
+        for position in self._places(due):
             gone = position in retired
             missed = (
                 []
@@ -273,8 +341,8 @@ class Ledger:
             )
             restrikes = sum(key.attempt > 0 for key in missed)
             assessment = Assessment()
-            if tried is not None and not gone:
-                assessment = self._assessors[position].nothing_taken(due, len(missed) - restrikes)
+            if tried is not None and not gone and due.position is None:
+                assessment = self._assessor(position).nothing_taken(due, len(missed) - restrikes)
             row = replace(
                 self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]
@@ -290,6 +358,9 @@ class Ledger:
             told = rig_condition(due, tried.told_trouble(), unanswered, proven=self.proven)
             self._carry_alarm(told, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+        if due.position is not None:
+            self._prove(due.position, transaction, moment)
+            return transaction
         return self._with_environment(due, moment, transaction)
 
     def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
@@ -301,6 +372,7 @@ class Ledger:
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
             state="retired" if retired else "missed",
-            cause=cause,
+            cause=cause or None,
             n_planned=0 if retired else self.n_planned(position),
+            purpose=None if due.position is None else "confirmation",
         )

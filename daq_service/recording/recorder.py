@@ -33,6 +33,7 @@ from daq_service.catalogue.rows import AnnotationRow
 from daq_service.clock import WallClock, boot_id
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
+from daq_service.judgement.confirmation import no_room
 from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import LISTEN_EVERY_S, OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -49,7 +50,7 @@ from daq_service.recording.safekeeping import LOOK_EVERY_S, Helpers, Safekeeping
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import Shot, ShotKey
+from hardware_drivers.measurement import Shot, ShotKey, in_order, purpose_of
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
@@ -102,6 +103,8 @@ class Recorder:
         self._tell = tell
         self._left_alone = left_alone or threading.Event()
         self._doing, self._asks = "starting", ""
+        self._newest: DueSet | None = None
+        self._taken_up: set[int] = set()
         self._calibrated_ns: int | None = None
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
         self._archive = archive
@@ -142,6 +145,7 @@ class Recorder:
         sequences = [item.sequence for opened in self._open.values() for item in opened.records]
         self._next_sequence = max([catalogue.next_sequence(), *(number + 1 for number in sequences)])
         self._damaged: dict[int, str] = {}
+        self._next_set = 0
         drive = self._ledger.drive
         test = RunningTest(
             clock=rig.clock,
@@ -151,6 +155,11 @@ class Recorder:
             annotations=lambda: catalogue.rows(AnnotationRow),
             store=self._ledger.commit,
             reinstated=self._ledger.reinstated,
+            confirmation=self._order_confirmation,
+            settings=settings,
+            next_set=lambda: self._next_set,
+            baseline=catalogue.baseline,
+            renewed=self._ledger.renewed,
             positions=settings.names_of(SOLITARY_WAVE),
             supply=drive if drive is not None and drive.has_supply else None,
         )
@@ -175,15 +184,21 @@ class Recorder:
         absences = self._wait_for_a_set_clock(not_running_because)
         for number, due in enumerate(self._plan):
             if due.set_index in done:
+                self._newest = due
                 continue
+            self._confirm(before=due)
+            self._next_set = due.set_index + (due.set_index in self._open or due.set_index in self._orphans)
             if not (self._adopt(due) or self._miss(due, absences)):
                 self._take_when_due(due)
+            self._newest = due
             if not self._stop.is_set() and not self._may_run_ahead:
                 self._kept.wait_for_the_disk(self._idle)
                 self._kept.wait_for_the_worker(self._idle)
             if self._stop.is_set():
                 break
             self._tell("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        self._confirm()
+        self._newest = None
         self._kept.wait_for_the_disk(self._idle)
         self._kept.wait_for_the_files(self._idle)
         finished = not self._stop.is_set()
@@ -219,15 +234,26 @@ class Recorder:
         self._doing = f"waiting for set {due.set_index}"
         # Simulated time has no idle hours: there files are checked after the last set.
         self._free_until_ns = due.due_utc_ns if self._may_run_ahead else -math.inf
-        if not self._rig.clock.wait_until(due.due_utc_ns, self._idle) or self._miss(due):
+        while not self._rig.clock.wait_until(due.due_utc_ns, self._idle_unless_asked):
+            if self._stop.is_set():
+                return
+            self._confirm(before=due)
+            self._doing = f"waiting for set {due.set_index}"
+        if self._miss(due):
             return
+        self._newest = due
+        self._take_now(due)
+
+    def _take_now(self, due: DueSet) -> None:
         if self._orders.held:
             self._gap(due, self._orders.held)
             return
         if self._kept.trouble is not None and not self._kept.has_room:
             self._gap(due, f"the memory for what waits is full: {self._kept.trouble.message}")
             return
-        self._begin(f"taking set {due.set_index}")
+        self._begin(f"taking {_named(due)}")
+        if due.position is None:
+            self._next_set = due.set_index + 1
         taken = self._begun(due)
         self._take(due, taken)
         if self._stays_open(taken):
@@ -235,7 +261,7 @@ class Recorder:
         if not taken.is_empty:
             self._store_and_judge(due, taken)
         elif not self._stop.is_set():
-            causes = {name: self._shortfall(name, taken) for name in self._settings.positions}
+            causes = {name: self._shortfall(name, taken) for name in self._places(due)}
             self._kept.post(
                 partial(self._ledger.nothing_taken, due, causes, utc_ns=taken.ended_ns, tried=taken)
             )
@@ -247,6 +273,72 @@ class Recorder:
                 "are stored"
             ) from taken.trouble
 
+    # Beside the plan -----------------------------------------------------------------------------
+
+    def _confirm(self, *, before: DueSet | None = None) -> None:
+        """Take the sets beside the plan that are asked for, as far as planned sets leave time for them."""
+        for due in self._beside():
+            planned, _ = in_order(due.set_index)
+            if self._stop.is_set() or (before is not None and planned >= before.set_index):
+                continue
+            self._taken_up.add(due.set_index)
+            if self._adopt(due):
+                continue
+            if cause := self._no_time_for(due, self._plan[planned]):
+                self._gap(due, cause)
+            else:
+                self._take_now(due)
+
+    def _beside(self) -> list[DueSet]:
+        """List what waits, in the order of the sets; what is taken up waits for the disk at most."""
+        asked = {index: one.due for index, one in self._ledger.confirmations.waiting.items()}
+        for index, opened in self._open.items():
+            if purpose_of(index) != "planned":  # its catalogue was lost, and who asked for it with that
+                (position,) = (name for name in self._settings.positions if name not in opened.retired)
+                due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
+                due = DueSet(set_index=index, due_h=due_h, due_utc_ns=opened.due_utc_ns, position=position)
+                asked.setdefault(index, due)
+        return [asked[index] for index in sorted(asked.keys() - self._taken_up, key=in_order)]
+
+    def _no_time_for(self, due: DueSet, planned: DueSet) -> str:
+        """Why a set beside the plan comes too late, or strikes a retired transducer; empty: it does not."""
+        assert due.position is not None, "it is beside the plan"
+        if retired := self._ledger.retired().get(due.position):
+            return retired
+        now_ns = self._rig.clock.utc_ns()
+        if now_ns > due.due_utc_ns + NS_PER_H:
+            return OVERSLEPT
+        beside = self._ledger.confirmations
+        return no_room(beside.room_ns(planned, now_ns), beside.set_ns)
+
+    def _order_confirmation(self, position: str, author: str, note: str) -> Transaction:
+        """Ask for a set beside the plan by a person's order; it is taken once the line is free.
+
+        Raises
+        ------
+        ValueError
+            It cannot be taken, and why.
+        """
+        if self._newest is None:
+            raise ValueError(
+                "no planned set was taken yet, or none is left: nothing is struck beside the plan"
+            )
+        return self._ledger.order_confirmation(self._newest, position, author, note, self._moment())
+
+    def _places(self, due: DueSet) -> list[str]:
+        return list(self._settings.positions) if due.position is None else [due.position]
+
+    def _not_of(self, due: DueSet) -> dict[str, str]:
+        """Positions that a set beside the plan leaves out."""
+        return {
+            name: f"a confirmation set of {due.position}"
+            for name in self._settings.positions
+            if due.position not in (None, name)
+        }
+
+    def _idle_unless_asked(self) -> bool:
+        return self._idle() and not self._beside()
+
     def _begun(self, due: DueSet) -> TakenSet:
         """Begin a set, or take up one that the last recorder left open."""
         opened = self._open.pop(due.set_index, None)
@@ -256,7 +348,7 @@ class Recorder:
         taken = TakenSet(
             rule=self._restrike_rule(),
             # As it stands now: an order during the set changes what is struck, not what was planned.
-            retired=self._ledger.retired(),
+            retired=self._ledger.retired() | self._not_of(due),
             started_ns=self._rig.clock.utc_ns(),
         )
         self._archive.begin_set(
@@ -342,7 +434,7 @@ class Recorder:
 
     def _store_and_judge(self, due: DueSet, taken: TakenSet, *, cut_short_because: str = "") -> None:
         """First durable, then judged: nobody hears of a shot that a power cut could take away."""
-        self._begin(f"storing set {due.set_index}")
+        self._begin(f"storing {_named(due)}")
         record = SetRecord(
             set_index=due.set_index,
             due_utc_ns=due.due_utc_ns,
@@ -368,9 +460,9 @@ class Recorder:
             self._cost.sets += 1
             for stage, seconds in asdict(stored.timings).items():
                 self._cost.seconds[stage] += seconds
-            self._doing = f"judging set {due.set_index}"
+            self._doing = f"judging {_named(due)}"
             transaction = self._ledger.judged(due, record, stored.file, taken.features, sha256=stored.sha256)
-            if machine is not None:
+            if machine is not None and due.position is None:
                 moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
                 transaction.tell(MACHINE_READ, machine, moment, topic="machine")
             return transaction
@@ -487,7 +579,7 @@ class Recorder:
             self._store_and_judge(due, self._restored(opened), cut_short_because=cause)
             return
         self._archive.settle(due.set_index)
-        causes = dict.fromkeys(self._settings.positions, self._damaged.get(due.set_index, cause))
+        causes = dict.fromkeys(self._places(due), self._damaged.get(due.set_index, cause))
         utc_ns = self._rig.clock.utc_ns()
         self._kept.post(partial(self._ledger.nothing_taken, due, causes, utc_ns=utc_ns))
 
@@ -590,3 +682,7 @@ class Recorder:
 
     def _hour(self) -> float:
         return (self._rig.clock.utc_ns() - self._epoch_ns) / NS_PER_H
+
+
+def _named(due: DueSet) -> str:
+    return f"set {due.set_index}" if due.position is None else f"a confirmation set at {due.position}"

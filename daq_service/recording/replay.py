@@ -16,7 +16,7 @@ import orjson
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
+from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
@@ -34,13 +34,15 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
+from daq_service.judgement.confirmation import CONFIRMATION_ASKED
+from daq_service.judgement.life import STEPS
 from daq_service.judgement.results import differing, results_of
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_because
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import Shot, in_order, purpose_of
 
 log = logging.getLogger(__name__)
 
@@ -143,14 +145,14 @@ class _Replay:
         files = dict(self._archive.sets())
         total = len(files)
         told_of = {event.set_index for event in self._told.events.values() if event.set_index is not None}
-        untold = sorted(files.keys() - told_of)
+        untold = sorted(files.keys() - told_of, key=in_order)
         runs = list(_runs(self._told.events))
         for number, (set_index, events) in enumerate(runs):
             if set_index is None:
                 self._pass(events)
                 continue
             # A set of which every event is lost is told before the next one.
-            while untold and untold[0] < set_index:
+            while untold and in_order(untold[0]) < in_order(set_index):
                 self._judge(untold[0], files.pop(untold.pop(0)), [], range(0))
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
             reference = files.pop(set_index, None)
@@ -159,7 +161,8 @@ class _Replay:
             else:
                 self._judge(set_index, reference, events, free)
             progress(total - len(files), total)
-        for set_index, reference in sorted(files.items()):
+        for set_index in sorted(files, key=in_order):
+            reference = files[set_index]
             self._judge(set_index, reference, [], range(0))
             progress(total, total)
         self._catalogue.restore(self._alarms.values())
@@ -173,12 +176,15 @@ class _Replay:
             self._take_alarm(event)
             if event.topic == "annotations":
                 self._catalogue.restore([_told_with_id(AnnotationRow, event, "annotation_id")])
+            if event.kind in STEPS:
+                self._catalogue.restore([_told_with_id(BaselineRow, event, "id")])
+                self._ledger.renewed(str(event.position))
             retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
             if retired and event.position in self._settings.positions:
                 self._ledger.reinstated(event.position)
 
     def _take_alarm(self, event: EventRow) -> None:
-        self._ledger.take_delay(event)
+        self._ledger.take_told(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = _told_with_id(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
@@ -190,7 +196,7 @@ class _Replay:
         transaction.sets = self._told_sets(transaction.sets)
         self._commit(transaction, events)
         for row in transaction.sets:
-            if row.state != "retired" and not row.n_taken and row.n_missed:
+            if row.purpose is None and row.state != "retired" and not row.n_taken and row.n_missed:
                 self._ledger.passed(row)
         if any(row.n_taken for row in transaction.sets):
             self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
@@ -199,7 +205,8 @@ class _Replay:
     def _told_sets(self, told: Sequence[SetRow]) -> list[SetRow]:
         """Complete rows that were told: no event tells of a position left out of a set with records."""
         rows = {row.position: row for row in told}
-        for position, cause in self._ledger.retired().items() if told else ():
+        of_the_plan = told and told[0].purpose is None
+        for position, cause in self._ledger.retired().items() if of_the_plan else ():
             due = DueSet(set_index=told[0].set_index, due_h=told[0].due_h, due_utc_ns=told[0].due_utc_ns)
             retired = self._ledger.without_records(due, position, retired=True, cause=cause)
             rows.setdefault(position, retired)
@@ -234,7 +241,7 @@ class _Replay:
         if why := foreign_because(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
             return
-        due = DueSet(set_index=set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
+        due = due_of(record)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
         transaction = self._ledger.judged(due, record, reference, features, sha256=sha256)
@@ -260,7 +267,7 @@ class _Replay:
         return told or found
 
     def _add_environment(self, transaction: Transaction, record: SetRecord) -> None:
-        if record.environment and not transaction.environment:
+        if record.environment and not transaction.environment and purpose_of(record.set_index) == "planned":
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
 
@@ -276,6 +283,7 @@ class _Replay:
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
         self._catalogue.commit_set(transaction)
+        self._ledger.confirmations.take_rows(transaction)
         for event in events:
             self._take_alarm(event)
 
@@ -286,7 +294,12 @@ class _Replay:
         if not told:
             return list(computed)
         known = {_key(event) for event in told}
-        lost = [event for event in computed if _key(event) not in known and event.topic != "alarms"]
+        # A set beside the plan was asked for or not: that is told, never computed.
+        lost = [
+            event
+            for event in computed
+            if _key(event) not in known and event.topic != "alarms" and event.kind != CONFIRMATION_ASKED
+        ]
         if len(lost) == len(free):
             again = [replace(event, id=row_id) for event, row_id in zip(lost, free, strict=True)]
             return sorted([*told, *again], key=lambda event: event.id or 0)

@@ -14,6 +14,7 @@ from daq_service.archive.waterfall.keeping import forget_tiles, keep_file
 from daq_service.errors import StorageError
 from daq_service.recording.compaction import Compaction
 from daq_service.recording.idle_check import QUIET_S
+from hardware_drivers.measurement import PLANNED_SETS
 
 log = logging.getLogger(__name__)
 
@@ -45,10 +46,15 @@ def tiles_again(
     except OSError as error:
         return [f"the old tiles stay: {error}"]
     told = []
-    for number, (set_index, file) in enumerate(files.items()):
+    for number, (set_index, file) in enumerate(_of_the_plan(files).items()):
         told.append(tiled(folder, experiment, [(file, results(set_index))]))
         progress(number + 1, len(files))
     return [line for line in told if line]
+
+
+def _of_the_plan(files: Mapping[int, str]) -> dict[int, str]:
+    """Leave out what was struck beside the plan: it has no place in the picture."""
+    return {index: file for index, file in files.items() if index < PLANNED_SETS}
 
 
 class Tiling:
@@ -85,7 +91,7 @@ class Tiling:
 
     def put(self, set_index: int, file: str) -> None:
         """Have a set added that has its file now, when the worker has time."""
-        self._new[set_index] = file
+        self._new |= _of_the_plan({set_index: file})
 
     @property
     def waits(self) -> bool:
@@ -116,7 +122,7 @@ class Tiling:
     def _of_the_round(self) -> list[tuple[int, str]]:
         """Choose sets of which nobody knows whether the tiles have them; the newest ones come first."""
         if not self._round:
-            self._round = sorted(self._files().items())
+            self._round = sorted(_of_the_plan(self._files()).items())
         some, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
         return some
 

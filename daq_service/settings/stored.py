@@ -1,7 +1,8 @@
 """The configuration that a data folder keeps, read by today's keys and compared with the one given.
 
-A folder outlives versions. A key that came later counts with its default, one that got another name or
-went is looked up in `RENAMED`; what then differs, differs in what is measured.
+A folder outlives versions. A key that came later counts with its default, or with what was done before it
+came (`BEFORE`); one that got another name or went is looked up in `RENAMED`. What then differs, differs in
+what is measured.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ KeyPath = tuple[str, ...]
 RENAMED: Mapping[str, str | None] = {}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
 or None for one that went without changing what is measured."""
+
+BEFORE: Mapping[str, Any] = {"alarms.decides_by": "k_of_n"}
+"""Keys that came later and whose default is not what was done before, with what was."""
 
 SHOWN = 12
 """A refusal names this many keys: nobody reads more."""
@@ -54,9 +58,10 @@ def stored_settings(values: Mapping[str, Any]) -> Settings:
 
 
 def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables under today's names, without the keys that went."""
+    """Nested tables under today's names, without keys that went, with what was done before others came."""
+    before = {tuple(key.split(".")): value for key, value in BEFORE.items()}
     moved = ((_todays(path), value) for path, value in flattened(values).items())
-    return nested({path: value for path, value in moved if path})
+    return nested(before | {path: value for path, value in moved if path})
 
 
 def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
@@ -86,14 +91,17 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
         if not _is_hashed_out(path)
     }
     try:
-        known = _Stored(**nested({p: v for p, v in flat.items() if p not in unknown}))
-        began = flattened(_with_todays_defaults(known).measured())
+        known: Settings = _Stored(**nested({p: v for p, v in flat.items() if p not in unknown}))
+        known = _with_todays_defaults(known)
+        began = flattened(known.measured())
     except ValidationError as error:
         told |= {_path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()}
     else:
         now = flattened(given.measured())
+        # A key that is not hashed where it says what was done before it came has a value all the same.
+        then_flat = flattened(known.model_dump(mode="json"))
         told |= {
-            path: f"began with {_value(began, path)}, is {_value(now, path)} now"
+            path: f"began with {_value(then_flat | began, path)}, is {_value(given_flat | now, path)} now"
             for path in {**began, **now}
             if _value(began, path) != _value(now, path)
         }

@@ -192,8 +192,9 @@ class BaselineSettings(Section):
     """Fewer valid sets give no limit, with the reason."""
     minimum_valid_shots: int = Field(default=MINIMUM_VALID_SHOTS, ge=1, le=1000)
     """Valid shots a set needs for a feature (of `schedule.shots_per_set`)."""
-    approval: Literal["automatic"] = "automatic"
-    """`automatic`: nobody signed the baseline; every chart says so."""
+    approval: Literal["automatic", "by_a_person"] = "automatic"
+    """`automatic`: nobody signs the baseline, and the page says so; `by_a_person`: it is proposed until
+    somebody does (`solimon approve-baseline`). It judges from its last set on, signed or not."""
 
 
 class NoveltySettings(Section):
@@ -219,10 +220,12 @@ class NoveltySettings(Section):
 class AlarmSettings(Section):
     """When an outlier becomes an alarm."""
 
-    decides_by: Literal["chart", "k_of_n"] = "k_of_n"
+    decides_by: Literal["chart", "k_of_n"] = "chart"
     """What raises `wall_change`: the chart that keeps the budget, or `k` outliers of `n` sets."""
     false_alarms_per_sensor_year: float = Field(default=0.2, gt=0.0, le=365.0)
     """Budget of the chart: what a healthy sensor may raise, on average (0.2: one in five years)."""
+    false_alarms_per_year: float | None = Field(default=None, gt=0.0, le=3650.0)
+    """Budget of all transducers together, which share it evenly; absent: each has its own."""
     k: int = Field(default=AlarmRule().k, ge=1, le=100)
     """Outliers among the last `n` judged sets that raise the alarm."""
     n: int = Field(default=AlarmRule().n, ge=1, le=100)
@@ -233,6 +236,8 @@ class AlarmSettings(Section):
     """Such sets in a row that retire the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
+    confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
+    """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
 
@@ -409,15 +414,28 @@ class Settings(BaseSettings):
                     f"{unknown[0]!r}"
                 )
 
+    def false_alarms_per_sensor_year(self) -> float:
+        """Budget of one transducer's chart: its own, or its part of that of all."""
+        of_all = self.alarms.false_alarms_per_year
+        if of_all is None:
+            return self.alarms.false_alarms_per_sensor_year
+        return of_all / sum(place.method == SOLITARY_WAVE for place in self.positions.values())
+
     def measured(self) -> dict[str, Any]:
         """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
-        # Keys that came later: at their defaults, what was hashed before is hashed still.
-        for key in ("decides_by", "false_alarms_per_sensor_year"):
-            if values["alarms"][key] == AlarmSettings.model_fields[key].default:
+        # Keys that came later: where they say what was done before, what was hashed before is hashed still.
+        for key, before in (
+            ("decides_by", "k_of_n"),
+            ("false_alarms_per_sensor_year", 0.2),
+            ("confirmation_sets_a_day", AlarmSettings.model_fields["confirmation_sets_a_day"].default),
+        ):
+            if values["alarms"][key] == before:
                 del values["alarms"][key]
         # Keys that came later: absent, what was hashed before is hashed still.
+        if self.alarms.false_alarms_per_year is None:
+            del values["alarms"]["false_alarms_per_year"]
         for key in ("holdoff_s", "watchdogs"):
             if rig["daqmx"] is not None and rig["daqmx"][key] is None:
                 del rig["daqmx"][key]

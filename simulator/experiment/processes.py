@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import ShotKey, in_order
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 
@@ -56,11 +56,18 @@ def remembering(weights: FloatArray, dof: float, *, seed: int, position: str, se
         `memory_weights`.
     dof
         Of the innovations, Student's t of variance 1.
+
+    A set beside the plan remembers what the next planned one does, and has an innovation of its own: planned
+    sets stay what they are without it.
     """
-    block, first = divmod(set_index, LAGS)
+    planned, beside = in_order(set_index)
+    block, first = divmod(planned + bool(beside), LAGS)
     recent = np.concatenate(
         [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
+    if beside:
+        key = ShotKey(position=position, set_index=set_index, shot_index=0)
+        recent[-1] = unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],))
     return np.asarray((weights * recent).sum(axis=0))
 
 

@@ -5,9 +5,10 @@ from datetime import datetime, timedelta
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import expect
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 
+from daq_service.catalogue import SetCommit
 from daq_service.orders.audit import Audit
 from daq_service.settings.tree import Settings
 from daq_service.web.doors.tokens import create_token
@@ -16,6 +17,19 @@ pytestmark = pytest.mark.browser
 
 SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL", "voltage_v": 9.0, "voltage_cap_v": 11.0}
 
+READINESS = {
+    "n": 47,
+    "n_left_out": 1,
+    "n_eff": 33.6,
+    "phi_pooled": 0.17,
+    "tail": 1.5,
+    "named": [{"kind": "group", "set_indices": [3, 4, 5]}, {"kind": "trend", "set_indices": [0, 47]}],
+    "advice": "200 sets and more are advised, 47 are there",
+    "false_alarms_per_sensor_year": 0.2,
+    "rate_guaranteed": False,
+    "why_not_guaranteed": "47 sets cannot show slow memory",
+}
+
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
@@ -23,6 +37,10 @@ def filled(tmp_path_factory):
     for index in range(3):
         folder.add_set(index, stored=False, shown=index == 2)
     folder.add_alarm("B", 2)
+    retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+    second = {"name": "B-baseline-2", "state": "proposed", "approval": "by_a_person", "readiness": READINESS}
+    rows = [frozen_baseline("B", state="retired", **retired), frozen_baseline("B", **second)]
+    folder.catalogue.commit_set(SetCommit(baselines=rows))
     yield folder
     folder.close()
 
@@ -95,6 +113,41 @@ def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
     expect(control.get_by_role("button", name="Sent, expires")).to_be_visible()
     assert answered(filled) == order
     expect(asked).to_be_enabled()
+
+
+def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(filled, service, open_page):
+    page = open_page(service.url, name="ann")
+    card, dialog = page.locator("#baseline"), page.get_by_role("dialog")
+    expect(card.locator("summary")).to_contain_text("Baseline of B Proposed: nobody has signed it")
+    card.locator("summary").press("Enter")
+    for text in (
+        "47 of 0 to 47, 1 left out",
+        "34 independent sets (correlation from set to set 0.17)",
+        "sets 3, 4, 5 lie together, away from the others; a trend over the whole baseline",
+        "not measured",
+        "0.2 a year by the chart, not promised: 47 sets cannot show slow memory",
+        "200 sets and more are advised",
+        "B-baseline-1, retired by ben, 2024-01-01",
+    ):
+        expect(card).to_contain_text(text)
+    assert [rule["id"] for rule in Axe().run(page).response["violations"]] == []
+    card.get_by_role("button", name="Sign it").click()
+    expect(dialog).to_contain_text("healthy in sets 0 to 47")
+    dialog.get_by_role("button", name="Sign B-baseline-2").click()
+    expect(card.get_by_role("button", name="Sent, expires")).to_be_visible()
+    assert answered(filled) == ("approve_baseline", {"position": "B", "note": ""})
+    renew = card.get_by_role("button", name="Begin another one")
+    renew.click()
+    expect(dialog).to_contain_text("until it is complete nothing judges the wall at B")
+    dialog.get_by_role("button", name="Retire B-baseline-2").click()
+    expect(dialog).to_be_visible()
+    assert filled.catalogue.open_commands() == [], "it needs a reason"
+    dialog.get_by_label("Reason").fill("a new sensor")
+    dialog.get_by_role("button", name="Retire B-baseline-2").click()
+    expect(card.get_by_role("button", name="Sent, expires")).to_be_visible()
+    assert answered(filled) == ("renew_baseline", {"position": "B", "note": "a new sensor"})
+    page.locator('#tiles [data-position="C"]').click()
+    expect(card).to_contain_text("The first one is being recorded.")
 
 
 def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, service, open_page):

@@ -8,6 +8,7 @@ Examples that are there stay as they are, but with ``--anew``.
 """
 
 import ast
+import inspect
 import json
 import re
 import sys
@@ -184,15 +185,25 @@ def test_every_operation_has_a_description_a_tag_its_problems_and_an_example(doc
     assert not lacking, "\n".join(lacking)
 
 
-def test_every_example_is_an_answer_of_its_operation():
+def api_routes():
     routers = [resource.router for resource in (*RESOURCES, *OF_SEVERAL)]
     routers += [module.probes for module in (health, metrics)]
-    models = {
-        route.operation_id: route.response_model
-        for router in routers
-        for route in router.routes
-        if isinstance(route, APIRoute)
-    }
+    return [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
+
+
+def test_no_dependency_of_an_operation_stands_in_line_for_a_thread():
+    """FastAPI hands plain functions to its forty threads, which a thousand streams would all hold."""
+    waiting, calls = [route.dependant for route in api_routes()], set()
+    while waiting:
+        below = waiting.pop().dependencies
+        calls |= {one.call for one in below}
+        waiting += below
+    assert len(calls) >= 3  # test, person, who gives an order
+    assert [call for call in calls if not inspect.iscoroutinefunction(call)] == []
+
+
+def test_every_example_is_an_answer_of_its_operation():
+    models = {route.operation_id: route.response_model for route in api_routes()}
     held = [name for name, model in models.items() if model is not None and name in examples()]
     for name in held:
         models[name].model_validate(examples()[name]["answer"])

@@ -32,8 +32,11 @@ ARGUMENTS = {
     "unshelve_alarm": ALARM,
     "take_out_of_service": {**ALARM, "reason": "sensor is being repaired"},
     "return_to_service": ALARM,
+    "confirm": POSITION,
     "retire": POSITION,
     "reinstate": POSITION,
+    "approve_baseline": POSITION,
+    "renew_baseline": {**POSITION, "note": "coupled anew"},
     "hold": {"note": "why"},
 }
 

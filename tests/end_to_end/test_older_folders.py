@@ -27,7 +27,16 @@ FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselin
 """Tables whose rows nobody changes once they are there; an alarm follows its state, and
 the verdicts of a baseline's sets wait for it."""
 
-CAME_LATER = {"limits", "readiness", "statistics", "averages", "chart", "chart_alarm"}
+CAME_LATER = {
+    "state",
+    "approved_utc_ns",
+    "limits",
+    "readiness",
+    "statistics",
+    "averages",
+    "chart",
+    "chart_alarm",
+}
 CAME_LATER |= {"cause", "cause_probability", "cause_told"}
 """Columns of a baseline that has a chart, and of its verdicts."""
 

@@ -366,7 +366,7 @@ THINS_AFTER_THE_BASELINE = {"B": {"onset_h": 7.5, "reference_h": 9.5, "depth_fra
 @pytest.mark.slow
 def test_an_alarm_builds_up_across_a_restart(tmp_path: Path) -> None:
     """Two outliers before the stop and one after it are three of five."""
-    settings = pair_settings(twin={"thinning": THINS_AFTER_THE_BASELINE})
+    settings = pair_settings(twin={"thinning": THINS_AFTER_THE_BASELINE}, alarms={"decides_by": "k_of_n"})
     assert run(settings, tmp_path / "whole")
     whole = rows_of(tmp_path / "whole")
     (alarm,) = [row for row in whole["alarms"] if row.position == "B"]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import time
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from analysis.waves.features import extract_features
+from analysis.waves.features import FEATURE_NAMES, extract_features
 from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
@@ -17,6 +18,7 @@ from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    BaselineRow,
     EnvironmentRow,
     EventRow,
     FeatureRow,
@@ -47,6 +49,28 @@ PULSE_ECHO = Scene(
 def depth(position: str, hour: float) -> float:
     """Lost part of the wall: B and C thin, D stays."""
     return {"B": 0.7, "C": 0.55}.get(position, 0.0) * max(0.0, hour - 40.0) / 310.0
+
+
+def frozen_baseline(position: str, **columns: object) -> BaselineRow:
+    """Row of a baseline as the recorder freezes one."""
+    p = len(FEATURE_NAMES)
+    row = BaselineRow(
+        name=f"{position}-baseline-1",
+        position=position,
+        created_utc_ns=parse_utc("2024-01-02T00:00:00Z"),
+        first_set_index=0,
+        last_set_index=N_BASELINE - 1,
+        n_sets=N_BASELINE,
+        feature_names=list(FEATURE_NAMES),
+        mean=[0.0] * p,
+        covariance=np.eye(p).tolist(),
+        limit_f=LIMIT_F,
+        limit_paper=LIMIT_PAPER,
+        approval="automatic",
+        provenance={"set_indices": list(range(N_BASELINE)), "suspects": [], "warnings": []},
+        limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
+    )
+    return replace(row, **columns)
 
 
 class FilledFolder:

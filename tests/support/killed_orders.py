@@ -25,6 +25,7 @@ from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow, EventRow
 from daq_service.cli.keeping.verify import verify_folder
 from daq_service.clock import SimulatedClock
+from daq_service.judgement.transaction import Transaction
 from daq_service.orders.audit import read_audit
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
@@ -100,6 +101,11 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=ledger.commit,
         reinstated=ledger.reinstated,
+        confirmation=lambda position, author, because: Transaction(),
+        settings=WAVES_ONLY,
+        next_set=lambda: 1,
+        baseline=catalogue.baseline,
+        renewed=ledger.renewed,
         positions=tuple(WAVES_ONLY.positions),
     )
     history = HistoryFollower(folder, catalogue)

@@ -16,6 +16,7 @@ from support.memory_line import Answer, Line, healthy, silent
 ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
     ("B", 1, 1): ("retire", {"position": "C", "note": "a loose cable"}),
     ("B", 3, 0): ("reinstate", {"position": "C"}),
+    ("D", 3, 1): ("renew_baseline", {"position": "C", "note": "coupled anew"}),
     ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
     ("B", 10, 0): ("reinstate", {"position": "D"}),
     ("C", 10, 0): ("annotate", {"from_h": 4.0, "to_h": 5.0, "position": "B", "text": "couplant renewed"}),
@@ -44,7 +45,7 @@ def lived(folder: Path) -> Line:
     """A test with everything that nobody can compute: gaps, orders, holds, retirements, repetitions.
 
     D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
-    one set; the baseline freezes; the wall changes at B.
+    one set; baselines freeze, C's is retired before and begun again; the wall changes at B.
     """
     line = Line(folder, listen_every_s=0.0)
     orders, stops, stop = dict(ORDERS), set(STOPS), threading.Event()
@@ -76,5 +77,6 @@ def lived(folder: Path) -> Line:
         states = {row.state for row in rows}
     assert states == {"done", "partial", "missed", "retired"}
     assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    assert {"baseline_retired", "baseline_collecting"} <= kinds
     assert {"annotation_added", "annotation_withdrawn", "alarm_out_of_service", "alarm_shelved"} <= kinds
     return line

@@ -23,7 +23,7 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import set_reference
+from daq_service.archive.records import ordered, set_reference
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 NO_TIME = StoreTimings(image_s=0.0, write_s=0.0, fsync_s=0.0, directory_fsync_s=0.0)
@@ -121,7 +121,7 @@ class MemoryArchive:
         return [reference for reference, _ in self.shelf.quarantine]
 
     def sets(self) -> dict[int, SetReference]:
-        return dict(sorted((record.set_index, file) for file, record in self.shelf.sets.items()))
+        return ordered({record.set_index: file for file, record in self.shelf.sets.items()})
 
     def n_bytes(self) -> int:
         return sum(map(_n_bytes, self.shelf.sets.values()))

@@ -1,6 +1,7 @@
 """The recording line on a rig and an archive in memory: every test of it takes milliseconds.
 
-The rig answers as a script says: features of a shot, None where nothing triggers, or the instrument's error.
+The rig answers as a script says: features of a shot, or its record, None where nothing triggers, or the
+instrument's error.
 Only the catalogue is the real one.
 """
 
@@ -17,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.waves.features import ShotFeatures
+from analysis.waves.features import ShotFeatures, extract_features
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -43,7 +44,7 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
-from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform
+from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform, in_order
 from support.empty_catalogue import empty_catalogue
 from support.memory_archive import MemoryArchive, Shelf
 
@@ -66,7 +67,7 @@ TABLES: Mapping[str, type[Row]] = {
 }
 CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0)
 
-Answer = ShotFeatures | InstrumentError | None
+Answer = ShotFeatures | Waveform | InstrumentError | None
 Script = Callable[[ShotKey], Answer]
 
 
@@ -137,7 +138,9 @@ class ScriptedInstruments:
             raise told
         if told is None:
             raise AcquisitionTimeoutError(f"no trigger at {key.position}")
-        counts = [ord(key.position[0]), key.set_index, key.shot_index, key.attempt]
+        if isinstance(told, Waveform):
+            return told
+        counts = [ord(key.position[0]), *in_order(key.set_index), key.shot_index, key.attempt]
         return Waveform(
             counts=np.array(counts, dtype=np.int16),
             sample_rate_hz=1e7,
@@ -262,8 +265,10 @@ class Line:
                 self.runs = False
 
     def features_of(self, shot: Shot) -> ShotFeatures:
-        """Features by the shot's key, as the script told them."""
+        """Features by the shot's key, as the script told them; of its record, where it told that."""
         told = self.script(shot.key)
+        if isinstance(told, Waveform):
+            return extract_features(shot.waveform)
         assert isinstance(told, ShotFeatures), "only what was recorded is analysed"
         return told
 

@@ -22,6 +22,7 @@ from xml.sax.saxutils import escape
 
 import httpx
 
+from daq_service.processes.data_folder import CONFIGURATION_FILE
 from daq_service.settings.file import load_settings
 from support.browser_pages import DESK, chromium, expect
 from support.pseudo_terminal import on_terminal
@@ -91,7 +92,7 @@ PICTURES = (
         file="pictures/alarms.png",
         hour=60,
         of="#alarms",
-        shows=("2 waiting for acknowledgement", "of the last 5 judged sets at B", "Acknowledge"),
+        shows=("2 waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
     ),
     Picture(
         file="pictures/status.svg",
@@ -137,7 +138,8 @@ def make(folder: Path) -> None:
         began = _on_terminal(*demo, str(data))
         for picture in sorted(PICTURES, key=lambda picture: picture.hour):
             # Does nothing where the test is there already.
-            _on_terminal("record", "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour))
+            its = str(data / CONFIGURATION_FILE)
+            _on_terminal("record", its, "--data-dir", str(data), SOLIMON_SCHEDULE__END_H=str(picture.hour))
             path = folder / picture.file
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.suffix == ".png":
@@ -160,7 +162,7 @@ def _on_terminal(*words: str, **environment: str) -> str:
 @contextmanager
 def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
     """Open the page of the test as far as it is."""
-    settings = load_settings(None, overrides={"schedule": {"end_h": hour}})
+    settings = load_settings(data / CONFIGURATION_FILE, overrides={"schedule": {"end_h": hour}})
     with served(settings, data) as service:
         context = browser.new_context(viewport=DESK, color_scheme="light")
         page = context.new_page()

@@ -32,6 +32,7 @@ from daq_service.errors import StorageError
 from daq_service.orders.audit import AUDIT_FILE
 from daq_service.shared_file import read_shared
 from daq_service.web.notifications.delivery_log import LOG_FILE
+from hardware_drivers.measurement import PLANNED_SETS, in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 KINDS = {
@@ -269,7 +270,7 @@ def _compare(
     if rows.sets:
         for shot_id, told in differing(rows, record, reference, lost):
             yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{told}; {MADE_AGAIN}")
-    elif index < max(look.begun, default=0):
+    elif in_order(index)[0] < max((begun for begun in look.begun if begun < PLANNED_SETS), default=0):
         told = (
             f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
         )

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
-from contextlib import nullcontext
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,10 @@ import click
 
 from analysis.statistics.design import Budget
 from analysis.statistics.sequence import Assessed, assess
+from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
 from daq_service.cli.offline.table_file import read_table
 from daq_service.cli.sweep.execution import opened_executor, usable_cores
+from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
 
 FEW_FILES = 8
@@ -32,6 +35,8 @@ def run_assess(
     budget: float,
     sets_per_day: float,
     no_rows: bool,
+    fleet: bool,
+    false_discovery_rate: float,
     as_json: bool,
 ) -> None:
     """Judge every table; what cannot be judged is told as refused, with its reason."""
@@ -43,43 +48,56 @@ def run_assess(
         if not (column and equals):
             raise UsageError(f"--baseline-where is {baseline_where!r}; it must be COLUMN=VALUE")
         where = (column, value)
-    one = partial(
-        sensor,
+    read = partial(
+        read_table,
         features=tuple(name for name in (features or "").split(",") if name),
         baseline_rows=baseline_rows,
         baseline_where=where,
-        budget=Budget(alarms_per_year=budget, sets_per_day=sets_per_day),
-        with_rows=as_json and not no_rows,
     )
-    found = list(_each(one, tables))
+    design = Budget(alarms_per_year=budget, sets_per_day=sets_per_day)
+    with _mapped(tables) as mapped:
+        one = partial(sensor, read=read, budget=design, with_rows=as_json and not no_rows)
+        answer: dict[str, Any] = {"sensors": list(mapped(one, tables))}
+        if fleet:
+            alone = [told["alarm"]["rows"] for told in answer["sensors"]]
+            answer["fleet"] = judge_fleet(tables, read, mapped, design, false_discovery_rate, alone)
     if as_json:
-        click.echo(json.dumps({"sensors": found}, allow_nan=False))
+        click.echo(json.dumps(answer, allow_nan=False))
         return
-    for told in found:
+    for told in answer["sensors"]:
         click.echo(in_words(told, budget, sets_per_day))
+    if fleet:
+        click.echo(fleet_in_words(answer["fleet"]))
 
 
-def _each(one: Any, tables: tuple[Path, ...]) -> Iterator[dict[str, Any]]:
+@contextmanager
+def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
+    """Give a `map` over tables: over processes where they are many, with progress where a person looks."""
     workers = min(usable_cores(), -(-len(tables) // FILES_A_TASK))
-    few = len(tables) < FEW_FILES or workers < 2
-    with nullcontext() if few else opened_executor("processes", workers) as executor:
-        if executor is None:
-            yield from map(one, tables)
-        else:
-            yield from executor.map(one, tables, chunksize=FILES_A_TASK)
+    if len(tables) < FEW_FILES or workers < 2:
+        yield map
+        return
+    with opened_executor("processes", workers) as executor:
+
+        def spread(one: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
+            progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
+            for found in executor.map(one, paths, chunksize=FILES_A_TASK):
+                if progress is not None:
+                    progress.advance(1)
+                yield found
+
+        yield spread
 
 
 def sensor(
     path: Path,
     *,
-    features: tuple[str, ...],
-    baseline_rows: int | None,
-    baseline_where: tuple[str, str] | None,
+    read: Read,
     budget: Budget,
     with_rows: bool,
 ) -> dict[str, Any]:
     """Judge one table, as it is told."""
-    table = read_table(path, features=features, baseline_rows=baseline_rows, baseline_where=baseline_where)
+    table = read(path)
     found = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
     told: dict[str, Any] = {"file": str(path), "refused": found.refused}
     told["features_dropped"] = list(found.features_dropped)

@@ -14,6 +14,7 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.acquisition.taken_set import features_of
 from daq_service.clock import parse_utc
 from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.life import planned
 from daq_service.judgement.solitary_wave import SolitaryWaveAssessor
 from daq_service.rig.twin import transducers_of
 from daq_service.settings.tree import Settings
@@ -59,10 +60,8 @@ def judged_sets(settings: Settings, position: str, specimen: Specimen | None = N
     """
     specimen = specimen or specimen_of(settings)
     epoch_ns = parse_utc(settings.clock.epoch)
-    planned = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
-    last_baseline_set = sum(due.due_h <= settings.baseline.hours for due in planned) - 1
-    assessor = SolitaryWaveAssessor(position, settings, last_baseline_set=last_baseline_set, baseline_id=1)
-    for due in planned:
+    assessor = SolitaryWaveAssessor(position, settings, baseline=planned(position, settings, None))
+    for due in plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
         hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
         stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")
         keys = [

@@ -15,12 +15,19 @@ from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 
+BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
+"""The paper judges sets one by one, and so do the alarms of what reproduces it."""
+
 _ERRORS = {kind.exit_code: kind for kind in (UsageError, RigError, StorageError, BusyError)}
 
 
 def twin_settings(seed: int | None) -> Settings:
-    """Give the shipped configuration, the environment on top, with another seed if one is given."""
-    return load_settings(None, overrides={} if seed is None else {"twin": {"seed": seed}})
+    """Give the shipped configuration with alarms by the paper's rule: sets beyond a limit, not the chart.
+
+    The environment is on top, and another seed if one is given.
+    """
+    given = {} if seed is None else {"twin": {"seed": seed}}
+    return load_settings(None, overrides={**BY_SETS, **given})
 
 
 def check_test_folder(settings: Settings, folder: Path) -> None:

@@ -20,7 +20,7 @@ import click
 
 from daq_service.cli.reproduce.comparison import compare, not_made
 from daq_service.cli.reproduce.evidence import Evidence, read_evidence
-from daq_service.cli.reproduce.experiment import check_test_folder, run_test, twin_settings
+from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run_test, twin_settings
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
 from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
@@ -242,7 +242,11 @@ def _origin(test: Evidence | None) -> str:
     """Whose measurements these are, for their causes."""
     if test is not None and not test.from_twin:
         return "specimen"
-    shipped = test is None or not differences(test.configuration, twin_settings(test.seed))
+    if test is None:
+        return "shipped"
+    # What raises an alarm changes no measurement.
+    alarms = {**test.configuration.get("alarms", {}), **BY_SETS["alarms"]}
+    shipped = not differences({**test.configuration, "alarms": alarms}, twin_settings(test.seed))
     return "shipped" if shipped else "twin"
 
 

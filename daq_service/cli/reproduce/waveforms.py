@@ -127,7 +127,10 @@ def _change(test: Evidence, position: str) -> Found:
     hour = test.pulses[position].first_alarm_h
     if hour is None:
         return missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
-    return found(hour, "first alarm (3 of 5 sets beyond the limit)")
+    rule = test.configuration.get("alarms", {})
+    by_chart = rule.get("decides_by") == "chart"
+    told = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
+    return found(hour, f"first alarm ({told})")
 
 
 FIG7 = Item(

@@ -118,6 +118,20 @@ def _standing(
         "stale": is_stale(settings.schedule, fresh, age_h),
         "limit": limit_of(last, settings),
         "thickness_interval_m": interval_m,
+        "baseline": _baseline(catalogue, last.position),
+    }
+
+
+def _baseline(catalogue: Catalogue, position: str) -> dict[str, Any] | None:
+    """Tell whether the chart keeps its rate of false alarms with a baseline; None: there is none."""
+    row = catalogue.baseline(position)
+    if row is None:
+        return None
+    names = ("false_alarms_per_sensor_year", "rate_guaranteed", "why_not_guaranteed")
+    return {
+        "name": row.name,
+        "n_sets": row.n_sets,
+        **{name: (row.readiness or {}).get(name) for name in names},
     }
 
 

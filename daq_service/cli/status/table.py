@@ -90,10 +90,25 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
         yield "gap", told, "yellow"
     for file, what in facts["lost"].items():
         yield "LOST", f"{file} {what}; solimon repair --from BACKUP brings it back", "bold red"
+    yield from (("baseline", told, "") for told in _baselines(facts["positions"]))
     yield "disk", told_of_the_disk(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
     apart = sum(row["suppressed"] is not None for row in facts["alarms"])
     suppressed = f", {apart} shelved or out of service" if apart else ""
     yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
+
+
+def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Tell what the chart promises with the baselines: those of which the same is said in one line."""
+    alike: dict[str, list[str]] = {}
+    for name, row in positions.items():
+        baseline = row["baseline"]
+        if baseline is None or baseline["rate_guaranteed"] is None:
+            continue
+        why = baseline["why_not_guaranteed"]
+        promised = f"not promised: {why}" if why else "promised"
+        budget = baseline["false_alarms_per_sensor_year"]
+        alike.setdefault(f"{budget:g} false alarms a sensor and year, {promised}", []).append(name)
+    yield from (f"{', '.join(names)}: {told}" for told, names in alike.items())
 
 
 def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -97,7 +97,7 @@ class AsOf(Answer):
 
 @_of_row(rows.SetRow)
 class SetRow(Answer):
-    """One planned set of one position."""
+    """One set of one position."""
 
 
 @_of_row(rows.ShotRow)
@@ -124,7 +124,11 @@ class VerdictRow(Answer):
 
 @_of_row(rows.BaselineRow)
 class BaselineRow(Answer):
-    """A frozen baseline."""
+    """A baseline."""
+
+    temperature_c: list[float] | None = Field(
+        description="Least and greatest temperature around its sets; null: none was measured"
+    )
 
 
 class AlarmRule(Answer):
@@ -135,6 +139,18 @@ class AlarmRule(Answer):
     n: int | None = Field(default=None, description="Judged sets that are looked at")
     shots: int | None = Field(default=None, description="Shots of a set without a reflected wave")
     consecutive_sets: int | None = Field(default=None, description="Such sets running")
+
+
+class ConfirmationSet(Answer):
+    """What a set beside the plan says of a suspicion."""
+
+    set_index: int = Field(description="Index of the confirmation set")
+    utc_ns: int = Field(description="When it was asked for, in ns of UTC on the test's clock")
+    due_h: float = Field(description="The same in hours of the test")
+    confirms: bool | None = Field(description="It lies where the planned sets before it do; null: unknown")
+    distance_squared: float | None = Field(description="Its squared distance; null: not judged")
+    limit: float | None = Field(description="Limit beyond which a set is an outlier")
+    why_not: str | None = Field(description="Why it cannot tell; null: it can")
 
 
 class AlarmProof(BaseModel):
@@ -154,6 +170,9 @@ class AlarmProof(BaseModel):
     baseline_id: int | None = Field(default=None, description="Baseline that it was judged against")
     contributions: dict[str, float | None] | None = Field(
         default=None, description="Part of the squared distance, or of the chart's statistic, by feature"
+    )
+    confirmation: ConfirmationSet | None = Field(
+        default=None, description="What the confirmation set says; null: none was struck"
     )
     thickness_m: float | None = Field(default=None, description="Thickness that was read")
     interval_m: list[float] | None = Field(default=None, description="Its 95 % interval: low, high")

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 WORDS: Mapping[str, str] = {
     # Where and when.
     "position": "Monitored place, as the configuration names it",
-    "set_index": "Running number of the planned set, from 0",
+    "set_index": "Running number of the planned set, from 0; beside the plan n times 10,000,000 more",
     "shot_index": "Running number of the shot in its set, from 0; null: the set as a whole",
     "sequence": "Number of the record in the order in which records were taken",
     "attempt": "Which strike for this shot, from 0: the quality gate repeats some",
@@ -80,12 +80,16 @@ WORDS: Mapping[str, str] = {
     "baseline_id": "Baseline that it was judged against; null: none",
     "reason": "Why there is no verdict; null: there is one",
     "contributions": "Part of the squared distance by feature; null: not judged",
-    "first_set_index": "First set of the baseline",
-    "last_set_index": "Last set",
+    "first_set_index": "First set of the baseline, of one that collects the first planned one",
+    "last_set_index": "Last set, planned",
     "feature_names": "Features of the baseline, in the order of its mean",
     "mean": "Mean of each feature, each in its own unit",
     "covariance": "Covariance of the features, each pair in the product of its units",
-    "approval": "`automatic`, or who signed the baseline",
+    "approval": "`automatic`, `by_a_person` until somebody has signed the baseline, or who did",
+    "approved_utc": "When it was approved, RFC 3339 UTC on the test's clock; null: it is not",
+    "retired_utc": "When it was retired, RFC 3339 UTC on the test's clock; null: it is not",
+    "retired_by": "Who retired it",
+    "retired_because": "Why",
     "provenance": "Sets, suspects, versions that it was made from and with",
     "family": "Of what the alarm warns: damage of the wall, or trouble of a device",
     "severity": "How grave it is",
@@ -225,8 +229,8 @@ WORDS: Mapping[str, str] = {
     **{
         f"{order}.{name}": told
         for order in (
-            *("AcknowledgeAlarm", "FinishNow", "Hold", "Reinstate", "Release"),
-            *("Retire", "Stop", "SupplyOff", "SupplyOn", "TrustClock"),
+            *("AcknowledgeAlarm", "Confirm", "FinishNow", "Hold", "Reinstate", "Release"),
+            *("ApproveBaseline", "RenewBaseline", "Retire", "Stop", "SupplyOff", "SupplyOn", "TrustClock"),
             *("Annotate", "WithdrawAnnotation", "ShelveAlarm", "UnshelveAlarm"),
             *("TakeOutOfService", "ReturnToService"),
         )

@@ -3,6 +3,7 @@
 import { SolimonAlarms } from "./alarms.js";
 import { BASE, trend } from "./api.js";
 import { Asked } from "./asked.js";
+import { BaselineCard } from "./baseline.js";
 import { Board } from "./charts/board.js";
 import { SolimonChart } from "./charts/chart.js";
 import { Compared } from "./charts/compared.js";
@@ -81,6 +82,7 @@ const tiles = new Tiles(byId("tiles"), select);
 const asked = new Asked();
 const hold = new Hold((text) => notice(text, "alarm"));
 const control = new Control((text) => notice(text, "alarm"));
+const baselineCard = new BaselineCard(byId("baseline"), (text) => notice(text, "alarm"));
 const retired = new Retired(byId("retired"), (text) => notice(text, "alarm"));
 const waves = new WaveformStream((record) => waveform.show(record));
 const events = new EventStream({ onEvent, onGap: () => reading.everything(), onState });
@@ -207,6 +209,11 @@ function become(view, before) {
   for (const chart of board.all) chart.respan();
   waterfall.update();
   panel.update();
+  showBaseline();
+}
+
+function showBaseline() {
+  baselineCard.update(charted(), state.recorder !== "finished" && state.recorder !== "stopped");
 }
 
 function showAll() {
@@ -254,6 +261,7 @@ function onRead({ alarms, notes: noted, transducers, environment, info }) {
     retired.update(transducers);
     control.update(reading.info, transducers.items, transducers.as_of.recorder);
     showClock(transducers.as_of);
+    showBaseline();
   }
   if (environment) {
     state.hasSupply = environment.supply_now !== null;
@@ -265,6 +273,7 @@ function onRead({ alarms, notes: noted, transducers, environment, info }) {
 function onEvent(topic, event) {
   if (topic === "service") asked.hear(event);
   reading.hear(topic, event);
+  baselineCard.hear(event);
   const { position, set } = address.view;
   const concerns = event.position === position && (event.set_index === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();

@@ -62,9 +62,14 @@ def figure_of(contents: Contents, place: Place) -> str:
         margin_h = MARGIN * (to_h - contents.from_h)
         axes[0].set_xlim(contents.from_h - margin_h, to_h + margin_h)
         axes[-1].set_xlabel("time since start (h)")
-        content = io.StringIO()
-        figure.savefig(content, format="svg", metadata=_NO_METADATA)
-    return _within_a_page(content.getvalue(), f"figure-{place.name}")
+        return svg_of(figure, f"figure-{place.name}")
+
+
+def svg_of(figure: Figure, prefix: str) -> str:
+    """Draw a figure as the SVG element of a page; ``prefix`` begins its names there."""
+    content = io.StringIO()
+    figure.savefig(content, format="svg", metadata=_NO_METADATA)
+    return _within_a_page(content.getvalue(), prefix)
 
 
 def _wave_panels(contents: Contents, place: Place, axes: Sequence[Axes]) -> None:

@@ -17,7 +17,7 @@ from daq_service.web.report.contents import MOST_LINES, Columns, Contents, Place
 from hardware_drivers.methods import PULSE_ECHO
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
-_STYLE = """
+STYLE = """
 @page { size: A4; margin: 16mm 14mm }
 :root { --ink: #14181c; --soft: #55606a; --line: #d8dde2 }
 * { box-sizing: border-box }
@@ -63,7 +63,7 @@ def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
         "<meta name='viewport' content='width=device-width, initial-scale=1'>",
-        f"<title>{escape(title)}</title><style>{_STYLE}</style></head><body>",
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
         f"<header><h1>{escape(title)}</h1><p class='note'>{escape(_made(contents))}</p></header><nav>",
         *(f"<a href='#{name}'>{escape(heading)}</a>" for name, (heading, _) in sections.items()),
         "</nav><main>",
@@ -118,8 +118,8 @@ def _what(contents: Contents) -> list[str]:
         for place in contents.places
     ]
     return [
-        _table("Identity", (), rows),
-        _table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
+        table("Identity", (), rows),
+        table("Transducers", ("Position", "What it is", "Method", "Serial number"), places),
     ]
 
 
@@ -145,7 +145,7 @@ def _now(contents: Contents) -> list[str]:
             (place.name, place.state, value, limit, quality, data_h, age, str(len(last.active_alarms)))
         )
     head = ("Position", "State", "Newest value", "Limit", "Quality", "Of hour", "Age", "Alarms that stand")
-    return [*held, f"<p class='note'>Last written {written}.</p>", _table("Newest values", head, rows)]
+    return [*held, f"<p class='note'>Last written {written}.</p>", table("Newest values", head, rows)]
 
 
 def _position(contents: Contents, place: Place, figure: str) -> str:
@@ -174,7 +174,7 @@ def _position(contents: Contents, place: Place, figure: str) -> str:
         rows += [_series("Lost thickness", place.values, "thickness_loss_m", 1e6, 2, "µm")]
         interval = place.thickness_interval_m
         told = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
-        parts.append(_table("Thickness", SERIES, rows))
+        parts.append(table("Thickness", SERIES, rows))
         parts.append(f"<p>95 % interval of the newest reading: {told}.</p>")
     else:
         assert place.verdicts is not None, "these have them"
@@ -184,7 +184,7 @@ def _position(contents: Contents, place: Place, figure: str) -> str:
             _series("Amplitude ratio", place.values, "amplitude_ratio", 1.0, 4, ""),
             _series("Squared distance", place.verdicts, "distance_squared", 1.0, 3, ""),
         ]
-        parts.append(_table("Features and distance", SERIES, rows))
+        parts.append(table("Features and distance", SERIES, rows))
         parts.append(f"<p>{sum(judged)} outliers of {len(judged)} judged sets; "
                      f"{sum(place.verdicts['in_baseline'])} sets of the baseline.</p>")  # fmt: skip
     return "\n".join([*parts, "</article>"])
@@ -216,7 +216,7 @@ def _gaps(contents: Contents) -> list[str]:
     ]
     head = ("Position", "State", "Cause", "First hour", "Last hour", "Sets")
     return [
-        _table("Sets that were missed or lack something", head, rows, "No set of the range lacks anything.")
+        table("Sets that were missed or lack something", head, rows, "No set of the range lacks anything.")
     ]
 
 
@@ -234,7 +234,7 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
     if row.suppressed:
         told += f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_because}"
     history = [_event(contents, event) for event in contents.history.get(row.id or 0, ())]
-    proof = [(name, _plain(value)) for name, value in row.proof.items()]
+    proof = [(name, plain(value)) for name, value in row.proof.items()]
     return "\n".join(
         [
             f"<article><h3>{escape(place)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
@@ -243,8 +243,8 @@ def _alarm(contents: Contents, row: AlarmRow) -> str:
             "<ul>",
             *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row)),
             "</ul>",
-            _table("Proof, as stored", (), proof),
-            _table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),
+            table("Proof, as stored", (), proof),
+            table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),
             "</article>",
         ]
     )
@@ -282,7 +282,7 @@ def _annotations(contents: Contents) -> list[str]:
     ]
     head = ("From hour", "To hour", "Position", "Text", "Written by", "Withdrawn by")
     caption = f"Of any hour of the range, the newest {MOST_LINES} at most"
-    return [_table(caption, head, rows, "Nobody noted anything of this range.")]
+    return [table(caption, head, rows, "Nobody noted anything of this range.")]
 
 
 def _orders(contents: Contents) -> list[str]:
@@ -291,14 +291,14 @@ def _orders(contents: Contents) -> list[str]:
             format_utc(row.wall_utc_ns, 0),
             row.author,
             row.kind.replace("_", " "),
-            _plain(row.arguments),
+            plain(row.arguments),
             row.state,
             row.result or "",
         )
         for row in contents.orders
     ]
     head = ("Given (computer's clock)", "By", "Order", "With", "State", "What came of it")
-    return [_table(f"The newest {MOST_LINES} at most", head, rows, "No order was given.")]
+    return [table(f"The newest {MOST_LINES} at most", head, rows, "No order was given.")]
 
 
 def _audit(contents: Contents) -> list[str]:
@@ -315,9 +315,7 @@ def _audit(contents: Contents) -> list[str]:
         for deed in contents.audit or ()
     ]
     head = ("When", "Who", "Role", "From", "What", "Result", "Why")
-    return [
-        _table(f"The newest {MOST_LINES} at most, newest first", head, rows, "Nothing was asked for yet.")
-    ]
+    return [table(f"The newest {MOST_LINES} at most, newest first", head, rows, "Nothing was asked for yet.")]
 
 
 def _configuration(contents: Contents) -> list[str]:
@@ -325,15 +323,16 @@ def _configuration(contents: Contents) -> list[str]:
     return ["<p class='note'>As the test was begun.</p>", f"<pre>{escape(text)}</pre>"]
 
 
-def _plain(value: Any) -> str:
+def plain(value: Any) -> str:
+    """Write any value of a row as text."""
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {_plain(one)}" for name, one in value.items())
+        return ", ".join(f"{name} {plain(one)}" for name, one in value.items())
     if isinstance(value, list | tuple):
-        return ", ".join(map(_plain, value))
+        return ", ".join(map(plain, value))
     return significant(value) if isinstance(value, float) or value is None else str(value)
 
 
-def _table(caption: str, head: Row, rows: Iterable[Row], empty: str = "") -> str:
+def table(caption: str, head: Row, rows: Iterable[Row], empty: str = "") -> str:
     """Rows whose first cell heads them; without a head it is a list of names and values."""
     lines = [
         f"<tr><th scope='row'>{escape(first)}</th>"

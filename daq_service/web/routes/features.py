@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query
 
 from daq_service.catalogue.rows import FeatureRow
 from daq_service.web.answers.models import FeaturePage
-from daq_service.web.routes.listing import HOURS, POSITION, SET_INDEX, add_listing
+from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, add_listing
 
 router = APIRouter(tags=["features"])
 SCOPE = Annotated[Literal["set", "shot"], Query(description="Means of sets, or single shots")]
@@ -18,5 +18,5 @@ add_listing(
     FeatureRow,
     FeaturePage,
     "List features with their quality and age.",
-    POSITION | {"scope": (SCOPE, "set")} | SET_INDEX | HOURS,
+    POSITION | {"scope": (SCOPE, "set")} | SET_INDEX | HOURS | PURPOSE,
 )

@@ -61,7 +61,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
             "limits": {
                 "deciding": settings.novelty.limit,
                 "decides_by": settings.alarms.decides_by,
-                "false_alarms_per_sensor_year": settings.alarms.false_alarms_per_sensor_year,
+                "false_alarms_per_sensor_year": settings.false_alarms_per_sensor_year(),
                 "named": _named_limits(),
                 "false_alarm_rate": settings.novelty.false_alarm_rate,
                 "k": settings.alarms.k,

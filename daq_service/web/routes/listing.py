@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, Signature
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Query
 
@@ -35,6 +35,12 @@ PositionFilter = Annotated[str | None, Query(max_length=16, description="Only th
 HOURS = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
 POSITION = {"position": (PositionFilter, None)}
 SET_INDEX = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
+
+PurposeFilter = Annotated[
+    Literal["planned", "confirmation", "any"],
+    Query(description="Sets of the plan, those beside it, or both"),
+]
+PURPOSE = {"purpose": (PurposeFilter, "planned")}
 
 
 def last_hour(from_h: float | None, to_h: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""`/api/v1/sets`: planned sets and what became of them; the shots of one."""
+"""`/api/v1/sets`: sets, planned or beside the plan, and what became of them; the shots of one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import SetPage, ShotPage, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import HOURS, LARGEST_INDEX, POSITION, SET_INDEX, add_listing
+from daq_service.web.routes.listing import HOURS, LARGEST_INDEX, POSITION, PURPOSE, SET_INDEX, add_listing
 
 router = APIRouter(tags=["sets"])
 add_listing(
@@ -19,8 +19,8 @@ add_listing(
     "sets",
     SetRow,
     SetPage,
-    "List one row a planned set and position, in the order in which they were stored.",
-    POSITION | {"state": (SetState | None, None)} | SET_INDEX | HOURS,
+    "List one row a set and position, in the order in which they were stored.",
+    POSITION | {"state": (SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
 )
 
 

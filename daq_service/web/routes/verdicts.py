@@ -7,11 +7,12 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from daq_service.catalogue.rows import BaselineRow, VerdictRow
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, VerdictRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import BaselineList, VerdictPage, problems
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.listing import HOURS, POSITION, SET_INDEX, PositionFilter, add_listing
+from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, PositionFilter, add_listing
 from daq_service.web.tables.quality import judged_qualities
 
 router = APIRouter(tags=["verdicts"])
@@ -30,7 +31,7 @@ add_listing(
     VerdictRow,
     VerdictPage,
     "List verdicts with the quality of the feature that was judged.",
-    POSITION | SET_INDEX | HOURS,
+    POSITION | SET_INDEX | HOURS | PURPOSE,
     with_quality,
 )
 
@@ -42,9 +43,21 @@ add_listing(
     responses=problems(404, 422, 503),
 )
 def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
-    """List the frozen baselines with their statistics, limits and provenance."""
+    """List each position's baselines, the newest last: life, statistics, limits, provenance."""
     if position is not None:
         context.known(position)
     fresh = context.freshness()
-    rows = context.catalogue().rows(BaselineRow, position=position)
-    return JsonAnswer({"as_of": fresh.as_of(), "items": [fresh.row(row) for row in rows]})
+    catalogue = context.catalogue()
+    items = [
+        fresh.row(row, temperature_c=temperatures_c(catalogue, row))
+        for row in catalogue.rows(BaselineRow, position=position)
+    ]
+    return JsonAnswer({"as_of": fresh.as_of(), "items": items})
+
+
+def temperatures_c(catalogue: Catalogue, row: BaselineRow) -> list[float] | None:
+    """Least and greatest temperature around the sets of a baseline; None: none was measured."""
+    first, last = row.first_set_index, row.last_set_index
+    around = catalogue.rows(EnvironmentRow, first_set=first, last_set=last)
+    found = [one.temperature_c for one in around if one.temperature_c is not None]
+    return [min(found), max(found)] if found else None

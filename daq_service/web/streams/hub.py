@@ -25,8 +25,11 @@ RING_EVENTS = 5000
 """So many of the newest are kept for clients that come back, twice as many at most."""
 HEARTBEAT_INTERVAL_S = 15.0
 PAGE_EVENTS = 500
-TURNS = 8
+TURNS = 16
 """So many clients behind the newest event get a chunk before everybody else has been looked at."""
+TURN_S = 0.001
+"""Then the loop waits, so that threads of other answers get at the interpreter; one that only looks at others
+takes it back before they wake, for half a second on end."""
 UNREADABLE_INTERVAL_S = 0.5
 """Pause after the catalogue could not be read: absent before the first record, or in trouble."""
 
@@ -109,7 +112,7 @@ class EventHub(Followed):
     async def turn(self) -> None:
         """Let live events and other requests come first for a moment."""
         async with self._turns:
-            await asyncio.sleep(0)
+            await asyncio.sleep(TURN_S)
 
     def _beat(self) -> None:
         self._wake()

@@ -8,6 +8,7 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.methods import METHODS
+from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import Method
 
 
@@ -25,6 +26,7 @@ def judged_qualities(
             "position": None if len(positions) > 1 else rows[0].position,
             "first_h": min(hours),
             "last_h": max(hours),
+            "purpose": None if all(row.set_index < PLANNED_SETS for row in rows) else "any",
             **judged.of_sets,
         }
         columns = catalogue.columns(judged.row, ("position", "set_index", "quality"), **filters)

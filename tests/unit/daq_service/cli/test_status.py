@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.filled_folder import LIMIT_F, N_BASELINE, FilledFolder
+from support.filled_folder import LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
 from support.kept_folder import lay_out
 
 from daq_service.archive import FolderSetReader
@@ -162,6 +162,21 @@ def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, word
     assert line.startswith("disk  5.00 GB free")
     assert words in line
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
+
+
+def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
+    promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
+    short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}
+    for name, readiness in (("B", short), ("C", short), ("D", promised)):
+        filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
+    facts = describe_status(filled.folder, filled.settings)
+    assert facts["positions"]["A"]["baseline"] is None
+    assert facts["positions"]["B"]["baseline"] == {"name": "B-baseline-1", "n_sets": N_BASELINE, **short}
+    lines = [re.sub(r"  +", "  ", line) for line in told(facts) if line.startswith("baseline")]
+    assert lines == [
+        "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
+        "baseline  D: 0.2 false alarms a sensor and year, promised",
+    ]
 
 
 def test_a_lost_file_and_a_tripped_supply_are_told(filled: FilledFolder) -> None:

@@ -19,6 +19,7 @@ from daq_service.judgement.wall_condition import wall_conditions
 LAST, SETS = 59, 100
 RULES = Rules(
     baseline_name="B-baseline-1",
+    first_baseline_set=0,
     last_baseline_set=LAST,
     minimum_sets=15,
     minimum_valid_shots=3,

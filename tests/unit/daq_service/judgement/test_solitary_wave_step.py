@@ -15,6 +15,7 @@ from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, r
 LAST = 19
 RULES = Rules(
     baseline_name="B-baseline-1",
+    first_baseline_set=0,
     last_baseline_set=LAST,
     minimum_sets=15,
     minimum_valid_shots=3,

@@ -44,6 +44,9 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "hold": {"note": "hands in the rig"},
     "retire": {"position": "B"},
     "reinstate": {"position": "C"},
+    "confirm": {"position": "B"},
+    "approve_baseline": {"position": "B"},
+    "renew_baseline": {"position": "B", "note": "coupled anew"},
     "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
     "unshelve_alarm": {"alarm_id": 9},
     "take_out_of_service": {"alarm_id": 7, "reason": "sensor is being repaired"},
@@ -60,6 +63,7 @@ OPEN = {
     "held": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],
+    "baselines": {"B": "proposed"},
 }
 
 
@@ -134,6 +138,20 @@ def test_where_nobody_records_only_what_changes_rows_alone_is_done(kind: str) ->
             "there is no solitary-wave transducer 'B'; there are: none",
             "There is no solitary-wave transducer 'B'.",
             "There are: none.",
+        ),
+        (
+            "confirm",
+            {"alarms": [alarm("unacknowledged")]},
+            "B is retired",
+            "B is retired: why.",
+            "Reinstate it when it is put right.",
+        ),
+        (
+            "confirm",
+            {"held": "held by ben"},
+            "the test is on hold: held by ben",
+            "The test is on hold: held by ben.",
+            "Release it when nobody's hands are in the rig any more.",
         ),
         (
             "reinstate",

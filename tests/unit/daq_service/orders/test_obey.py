@@ -8,12 +8,16 @@ from typing import Any, cast
 
 import pytest
 from support.begun_experiment import begun_catalogue
+from support.filled_folder import frozen_baseline
 
+from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
-from daq_service.catalogue.rows import AlarmRow, AnnotationRow, EventRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow, EventRow
 from daq_service.clock import SimulatedClock, WallClock
+from daq_service.judgement.transaction import Transaction
 from daq_service.orders.obey import OrderListener
 from daq_service.orders.running_test import RunningTest
 from daq_service.recording.cost import Cost
@@ -52,7 +56,14 @@ class Bench:
         self.folder, self.clock, self.switch = folder, clock, switch
         self.catalogue = begun_catalogue(folder)
         self.stop, self.now_ns, self.left_s = threading.Event(), 0, 60.0
+        self.next_set = 10
         self.restart()
+
+    def confirmation(self, position: str, author: str, because: str) -> Transaction:
+        """What the recorder would store, if the ledger allows it."""
+        after = DueSet(set_index=0, due_h=0.5, due_utc_ns=round(0.5 * NS_PER_H))
+        moment = Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None)
+        return self.ledger.order_confirmation(after, position, author, because, moment)
 
     def restart(self, *, begin: bool = True) -> None:
         """What a new recorder process finds."""
@@ -66,6 +77,11 @@ class Bench:
             annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
             reinstated=self.ledger.reinstated,
+            confirmation=self.confirmation,
+            settings=Settings(),
+            next_set=lambda: self.next_set,
+            baseline=self.catalogue.baseline,
+            renewed=self.ledger.renewed,
             positions=("B", "C", "D"),
             supply=self.switch,
         )
@@ -123,6 +139,52 @@ def test_finish_now_ends_the_pacing(bench: Bench) -> None:
 def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
     words = "the test runs on the wall clock, which cannot skip time"
     assert bare.obey("finish_now") == ("refused", words)
+
+
+def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
+    return [
+        (row.name, row.state, row.first_set_index, row.last_set_index)
+        for row in bench.catalogue.rows(BaselineRow)
+    ]
+
+
+def test_a_baseline_is_signed_once_and_retired_with_who_when_and_why(bench: Bench) -> None:
+    proposed = frozen_baseline("B", state="proposed", approval="by_a_person", id=2)
+    bench.catalogue.commit_set(SetCommit(baselines=[proposed]))
+    assert bench.obey("approve_baseline", position="B") == ("done", "B-baseline-1 is approved")
+    (row,) = bench.catalogue.rows(BaselineRow)
+    assert (row.state, row.approval, row.approved_utc_ns) == ("approved", "ann", bench.clock.utc_ns())
+    assert (row.mean, row.limits) == (proposed.mean, proposed.limits), "only its life goes on"
+    again = bench.obey("approve_baseline", position="B")
+    assert again == ("refused", "the baseline of B is approved: there is nothing to sign")
+    told = (
+        "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
+    )
+    assert bench.obey("renew_baseline", position="B", note=" coupled anew ") == ("done", told)
+    assert baselines(bench) == [
+        ("B-baseline-1", "retired", 0, 47),
+        ("B-baseline-2", "collecting", 10, 57),
+    ]
+    first, second = bench.catalogue.rows(BaselineRow)
+    assert (first.retired_by, first.retired_because) == ("ann", "coupled anew")
+    assert (first.retired_utc_ns, second.created_utc_ns) == (bench.clock.utc_ns(),) * 2
+    kinds = [event.kind for event in bench.catalogue.rows(EventRow, topic="verdicts")]
+    assert kinds == ["baseline_approved", "baseline_retired", "baseline_collecting"]
+
+
+def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
+    state, why = bench.obey("renew_baseline", position="B", note=" ")
+    assert (state, "say why the baseline is retired" in why) == ("refused", True)
+    bench.next_set = 411
+    state, why = bench.obey("renew_baseline", position="B", note="a new sensor")
+    assert (state, why[:56]) == ("refused", "the plan has 14 sets left, a baseline needs 15 (baseline")
+    bench.next_set = 410
+    assert bench.obey("renew_baseline", position="B", note="a new sensor")[0] == "done"
+    # It was still being recorded: its history has no gap.
+    assert baselines(bench) == [
+        ("B-baseline-1", "retired", 0, 47),
+        ("B-baseline-2", "collecting", 410, 457),
+    ]
 
 
 def test_stop_sets_the_recorders_stop(bench: Bench) -> None:
@@ -303,6 +365,7 @@ def test_orders_that_wait_are_obeyed_in_order_each_after_what_came_before(bench:
 def test_a_transducer_is_retired_and_reinstated(bench: Bench) -> None:
     assert bench.obey("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.obey("confirm", position="B") == ("refused", "B is retired")
     assert bench.obey("retire", position="B") == ("refused", "B is retired already")
     bench.restart()
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}

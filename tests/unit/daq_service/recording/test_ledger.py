@@ -10,6 +10,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.taken_set import due_of as due_of_record
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
@@ -17,7 +18,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
-from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.measurement import PLANNED_SETS, ShotKey, Waveform, in_order
 from simulator.echo.pulse import echo_calibration, echo_volts
 from simulator.electronics.transduction import counts_of
 from simulator.parameters.echo import EchoParameters
@@ -78,7 +79,8 @@ def due_of(line, index):
 
 def judge(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
-    ledger.commit(ledger.judged(due_of(line, record.set_index), record, file, features))
+    due = due_of_record(record) if record.set_index >= PLANNED_SETS else due_of(line, record.set_index)
+    ledger.commit(ledger.judged(due, record, file, features))
 
 
 def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
@@ -88,7 +90,9 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
         alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
     )
     wall = {"B": 0.01, "C": 0.0, "D": 0.1}
-    line.script = lambda key: healthy(key, shift=wall.get(key.position, 0.0) * max(0, key.set_index - 15))
+    line.script = lambda key: healthy(
+        key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
+    )
     line.run()
     expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
     raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
@@ -98,12 +102,59 @@ def test_a_restart_after_any_set_judges_as_if_it_had_never_been_away(line):
     assert "not promised: 16 sets cannot show slow memory" in raised[0].message
     assert [row.limits.keys() for row in expected["baselines"]] == [LIMITS.keys()] * 3
     assert {row.readiness["why_not_guaranteed"][:7] for row in expected["baselines"]} == {"16 sets"}
+    assert [(row.state, row.approved_utc_ns is None) for row in expected["baselines"]] == [
+        ("approved", False)
+    ] * 3
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
-    for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_index):
+    for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
         with ledger_of(again) as ledger:  # a new one for every set
             judge(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
+
+
+def renewing(line):
+    """A script in which a person renews B's baseline while set 17 is struck."""
+    asked = []
+
+    def script(key):
+        if key == ShotKey(position="B", set_index=17, shot_index=0) and not asked:
+            asked.append(key)
+            line.order("renew_baseline", position="B", note="coupled anew")
+        return healthy(key, shift=0.2 if key.position == "B" and key.set_index > 15 else 0.0)
+
+    return script
+
+
+def test_a_successor_is_learnt_from_the_next_planned_set_on(line):
+    line.settings = memory_settings(
+        schedule={"phases": [{"until_h": 18.0, "interval_h": 0.5}], "shots_per_set": 1},
+        baseline={"hours": 7.5, "minimum_sets": 15, "minimum_valid_shots": 1, "approval": "by_a_person"},
+    )
+    line.listen_every_s, line.script = 0.0, renewing(line)
+    line.run()
+    first, second = line.rows("baselines", "B")
+    assert (first.id, first.name, first.state, first.last_set_index) == (2, "B-baseline-1", "retired", 14)
+    assert (second.id, second.name, second.state, second.n_sets) == (6, "B-baseline-2", "proposed", 15)
+    assert (second.first_set_index, second.last_set_index) == (18, 32)
+    tofs = [row.tof_pp_s for row in line.rows("features", "B") if row.shot_index is None]
+    assert second.mean[0] == pytest.approx(np.mean(tofs[18:33]), rel=1e-12)  # the same doubles, summed alike
+    assert (second.readiness["n"], second.readiness["advice"][:19]) == (15, "fewer than 48 sets:")
+    verdicts = line.rows("verdicts", "B")
+    assert [row.set_index for row in verdicts if row.in_baseline] == [*range(15), *range(18, 33)]
+    assert [row.outlier for row in verdicts[15:18]] == [False, True, None], "16 by the baseline of before"
+    assert verdicts[17].reason == "its baseline was retired before it was judged"
+    assert {(row.baseline_id, row.outlier) for row in verdicts[33:]} == {(6, False)}
+    assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
+    stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
+    stopped.folder.mkdir()
+    script = renewing(stopped)
+    for set_index in (17, 20, 32, 34):  # before, while and after the successor is learnt
+        run_until(stopped, "D", set_index, script)
+    stopped.script = script
+    stopped.run()
+    for name in ("verdicts", "features", "baselines"):
+        assert stopped.rows(name) == line.rows(name)
 
 
 def remembered(line, monkeypatch, looks):
@@ -192,11 +243,11 @@ def test_a_reinstated_transducer_retires_anew_only_for_what_came_after(line):
         assert "D" not in ledger.retired()
 
 
-def ended_after(position, set_index, stop, script):
+def ended_after(position, set_index, stop, script, last_shot=3):
     """A script that has the recorder stopped at the last strike of a transducer in a set."""
 
     def told(key):
-        if key == ShotKey(position=position, set_index=set_index, shot_index=3):
+        if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
             stop.set()
         return script(key)
 
@@ -204,8 +255,8 @@ def ended_after(position, set_index, stop, script):
 
 
 def run_until(line, position, set_index, script):
-    stop = threading.Event()
-    line.script = ended_after(position, set_index, stop, script)
+    stop, last_shot = threading.Event(), line.settings.schedule.shots_per_set - 1
+    line.script = ended_after(position, set_index, stop, script, last_shot)
     assert not line.run(stop=stop)
 
 

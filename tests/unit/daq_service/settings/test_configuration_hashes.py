@@ -17,11 +17,15 @@ ONE = {"positions": {"B": {"method": "solitary_wave"}}, "clock": {"kind": "wall"
 BOTH = {**ONE, "positions": {"B": {"method": "solitary_wave"}, "A": {"method": "pulse_echo"}}}
 
 
+BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
+"""As alarms were raised by the versions that hashed these."""
+
+
 def shipped(folder: Path, *, everything: bool) -> Settings:
     text = config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
     path = folder / "laboratory.toml"
     path.write_text(switched_on(text) if everything else text, encoding="utf-8")
-    return load_settings(path)
+    return load_settings(path, overrides=BY_SETS)
 
 
 WITH_PROBE = {"kind": "daqmx", "daqmx": BOARDS, "niscope": {"probes": {"A": {"resource": "PXI1Slot4"}}}}
@@ -41,7 +45,7 @@ RIGS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("digest", RIGS)
 def test_a_rig_of_each_kind_keeps_its_hash(digest: str) -> None:
-    assert Settings(**RIGS[digest]).configuration_hash().startswith(digest)
+    assert Settings(**RIGS[digest], **BY_SETS).configuration_hash().startswith(digest)
 
 
 @pytest.mark.parametrize(("everything", "digest"), [(False, "f6969c269925c427"), (True, "33565d5ea9f1ef4f")])
@@ -50,4 +54,8 @@ def test_the_shipped_laboratory_keeps_its_hash(everything: bool, digest: str, tm
 
 
 def test_the_shipped_twin_keeps_its_hash() -> None:
-    assert load_settings(None).configuration_hash().startswith("4c5c6748c413e20d")
+    assert load_settings(None, overrides=BY_SETS).configuration_hash().startswith("4c5c6748c413e20d")
+
+
+def test_what_raises_alarms_is_part_of_the_hash() -> None:
+    assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()

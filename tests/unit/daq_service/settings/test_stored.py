@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from daq_service.settings import stored
-from daq_service.settings.stored import SHOWN, differences, renamed
+from daq_service.settings.stored import SHOWN, differences, renamed, stored_settings
 from daq_service.settings.tree import NoveltySettings, Settings
 
 NOW = Settings()
@@ -30,6 +30,18 @@ def test_a_key_that_came_later_counts_with_its_default() -> None:
     assert differences(before, Settings(plate={"contact": "patch"})) == [
         'plate.contact began with "node", is "patch" now'
     ]
+
+
+def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before() -> None:
+    before = kept()
+    del before["alarms"]["decides_by"]
+    unchanged = copy.deepcopy(before)
+    assert differences(before, NOW) == ['alarms.decides_by began with "k_of_n", is "chart" now']
+    by_sets = Settings(alarms={"decides_by": "k_of_n"})
+    assert differences(before, by_sets) == []
+    assert stored_settings(before).configuration_hash() == by_sets.configuration_hash()
+    assert "decides_by" not in by_sets.measured()["alarms"], "what was hashed before there was a choice"
+    assert before == unchanged
 
 
 def test_who_is_told_of_alarms_may_change_from_start_to_start() -> None:

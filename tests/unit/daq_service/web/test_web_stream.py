@@ -11,6 +11,7 @@ from support.served_web import DEADLINE_S, served, served_app, stream_events, ta
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import Context
+from daq_service.web.guards import RequestGuard
 from daq_service.web.routes.stream import frames, gap_frame
 from daq_service.web.streams.hub import EventHub, encode_event
 
@@ -306,3 +307,20 @@ def test_more_streams_than_are_served_are_told_so(filled, service, monkeypatch):
         assert answer.status_code == 503
         assert answer.json()["type"] == "urn:solimon:problem:too-many-streams"
         assert answer.headers["retry-after"] == "1"
+
+
+def test_streams_that_begin_together_let_another_answer_go_first():
+    begun = []
+
+    async def app(scope, receive, send):
+        begun.append(scope["path"])
+
+    async def body():
+        guard = RequestGuard(app)
+        scope = {"type": "http", "method": "GET", "headers": [(b"host", b"localhost")]}
+        paths = [*100 * ["/tests/a/api/v1/stream"], "/healthz"]
+        await asyncio.gather(*(guard({**scope, "path": path}, None, None) for path in paths))
+
+    asyncio.run(body())
+    assert len(begun) == 101
+    assert begun.index("/healthz") == 0

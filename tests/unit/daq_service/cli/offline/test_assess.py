@@ -175,3 +175,40 @@ def test_arguments_that_say_no_baseline_are_refused(tmp_path, tables):
     assert "no column x; it has part" in refused(path, "--baseline-rows", 20, "--features", "x")
     assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
     assert "cannot read" in refused(tmp_path / "none.csv", "--baseline-rows", 20)
+
+
+def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
+    random, paths = np.random.default_rng(8), []
+    for k in range(24):
+        x = random.standard_normal((300, 5))
+        x[200:] += [2.0, 0.0, 0.0, 1.0, 0.0]  # the weather
+        if k == 3:
+            x[250:, 1] -= 6.0
+        paths.append(tmp_path / f"{k:02d}.npy")
+        np.save(paths[-1], x if k != 5 else x[:10])
+    answer = run(*paths, "--baseline-rows", 150, "--fleet", "--json", "--no-rows")
+    fleet = json.loads(answer.stdout)["fleet"]
+    assert (fleet["sensors"], fleet["judged"], fleet["beside_the_median"]) == (24, 23, True)
+    (raised,) = fleet["raised"]
+    assert raised["file"].endswith("03.npy")
+    assert 250 <= raised["row"] < 265
+    (cause,) = fleet["shared"]
+    assert cause["largest_sd"]["0"] == pytest.approx(2.0, abs=0.3)  # the median of 23 scatters by .26
+    assert 200 <= cause["first_row"] < 206
+    assert cause["last_row"] == 299
+    assert len(fleet["explained"]) >= 20
+    words = run(*paths[:8], "--baseline-rows", 150, "--fleet").output
+    assert "fleet of 8 sensors, 7 judged" in words
+    assert "fewer than 20 sensors: what they share is not taken out" in words
+    every = run(*paths, "--baseline-rows", 150, "--fleet").output
+    assert "look at    " in every
+    assert "all move   rows 20" in every
+    assert "by what all share" in every
+
+
+def test_sensors_of_a_fleet_have_the_same_features(tmp_path):
+    for name, features in (("a", 3), ("b", 2)):
+        np.save(tmp_path / f"{name}.npy", np.random.default_rng(0).standard_normal((40, features)))
+    assert "b.npy has the features 0, 1" in refused(
+        tmp_path / "a.npy", tmp_path / "b.npy", "--baseline-rows", 20, "--fleet"
+    )

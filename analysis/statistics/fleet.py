@@ -1,0 +1,198 @@
+"""Many sensors at once: what they share is weather, and of the alarms raised only a known part is false.
+
+A budget for each sensor lets the false alarms grow with the number of sensors. Over a period the chance of
+each chart's highest value in a healthy sensor is known, so the false discovery rate of those raised can be
+kept instead (Benjamini and Hochberg 1995). Season, process and supply move all sensors: taken out of each is
+the median of their deviations, which some sick sensors do not move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import scipy  # `scipy.signal` and `scipy.stats` come when asked for
+from numpy.typing import ArrayLike
+
+from analysis.errors import InvalidInputError
+from analysis.statistics.memory import autocorrelation, corrected
+from analysis.statistics.mewma import WEIGHT, averages, estimated_limit
+from analysis.statistics.rules import MINIMUM_SETS
+from analysis.statistics.sequence import SMALLEST_SD
+from analysis.waves.record_reduction import FloatArray
+
+FALSE_DISCOVERY_RATE = 0.1
+FEWEST_SENSORS = 20
+"""Of fewer the median scatters by more than a quarter of a sensor's SD: their alarms would be its own."""
+SHARED_SD = 0.3
+"""Less of a shared shift moves no chart by a third of its limit: (2 - w)/w p 0.3^2 = 8.6 at p = 5."""
+SHARED_SIGNIFICANCE = 4.5
+"""Standard errors: independent sensors reach them in 10^6 features and sets less than seven times."""
+RUN_LENGTHS = np.geomspace(10.0, 1e9, 17)
+"""The integral equation ends at some 10^10; a chance below its last one is told as its last."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shared:
+    """Sets in which the sensors moved together.
+
+    Attributes
+    ----------
+    first_row, last_row
+        Both included.
+    largest_sd
+        Largest shift of each feature's average, with its sign, in standard deviations of a sensor.
+    """
+
+    first_row: int
+    last_row: int
+    largest_sd: tuple[float, ...]
+
+
+@lru_cache(maxsize=64)
+def _limits(n: int, p: int) -> FloatArray:
+    return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
+
+
+def chance_so_far(statistic: FloatArray, n: int, p: int, period: int) -> FloatArray:
+    """Chance that a healthy sensor's chart rises as high within a period, after each set; never rising.
+
+    Parameters
+    ----------
+    statistic
+        Of a chart without restarts after alarms, shape (sets,); NaN where a set was not judged.
+    n, p
+        Sets and features of the baseline.
+    period
+        Sets in the whole period: known at its beginning, so that what has been raised stays raised.
+    """
+    highest = np.maximum.accumulate(np.where(np.isfinite(statistic), statistic, 0.0))
+    length = np.exp(np.interp(highest, _limits(n, p), np.log(RUN_LENGTHS)))
+    return np.asarray(np.where(highest < _limits(n, p)[0], 1.0, -np.expm1(-period / length)))
+
+
+def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
+    """Set at which each sensor is raised (None: never); at most ``rate`` of those are healthy, on average.
+
+    Parameters
+    ----------
+    chances
+        Of `chance_so_far`, shape (sensors, sets).
+    """
+    p = np.asarray(chances, dtype=np.float64)
+    if not 0.0 < rate < 1.0:
+        raise InvalidInputError(f"the false discovery rate is {rate}; it must lie between 0 and 1")
+    if not p.size:
+        return [None] * len(p)
+    # Nothing is raised before the first chance below the rate itself.
+    found = np.zeros(p.shape, dtype=bool)
+    some = np.flatnonzero(p.min(axis=0) <= rate)
+    found[:, some] = scipy.stats.false_discovery_control(p[:, some], axis=0) <= rate
+    return [int(row.argmax()) if row.any() else None for row in found]
+
+
+def standardized(vectors: ArrayLike, in_baseline: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Give deviations from the baseline's mean in its SD, shape (sets, p), and the SD, shape (p,).
+
+    A feature that is constant, or never known, in the baseline has SD 1 and no deviation (NaN).
+    """
+    x = np.asarray(vectors, dtype=np.float64)
+    x = np.where(np.isfinite(x), x, np.nan)
+    baseline = np.ma.masked_invalid(x[np.asarray(in_baseline, dtype=bool)])
+    mean = np.asarray(baseline.mean(axis=0).filled(np.nan))
+    sd = np.asarray(baseline.std(axis=0, ddof=1).filled(np.nan))
+    sd = np.where(sd > SMALLEST_SD * np.abs(mean), sd, np.nan)
+    return np.asarray((x - mean) / sd), np.where(np.isfinite(sd), sd, 1.0)
+
+
+def shared_deviation(deviations: ArrayLike) -> FloatArray:
+    """Median over the sensors of each feature's deviation from its baseline, shape (sets, p).
+
+    Parameters
+    ----------
+    deviations
+        In SD of each sensor's own baseline, shape (sensors, sets, p); NaN where a value is missing. Zero
+        where fewer than `FEWEST_SENSORS` have one.
+    """
+    x = np.asarray(deviations)
+    known = np.isfinite(x).sum(axis=0)
+    result = np.zeros(x.shape[1:])
+    full, partly = known == len(x), (known >= FEWEST_SENSORS) & (known < len(x))
+    if len(x) >= FEWEST_SENSORS:
+        result[full] = np.median(x[:, full], axis=0)
+    result[partly] = np.nanmedian(x[:, partly], axis=0)
+    return result
+
+
+def usual_memory(baselines: Sequence[FloatArray]) -> FloatArray:
+    """Median over the sensors of each feature's memory from set to set, shape (p,).
+
+    One baseline shows its memory to some 1/sqrt(n); a sensor that happens to show too little of it would be
+    raised first of all.
+
+    Parameters
+    ----------
+    baselines
+        Shape (n, p) each, without what all share; NaN where a value is missing.
+    """
+    known = [(x, int(np.isfinite(x).all(axis=1).sum())) for x in baselines]
+    phi = [corrected(autocorrelation(x, 1), n) for x, n in known if n >= MINIMUM_SETS]
+    return np.asarray(np.median(phi, axis=0)) if phi else np.zeros(baselines[0].shape[1])
+
+
+def usual_tails(baselines: Sequence[FloatArray]) -> float:
+    """Mean over the sensors of the kurtosis of their baselines, 1 for normal sets and at least.
+
+    Heavy tails make a covariance as uncertain as fewer normal sets would: its variance grows by the kurtosis
+    E[d^4]/(p (p + 2)), d the Mahalanobis distance (Mardia 1970; for elliptical distributions).
+
+    Parameters
+    ----------
+    baselines
+        As of `usual_memory`.
+    """
+    found = [_kurtosis(x[np.isfinite(x).all(axis=1)].astype(np.float64)) for x in baselines]
+    known = [one for one in found if one is not None]
+    return max(1.0, float(np.mean(known))) if known else 1.0
+
+
+def _kurtosis(x: FloatArray) -> float | None:
+    n, p = x.shape
+    if n < MINIMUM_SETS:
+        return None
+    centred = x - x.mean(axis=0)
+    distances = ((centred @ np.linalg.pinv(centred.T @ centred / n)) * centred).sum(axis=1)
+    return float((distances**2).mean() / (p * (p + 2)))
+
+
+def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int) -> tuple[Shared, ...]:
+    """Name the sets in which the average of what is shared is no chance of independent sensors.
+
+    Parameters
+    ----------
+    shared
+        Of `shared_deviation`, shape (sets, p).
+    phi
+        Memory of a sensor from set to set.
+    first_row
+        Not before this one, which is the first after the baseline.
+    """
+    if n_sensors < FEWEST_SENSORS:
+        return ()
+    kept = (1.0 - WEIGHT) * phi
+    variance = np.pi / 2.0 / n_sensors * WEIGHT / (2.0 - WEIGHT) * (1.0 + kept) / (1.0 - kept)
+    limit = max(SHARED_SD, SHARED_SIGNIFICANCE * float(np.sqrt(variance)))
+    average = averages(shared, np.zeros(shared.shape[1]))
+    beyond = (np.abs(average) > limit).any(axis=1) & (np.arange(len(shared)) >= first_row)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], beyond, [False]]).astype(int)))
+    return tuple(
+        Shared(first_row=int(a), last_row=int(b) - 1, largest_sd=_largest(average[a:b]))
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    )
+
+
+def _largest(average: FloatArray) -> tuple[float, ...]:
+    rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
+    return tuple(float(average[row, feature]) for feature, row in enumerate(rows))

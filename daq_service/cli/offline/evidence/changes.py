@@ -1,0 +1,209 @@
+"""What two judgements of a test say differently: alarms that come, go and move; rows column by column. Pure.
+
+Rows are compared by their fields, whatever these are, so that a further column needs no word here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import orjson
+
+from daq_service.catalogue import Catalogue
+from daq_service.catalogue.rows import (
+    BaselineRow,
+    EventRow,
+    FeatureRow,
+    Row,
+    ThicknessRow,
+    VerdictRow,
+    values,
+)
+from hardware_drivers.nanoseconds import NS_PER_H
+
+ONSETS = ("alarm_raised", "alarm_returned")
+NOT_SAID = frozenset({"id", "created_utc_ns"})
+"""Columns that say when and where a row was stored, not what it means."""
+EXTRACTED = (FeatureRow, ThicknessRow)
+JUDGED = (BaselineRow, VerdictRow)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Onset:
+    """An alarm is raised, or comes back before anybody has acknowledged it."""
+
+    position: str
+    kind: str
+    set_index: int
+    hour: float
+    severity: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moved:
+    """An alarm that both judgements raise, with different sets."""
+
+    stored: Onset
+    again: Onset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlarmChanges:
+    """What becomes of the alarms: both judgements raise ``kept`` with the same set."""
+
+    kept: Sequence[Onset]
+    come: Sequence[Onset]
+    go: Sequence[Onset]
+    moved: Sequence[Moved]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Difference:
+    """A column of rows that the two judgements fill differently.
+
+    Attributes
+    ----------
+    column
+        Of a column that holds named values, ``column.name``.
+    n_rows, first_set_index
+        How many rows differ, and the set of the first one (of a baseline the last set that is in it).
+    stored, again
+        Their values in the first one.
+    """
+
+    table: str
+    position: str
+    column: str
+    n_rows: int
+    first_set_index: int
+    stored: Any
+    again: Any
+
+
+def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
+    """List the onsets of alarms about positions that a set raised, in their order."""
+    epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
+    return [
+        Onset(
+            position=event.position,
+            kind=event.payload["kind"],
+            set_index=event.set_index,
+            hour=(event.utc_ns - epoch_utc_ns) / NS_PER_H,
+            severity=event.payload["severity"],
+            message=event.payload["message"],
+        )
+        for event in catalogue.rows(EventRow, topic="alarms")
+        if event.kind in ONSETS and event.position is not None and event.set_index is not None
+        if up_to_set is None or event.set_index <= up_to_set
+    ]
+
+
+def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
+    """Compare onsets: those with the same set are kept; of the others the first ones of a kind have moved."""
+    before, after = _by_place(stored), _by_place(again)
+    kept: list[Onset] = []
+    come: list[Onset] = []
+    go: list[Onset] = []
+    moved: list[Moved] = []
+    for place in sorted({*before, *after}):
+        old, new = before.get(place, {}), after.get(place, {})
+        kept += [new[index] for index in sorted(old.keys() & new.keys())]
+        gone = [old[index] for index in sorted(old.keys() - new.keys())]
+        added = [new[index] for index in sorted(new.keys() - old.keys())]
+        n_moved = min(len(gone), len(added))
+        moved += [Moved(stored=a, again=b) for a, b in zip(gone[:n_moved], added[:n_moved], strict=True)]
+        go += gone[n_moved:]
+        come += added[n_moved:]
+    return AlarmChanges(kept=kept, come=come, go=go, moved=moved)
+
+
+def _by_place(found: Iterable[Onset]) -> dict[tuple[str, str], dict[int, Onset]]:
+    by_place: dict[tuple[str, str], dict[int, Onset]] = {}
+    for onset in found:
+        by_place.setdefault((onset.position, onset.kind), {})[onset.set_index] = onset
+    return by_place
+
+
+def differences(
+    kinds: Iterable[type[Row]],
+    stored: Catalogue,
+    again: Catalogue,
+    *,
+    position: str | None = None,
+    up_to_set: int | None = None,
+) -> list[Difference]:
+    """Compare the rows of these kinds, column by column; of features those of whole sets.
+
+    A column that no stored row has is of a later version, and says nothing. A set that only one of the two
+    has a row of differs in the column ``row``.
+    """
+    found = []
+    for kind in kinds:
+        old, new = (_rows(kind, catalogue, position, up_to_set) for catalogue in (stored, again))
+        known = {name for _, row in old.values() for name, value in row.items() if value is not None}
+        columns: dict[tuple[str, str], list[tuple[int, Any, Any]]] = {}
+        for key in sorted({*old, *new}):
+            set_index, _ = old.get(key) or new[key]
+            for name, left, right in differing_columns(
+                old.get(key, (0, None))[1], new.get(key, (0, None))[1]
+            ):
+                if name.partition(".")[0] in known or name == "row":
+                    columns.setdefault((key[0], name), []).append((set_index, left, right))
+        found += [
+            Difference(
+                table=kind.__name__.removesuffix("Row").lower(),
+                position=place,
+                column=name,
+                n_rows=len(those),
+                first_set_index=those[0][0],
+                stored=those[0][1],
+                again=those[0][2],
+            )
+            for (place, name), those in columns.items()
+        ]
+    return found
+
+
+def _rows(
+    kind: type[Row], catalogue: Catalogue, position: str | None, up_to_set: int | None
+) -> dict[tuple[str, int], tuple[int, dict[str, Any]]]:
+    """Return set and columns of each row by position and set, baselines by position and number."""
+    found: dict[tuple[str, int], tuple[int, dict[str, Any]]] = {}
+    baselines: Counter[str] = Counter()
+    rows: list[Any] = catalogue.rows(kind, position=position, scope="set" if kind is FeatureRow else None)
+    for row in rows:
+        set_index = row.last_set_index if kind is BaselineRow else row.set_index
+        if up_to_set is not None and set_index > up_to_set:
+            continue
+        key = baselines[row.position] if kind is BaselineRow else set_index
+        baselines[row.position] += 1
+        columns = {name: value for name, value in values(row).items() if name not in NOT_SAID}
+        found[row.position, key] = set_index, columns
+    return found
+
+
+def differing_columns(
+    stored: Mapping[str, Any] | None, again: Mapping[str, Any] | None
+) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name and both values of each column that differs; ``row`` where only one of them is there."""
+    if stored is None or again is None:
+        there = [None if row is None else "there" for row in (stored, again)]
+        yield "row", there[0], there[1]
+        return
+    for name in stored:
+        left, right = _plain(stored[name]), _plain(again[name])
+        if isinstance(left, Mapping) and isinstance(right, Mapping):
+            for below in {**left, **right}:
+                if left.get(below) != right.get(below):
+                    yield f"{name}.{below}", left.get(below), right.get(below)
+        elif left != right:
+            yield name, left, right
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as JSON tells it: what is not a number is none, an array is a list."""
+    return orjson.loads(orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY))

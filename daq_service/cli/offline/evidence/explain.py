@@ -1,0 +1,54 @@
+"""``solimon explain``: an alarm recomputed, as a page and a file of JSON."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import orjson
+
+from daq_service.cli.offline.evidence.explained import explained
+from daq_service.cli.offline.evidence.judged_again import told_progress
+from daq_service.cli.offline.evidence.page_of_alarm import comes_out_again, facts_of, page_of, title_of
+from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.processes.data_folder import new_folder
+from daq_service.shared_file import write_durably
+
+
+def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
+    """Explain an alarm into a folder, and say where.
+
+    Raises
+    ------
+    UsageError
+        There is no such alarm, its features are of another extractor, or the files are there already.
+    StorageError
+        A set that counts cannot be read, or the files not be written.
+    """
+    folder = out or new_folder(f"alarm-{alarm_id}")
+    if folder.absolute().resolve().is_relative_to(data_dir.absolute().resolve()):
+        raise UsageError(f"{folder} lies in the test's own folder; choose another --out")
+    page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
+    if there := [path for path in (page, facts_file) if path.exists() and not overwrite]:
+        raise UsageError(f"{there[0]} exists; choose another --out, or replace it with --overwrite")
+    found = explained(data_dir, alarm_id, told_progress)
+    # Brings matplotlib along, which the rest does not need.
+    from daq_service.cli.offline.evidence.pictures import pictures_of
+
+    facts = orjson.dumps(
+        {**facts_of(found), "files": [str(page), str(facts_file)]}, option=orjson.OPT_SERIALIZE_NUMPY
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, content in ((page, page_of(found, pictures_of(found))), (facts_file, facts)):
+            write_durably(path, content, temporary=path.with_name(f"{path.name}.part"))
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{folder} cannot be written: {error}; free or mend the disk"
+        ) from error
+    if as_json:
+        click.echo(facts.decode())
+        return
+    click.echo(f"{title_of(found)}: {found.alarm.message}")
+    click.echo(comes_out_again(found))
+    click.echo(f"{page}: open it in a browser, or print it; {facts_file.name} has the numbers")

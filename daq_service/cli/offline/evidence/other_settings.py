@@ -1,0 +1,97 @@
+"""Settings of a stored test with some that judge changed: ``--set KEY=VALUE``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from daq_service.errors import UsageError
+from daq_service.settings.stored import KeyPath, flattened, nested, renamed, stored_settings
+from daq_service.settings.tree import Settings
+
+JUDGING: Mapping[str, frozenset[str] | None] = {
+    "features": None,
+    "ultrasound": None,
+    "baseline": None,
+    "novelty": None,
+    "alarms": None,
+    "quality": frozenset({"no_data_sets", "retire_after_sets"}),
+}
+"""Tables of the configuration that say how a record is judged, and their keys (None: all). The others say how
+a test is taken, kept or shown, which no later judgement changes."""
+
+
+def judging_keys() -> list[str]:
+    """Name every key that may be set."""
+    return [
+        f"{table}.{key}"
+        for table, keys in JUDGING.items()
+        for key in _table(table).model_fields
+        if keys is None or key in keys
+    ]
+
+
+def parsed(texts: Sequence[str]) -> dict[KeyPath, Any]:
+    """Read ``KEY=VALUE``: a value is JSON, or else text.
+
+    Raises
+    ------
+    UsageError
+        Not of this form, twice the same key, or a key that does not judge.
+    """
+    found: dict[KeyPath, Any] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        path = tuple(key.strip().split("."))
+        if not equals or not all(path):
+            raise UsageError(f"--set {text}: write KEY=VALUE, for example alarms.decides_by=chart")
+        if len(path) < 2 or path[0] not in JUDGING or path[1] not in _names(path[0]):
+            raise UsageError(
+                f"--set {'.'.join(path)}: this key is not known, or does not say how records are judged; "
+                f"these do: {', '.join(judging_keys())}"
+            )
+        if path in found:
+            raise UsageError(f"--set {'.'.join(path)} is given twice; leave one out")
+        try:
+            found[path] = json.loads(value)
+        except ValueError:
+            found[path] = value
+    return found
+
+
+def changed(configuration: Mapping[str, Any], given: Mapping[KeyPath, Any]) -> Settings:
+    """Lay what is given over the configuration that a test began with.
+
+    Raises
+    ------
+    UsageError
+        A value is refused: key, value, bound.
+    """
+    kept = flattened(renamed(configuration)).items()
+    try:
+        return stored_settings(nested({p: v for p, v in kept if not _replaced(p, given)} | dict(given)))
+    except ValidationError as error:
+        lines = [
+            f"{'.'.join(map(str, one['loc']))}: {one['msg'].removeprefix('Value error, ')} "
+            f"(value: {one['input']!r})"
+            for one in error.errors()
+        ]
+        raise UsageError(f"--set is refused: {'; '.join(lines)}") from error
+
+
+def _replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
+    """Tell whether a key, one above it or one below it is given."""
+    return any(path[: len(one)] == one or one[: len(path)] == path for one in given)
+
+
+def _names(table: str) -> frozenset[str]:
+    return JUDGING[table] or frozenset(_table(table).model_fields)
+
+
+def _table(name: str) -> type[BaseModel]:
+    kind = Settings.model_fields[name].annotation
+    assert isinstance(kind, type) and issubclass(kind, BaseModel), "a table of the configuration"  # noqa: PT018
+    return kind

@@ -1,0 +1,171 @@
+"""``solimon replay``: a stored test judged with other settings, and what that changes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.rows import FeatureRow
+from daq_service.cli.offline.evidence.changes import (
+    EXTRACTED,
+    JUDGED,
+    AlarmChanges,
+    Difference,
+    Onset,
+    alarm_changes,
+    differences,
+    onsets,
+)
+from daq_service.cli.offline.evidence.judged_again import (
+    FeaturesOfSet,
+    Progress,
+    catalogue_beside,
+    extracted_features,
+    judge_again,
+    stored_features,
+    told_progress,
+)
+from daq_service.cli.offline.evidence.other_settings import changed, parsed
+from daq_service.errors import UsageError
+from daq_service.processes.data_folder import refuse_other_folders
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Replayed:
+    """What other settings make of a test.
+
+    Attributes
+    ----------
+    extractor_version
+        Of the features that were judged.
+    """
+
+    experiment: str
+    changed: Mapping[str, Any]
+    extracted: bool
+    extractor_version: str
+    sets: int
+    alarms: AlarmChanges
+    differences: list[Difference]
+
+
+def run_replay(*, data_dir: Path, given: tuple[str, ...], extract: bool, as_json: bool) -> None:
+    """Judge a stored test again and print what changed; the folder is only read."""
+    found = replayed(data_dir, given, extract=extract, progress=told_progress)
+    if as_json:
+        click.echo(json.dumps(asdict(found)))
+        return
+    for line in in_words(found):
+        click.echo(line)
+
+
+def replayed(
+    folder: Path, given: Iterable[str], *, extract: bool, progress: Progress = lambda done, total: None
+) -> Replayed:
+    """Judge a stored test with some settings changed, and compare with what is stored.
+
+    Parameters
+    ----------
+    given
+        ``KEY=VALUE`` each; without any the test is judged as it was.
+    extract
+        Take the features from the waveforms again, instead of the stored ones.
+
+    Raises
+    ------
+    UsageError
+        A setting does not judge or is refused, or stored features are of several extractors.
+    StorageError
+        There is no test, or a set of it cannot be read.
+    """
+    settings_given = parsed(tuple(given))
+    refuse_other_folders(folder)
+    with ExitStack() as stack:
+        stored = stack.enter_context(open_catalogue(folder))
+        experiment = stored.experiment_row()
+        settings = changed(experiment.configuration, settings_given)
+        features: FeaturesOfSet = partial(extracted_features, settings)
+        extractor = EXTRACTOR_VERSION
+        if not extract:
+            features, extractor = (
+                partial(stored_features, stored),
+                _one_extractor(stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]),
+            )
+        again = stack.enter_context(catalogue_beside(experiment))
+        sets = judge_again(stored, again, folder, settings, features, progress=progress)
+        last = max(sets, default=None)
+        return Replayed(
+            experiment=experiment.name,
+            changed={".".join(path): value for path, value in settings_given.items()},
+            extracted=extract,
+            extractor_version=extractor,
+            sets=len(sets),
+            alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
+            differences=differences(
+                (*EXTRACTED, *JUDGED) if extract else JUDGED, stored, again, up_to_set=last
+            ),
+        )
+
+
+def _one_extractor(versions: Iterable[str]) -> str:
+    """Refuse features that were extracted in different ways: they are different quantities."""
+    found = sorted(set(versions))
+    if len(found) > 1:
+        raise UsageError(
+            f"the stored features are of the extractors {' and '.join(found)}, which are different "
+            "quantities; take them all from the waveforms with --extract"
+        )
+    return found[0] if found else EXTRACTOR_VERSION
+
+
+def in_words(found: Replayed) -> Iterable[str]:
+    """Say it in lines."""
+    source = "from the waveforms" if found.extracted else "as stored"
+    told = ", ".join(f"{key} = {json.dumps(value)}" for key, value in found.changed.items())
+    yield f"{found.experiment}: {found.sets} sets judged again with {told or 'the same settings'}"
+    yield f"features {source}, extractor {found.extractor_version}"
+    alarms = found.alarms
+    for one in alarms.moved:
+        by_h = one.again.hour - one.stored.hour
+        yield (
+            f"moves  {one.stored.position} {one.stored.kind}: {_where(one.stored)} -> {_where(one.again)}, "
+            f"{abs(by_h):.2f} h {'later' if by_h > 0.0 else 'earlier'}"
+        )
+    for word, some in (("comes", alarms.come), ("goes", alarms.go), ("stays", alarms.kept)):
+        for onset in some:
+            yield f"{word:<6} {onset.position} {onset.kind}: {_where(onset)}"
+    for row in found.differences:
+        if row.table == "baseline" and isinstance(row.stored, int | float | None):
+            yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
+    yield from _of_sets(found.differences)
+    if not (alarms.moved or alarms.come or alarms.go or found.differences):
+        yield "nothing changes: every alarm, limit and verdict is what is stored"
+
+
+def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
+    """Say which columns of the sets' rows differ, a line a position; `--json` has the values."""
+    by_place: dict[tuple[str, str], list[Difference]] = {}
+    for row in found:
+        if row.table != "baseline":
+            by_place.setdefault((row.table, row.position), []).append(row)
+    for (table, position), rows in by_place.items():
+        columns = dict.fromkeys(row.column.partition(".")[0] for row in rows)
+        n_sets, first = max(row.n_rows for row in rows), min(row.first_set_index for row in rows)
+        yield f"{table} {position}: {n_sets} sets from set {first} on differ in {', '.join(columns)}"
+
+
+def _where(onset: Onset) -> str:
+    return f"set {onset.set_index}, hour {onset.hour:.2f}"
+
+
+def _short(value: float | None) -> str:
+    return "none" if value is None else f"{value:.6g}"

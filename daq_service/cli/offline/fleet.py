@@ -1,0 +1,207 @@
+"""``solimon assess --fleet``: many sensors of one kind together, a table each, rows of the same times."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analysis.statistics.design import Budget
+from analysis.statistics.fleet import (
+    FEWEST_SENSORS,
+    Shared,
+    chance_so_far,
+    raised_at,
+    shared_causes,
+    shared_deviation,
+    standardized,
+    usual_memory,
+    usual_tails,
+)
+from analysis.statistics.rules import MINIMUM_SETS
+from analysis.statistics.sequence import assess
+from analysis.waves.record_reduction import FloatArray
+from daq_service.cli.offline.table_file import TableFile
+from daq_service.errors import UsageError
+
+Read = Callable[[Path], TableFile]
+Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Beside:
+    """A sensor judged beside the fleet.
+
+    Attributes
+    ----------
+    chances
+        That a healthy one's chart rises as high, shape (rows,); one before its first judged row.
+    alarms
+        Whether its chart alarms within the budget of a sensor.
+    """
+
+    refused: str | None
+    alarms: bool = False
+    chances: FloatArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Deviations:
+    """What a table gives to the fleet.
+
+    Attributes
+    ----------
+    in_sd
+        Of each set from the baseline, shape (rows, features), float32 since there are many.
+    """
+
+    names: tuple[str, ...]
+    in_baseline: np.ndarray
+    in_sd: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Usual:
+    """What baselines of the fleet have in common: memory of each feature, and kurtosis."""
+
+    phi: FloatArray
+    tails: float
+
+
+def deviations(path: Path, read: Read) -> Deviations:
+    """Read a table for the first time."""
+    table = read(path)
+    z, _ = standardized(table.vectors, table.in_baseline)
+    return Deviations(names=table.names, in_baseline=table.in_baseline, in_sd=z.astype(np.float32))
+
+
+def beside(path: Path, read: Read, shared: FloatArray, usual: Usual, budget: Budget, period: int) -> Beside:
+    """Judge a sensor without what the fleet shares, with at least the memory and tails usual there."""
+    table = read(path)
+    _, sd = standardized(table.vectors, table.in_baseline)
+    vectors = table.vectors - sd * shared[: len(table.vectors)]
+    found = assess(vectors, table.in_baseline, table.names, budget, textbooks=False, least_phi=usual.phi)
+    if found.refused is not None:
+        return Beside(refused=found.refused, chances=np.ones(len(vectors)))
+    p = len(table.names) - len(found.features_dropped)
+    return Beside(
+        refused=None,
+        alarms=bool(found.onsets),
+        chances=chance_so_far(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
+    )
+
+
+def _after(table: Deviations) -> int:
+    healthy = np.flatnonzero(table.in_baseline)
+    return int(healthy[-1]) + 1 if healthy.size else len(table.in_sd)
+
+
+def judge_fleet(
+    paths: Sequence[Path],
+    read: Read,
+    mapped: Map,
+    budget: Budget,
+    rate: float,
+    alone: Sequence[Sequence[int]],
+) -> dict[str, Any]:
+    """Judge all tables together, as it is told.
+
+    Parameters
+    ----------
+    mapped
+        As `map`: perhaps over processes.
+    rate
+        Part of the raised sensors that may be healthy, on average.
+    alone
+        Rows at which each sensor's own chart alarms.
+    """
+    first: list[Deviations] = list(mapped(partial(deviations, read=read), paths))
+    names = first[0].names
+    for path, table in zip(paths, first, strict=True):
+        if table.names != names:
+            raise UsageError(
+                f"--fleet: {path} has the features {', '.join(table.names)}, {paths[0]} {', '.join(names)}; "
+                "sensors of a fleet have the same: choose them by --features"
+            )
+    n_rows, after = max(len(table.in_sd) for table in first), max(map(_after, first))
+    shared = shared_deviation(_stacked([table.in_sd for table in first], n_rows))
+    baselines = [_alone(table, shared) for table in first]
+    usual = Usual(phi=usual_memory(baselines), tails=usual_tails(baselines))
+    period = max(1, *(len(table.in_sd) - _after(table) for table in first))
+    one = partial(beside, read=read, shared=shared, usual=usual, budget=budget, period=period)
+    found: list[Beside] = list(mapped(one, paths))
+    judged = [k for k, sensor in enumerate(found) if sensor.refused is None]
+    rows = raised_at(_held([found[k].chances for k in judged], n_rows), rate) if judged else []
+    raised = {k: row for k, row in zip(judged, rows, strict=True) if row is not None}
+    causes = shared_causes(shared, len(paths), float(usual.phi.max()), after)
+    kept_back = [k for k in judged if alone[k] and k not in raised]
+    explained = [k for k in kept_back if not found[k].alarms and _within(alone[k], causes)]
+    return {
+        "sensors": len(paths),
+        "judged": len(judged),
+        "false_discovery_rate": rate,
+        "beside_the_median": len(paths) >= FEWEST_SENSORS,
+        "raised": [
+            {"file": str(paths[k]), "row": row, "chance": float(found[k].chances[-1])}
+            for k, row in raised.items()
+        ],
+        "explained": [str(paths[k]) for k in explained],
+        "kept_back": len(kept_back) - len(explained),
+        "shared": [_told(cause, names) for cause in causes],
+    }
+
+
+def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
+    """Baseline of a sensor without what all share."""
+    return np.asarray((table.in_sd - shared[: len(table.in_sd)])[table.in_baseline])
+
+
+def _within(rows: Sequence[int], causes: Sequence[Shared]) -> bool:
+    return any(cause.first_row <= row <= cause.last_row for row in rows for cause in causes)
+
+
+def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
+    stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
+    for k, part in enumerate(parts):
+        stacked[k, : len(part)] = part
+    return stacked
+
+
+def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
+    """Chances to the last row of the longest table: a table that ends earlier keeps its last."""
+    return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
+
+
+def _told(cause: Shared, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "first_row": cause.first_row,
+        "last_row": cause.last_row,
+        "largest_sd": dict(zip(names, cause.largest_sd, strict=True)),
+    }
+
+
+def fleet_in_words(told: dict[str, Any]) -> str:
+    """Tell the fleet to a person."""
+    sensors = f"fleet of {told['sensors']} sensors, {told['judged']} judged"
+    raised = f"{len(told['raised'])} raised, of which at most {told['false_discovery_rate']:.0%} are false"
+    lines = [f"{sensors}: {raised} on average"]
+    lines += [f"  look at    {one['file']}, since row {one['row']}" for one in told["raised"]]
+    if not told["beside_the_median"]:
+        lines.append(f"  fewer than {FEWEST_SENSORS} sensors: what they share is not taken out")
+    for cause in told["shared"]:
+        sizes = ", ".join(f"{name} {size:+.1f} SD" for name, size in cause["largest_sd"].items())
+        lines.append(
+            f"  all move   rows {cause['first_row']} to {cause['last_row']} ({sizes}): weather, process or "
+            "supply, or a wall that goes everywhere; look at the temperature"
+        )
+    if told["explained"]:
+        lines.append(f"  explained  alarms of {len(told['explained'])} sensors by what all share")
+    if told["kept_back"]:
+        lines.append(
+            f"  kept back  alarms of {told['kept_back']} sensors: among so many, chance makes them too"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,87 @@
+"""Orders about baselines: a signature, and a successor after a repair, a re-seat or a new extractor."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import AfterValidator, Field
+
+from daq_service.judgement.life import APPROVED, COLLECTING, RETIRED, renewed, signed
+from daq_service.orders.kinds import WRITTEN, Facts, Refusal, TransducerArguments, TransducerOrder
+
+if TYPE_CHECKING:
+    from daq_service.orders.running_test import RunningTest
+
+
+def _says_why(note: str) -> str:
+    if not WRITTEN.search(note):
+        raise ValueError("say why the baseline is retired, such as 'the sensor was coupled anew'")
+    return note
+
+
+class RenewalArguments(TransducerArguments):
+    """Whose baseline is retired, and why."""
+
+    note: Annotated[
+        str,
+        Field(min_length=1, max_length=2000, json_schema_extra={"pattern": WRITTEN.pattern}),
+        AfterValidator(_says_why),
+    ]
+
+
+class ApproveBaseline(TransducerOrder):
+    """Sign a proposed baseline."""
+
+    kind: Literal["approve_baseline"]
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        position = self.arguments.position
+        unknown = super()._forbidden(facts)
+        state = facts.baselines.get(position, "collecting")
+        if unknown is not None or state == "proposed":
+            return unknown
+        reason = f"the baseline of {position} is {state}: there is nothing to sign"
+        return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        return None
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        row = test.baseline(self.arguments.position)
+        assert row is not None, "a proposed baseline has a row"
+        test.change_baselines((signed(row, self.author, test.moment().utc_ns), APPROVED))
+        return f"{row.name} is approved"
+
+
+class RenewBaseline(TransducerOrder):
+    """Retire a baseline: its successor collects from the next planned set on."""
+
+    kind: Literal["renew_baseline"]
+    arguments: RenewalArguments
+
+    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+        reason, hint = (
+            f"{position} is retired and takes no sets",
+            "Reinstate it first, then renew its baseline.",
+        )
+        return (
+            None if retired is None else Refusal(reason, hint, f"{reason[0].upper()}{reason[1:]}: {retired}.")
+        )
+
+    def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        position = self.arguments.position
+        retired, collecting = renewed(
+            position,
+            test.settings,
+            test.baseline(position),
+            first_set=test.next_set(),
+            author=self.author,
+            because=self.arguments.note.strip(),
+            utc_ns=test.moment().utc_ns,
+        )
+        test.change_baselines((retired, RETIRED), (collecting, COLLECTING))
+        test.renewed(position)
+        return (
+            f"{retired.name} is retired; {collecting.name} collects sets {collecting.first_set_index} to "
+            f"{collecting.last_set_index}, and nothing is judged at {position} till then"
+        )

@@ -1,0 +1,138 @@
+"""Sets beside the plan: which were asked for, which of them wait, and what they said.
+
+All of it follows from the catalogue: what was asked for is an event, what came of it are rows. So a restart
+and a rebuild know it, and nothing is asked for twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from daq_service.acquisition.schedule import DueSet, beside_the_plan, due_hours
+from daq_service.alarms.states import Condition, Moment, retired_positions
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.judgement.confirmation import (
+    CONFIRMATION_ASKED,
+    Confirmation,
+    Confirmed,
+    asked_by,
+    confirmation_of,
+    confirmed,
+    longest_ns,
+    next_number,
+    why_not,
+)
+from daq_service.judgement.transaction import Transaction
+from daq_service.settings.tree import Settings
+from hardware_drivers.nanoseconds import NS_PER_H
+
+Alarms = Mapping[tuple[str | None, str], AlarmRow]
+
+
+class Confirmations:
+    """What is known of the confirmation sets of a test.
+
+    Attributes
+    ----------
+    asked
+        Every one that was asked for, by its set index.
+    waiting
+        Those of them without rows, by set index in the order in which they were asked for.
+    set_ns
+        How long one takes at most.
+    """
+
+    def __init__(self, settings: Settings, catalogue: RecorderCatalogue) -> None:
+        self._rules = settings.alarms
+        self._hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+        self.set_ns = longest_ns(
+            settings.schedule, settings.quality.restrikes_per_set, settings.rig.read_timeout_s
+        )
+        self.asked: dict[int, Confirmation] = {}
+        self.waiting: dict[int, Confirmation] = {}
+        self._said: dict[str, Confirmed] = {}
+        for event in catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED):
+            self.take_event(event)
+        for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
+            del self.waiting[index]
+        for position in {one.due.position for one in self.asked.values()} - {None}:
+            said = confirmation_of(catalogue, str(position))
+            if said is not None:
+                self._said[str(position)] = said
+
+    def take_event(self, event: EventRow) -> None:
+        """Take in what was asked for, once that is stored; other events say nothing of it."""
+        if event.kind == CONFIRMATION_ASKED and event.position is not None:
+            one = asked_by(event.position, event.payload)
+            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
+
+    def take_rows(self, stored: Transaction) -> None:
+        """Take in what came of it, once that is stored."""
+        for row in stored.sets:
+            if row.purpose == "confirmation":
+                self.waiting.pop(row.set_index, None)
+                verdict = next((one for one in stored.verdicts if one.set_index == row.set_index), None)
+                self._said[row.position] = confirmed(row, verdict)
+
+    def room_ns(self, planned: DueSet, utc_ns: int) -> float:
+        """Time that is left until the planned set after one."""
+        following = self._hours[planned.set_index + 1 : planned.set_index + 2]
+        left_h = following[0] - planned.due_h if following else float("inf")
+        return planned.due_utc_ns + left_h * NS_PER_H - utc_ns
+
+    def ask(
+        self,
+        because: str,
+        planned: DueSet,
+        position: str,
+        alarms: Alarms,
+        moment: Moment,
+        transaction: Transaction,
+    ) -> None:
+        """Add what suspicion asks for after a planned set to its transaction, if it may."""
+        own = [row for row in alarms.values() if row.position == position]
+        if retired_positions(own) or any(row.suppressed == "out_of_service" for row in own):
+            return
+        at_h = planned.due_h + (moment.utc_ns - planned.due_utc_ns) / NS_PER_H
+        if not why_not(
+            position,
+            self.asked.values(),
+            at_h=at_h,
+            most_a_day=self._rules.confirmation_sets_a_day,
+            room_ns=self.room_ns(planned, moment.utc_ns),
+            set_ns=self.set_ns,
+        ):
+            self.add(because, planned, position, moment, transaction)
+
+    def add(
+        self,
+        because: str,
+        planned: DueSet,
+        position: str,
+        moment: Moment,
+        transaction: Transaction,
+        author: str = "",
+    ) -> Confirmation | None:
+        """Add the event that asks for a set after a planned one; None: there are too many already."""
+        beside = [
+            asked_by(str(event.position), event.payload)
+            for event in transaction.events
+            if event.kind == CONFIRMATION_ASKED
+        ]
+        number = next_number([*self.asked.values(), *beside], planned.set_index)
+        if number is None:
+            return None
+        due = beside_the_plan(number, planned, moment.utc_ns, position)
+        one = Confirmation(due=due, because=because, author=author)
+        transaction.tell(CONFIRMATION_ASKED, one.payload(), moment, position=position)
+        return one
+
+    def proof(self, condition: Condition, planned_set: int) -> dict[str, Any]:
+        """Give what a confirmation set among the last sets adds to the proof of a change of the wall."""
+        said = self._said.get(condition.position or "")
+        if said is None or condition.kind != "wall_change" or planned_set - said.after_set >= self._rules.n:
+            return {}
+        return {"confirmation": asdict(said)}

@@ -1,0 +1,117 @@
+"""Many sensors: the chance of a chart's highest value, whom to raise, what all share."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+from support.healthy_sequences import UNEQUAL, healthy
+
+from analysis.errors import InvalidInputError
+from analysis.statistics.design import Budget
+from analysis.statistics.fleet import (
+    FEWEST_SENSORS,
+    chance_so_far,
+    raised_at,
+    shared_causes,
+    shared_deviation,
+    standardized,
+    usual_memory,
+    usual_tails,
+)
+from analysis.statistics.mewma import averages, estimated_limit
+from analysis.statistics.sequence import assess
+
+P = 5
+NAMES = list("abcde")
+
+
+def test_a_chart_at_its_limit_has_the_chance_that_its_run_length_says():
+    limit = estimated_limit(200, P, 1000.0)
+    chance = chance_so_far(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
+    # Between the table's run lengths the limit is nearly linear in their logarithm.
+    assert chance == pytest.approx([1.0, 1.0, *3 * [1.0 - np.exp(-0.25)]], rel=0.01)
+
+
+def test_chances_of_healthy_sensors_are_even():
+    """With a baseline that is known nearly; the chance is exact for a run length that is geometric."""
+    random = np.random.default_rng(3)
+    sets, last = 400, []
+    for _ in range(300):
+        z = averages(random.standard_normal((sets, P)), np.zeros(P))
+        last.append(chance_so_far(19.0 * (z**2).sum(axis=1), 100_000, P, sets)[-1])
+    small = np.array(last)[np.array(last) < 0.5]
+    # Where it decides; near one the first sets after a zero start make a difference.
+    assert kstest(small / 0.5, "uniform").pvalue > 0.01
+    assert small.size / len(last) == pytest.approx(0.5, abs=0.1)  # three standard errors of 300
+
+
+def test_raised_are_those_of_benjamini_and_hochberg_and_stay_raised():
+    chances = np.array([[1.0, 0.04, 0.024], [1.0, 1.0, 0.5], [0.9, 0.03, 0.001], [0.2, 0.11, 0.11]])
+    # Second set: .03 > .1/4 and .04 > .2/4 - no. 2nd of 4: .05 holds both; third: .001 and .024.
+    assert raised_at(chances, 0.1) == [1, None, 1, None]
+    assert raised_at(chances, 0.05) == [2, None, 2, None]
+    assert raised_at(np.ones((3, 0))) == [None] * 3
+    with pytest.raises(InvalidInputError, match="false discovery rate is 1"):
+        raised_at(chances, 1.0)
+
+
+def test_standardized_by_the_baseline_alone():
+    vectors = np.array([[1.0, 7.0, np.nan], [3.0, 7.0, np.nan], [np.nan, 7.0, np.nan], [6.0, 8.0, 1.0]])
+    z, sd = standardized(vectors, np.array([True, True, True, False]))
+    assert sd.tolist() == [np.sqrt(2.0), 1.0, 1.0]
+    assert z[:, 0] == pytest.approx([-(0.5**0.5), 0.5**0.5, np.nan, 4.0 / 2**0.5], nan_ok=True)
+    assert np.isnan(z[:, 1:]).all()
+
+
+def test_what_all_share_is_their_median_that_some_sick_ones_do_not_move():
+    x = np.tile(np.array([2.0, -1.0]), (30, 3, 1))
+    x[:5] += 50.0
+    x[:12, 1] = np.nan  # 18 of 30 are left: too few
+    x[:9, 2, 0] = np.nan
+    assert shared_deviation(x).tolist() == [[2.0, -1.0], [0.0, 0.0], [2.0, -1.0]]
+    assert not shared_deviation(x[: FEWEST_SENSORS - 1]).any()
+
+
+def test_memory_and_tails_of_the_fleet_are_those_of_its_sensors():
+    random = np.random.default_rng(9)
+
+    def baselines(name):
+        return [healthy(name, 100, random) for _ in range(60)]
+
+    # A tenth of an SD is 1/sqrt(100); the median of 60 knows them to a fifth of it.
+    assert usual_memory(baselines("unequal memory")) == pytest.approx(UNEQUAL, abs=0.06)
+    assert usual_memory(baselines("independent")) == pytest.approx(np.zeros(P), abs=0.06)
+    normal, heavy = usual_tails(baselines("independent")), usual_tails(baselines("t5"))
+    assert normal == 1.0  # Mardia's (n - 1)/(n + 1) of normal sets is below 1
+    assert 1.5 < heavy < 3.0  # 3 of endless sets: (5 - 2)/(5 - 4); a hundred seldom hold the far ones
+    empty = np.full((40, P), np.nan)
+    assert usual_tails([empty]) == 1.0
+    assert not usual_memory([empty]).any()
+
+
+def test_a_shared_shift_is_named_with_its_rows_and_size():
+    shared = np.zeros((300, P))
+    shared[100:160, 2] = -2.0
+    (cause,) = shared_causes(shared, 100, 0.0, 50)
+    # The average reaches .3 of -2 after two sets, and is below it 18 after the last.
+    assert (cause.first_row, cause.last_row) == (101, 176)
+    assert cause.largest_sd == pytest.approx((0.0, 0.0, -2.0, 0.0, 0.0), abs=0.01)
+    assert shared_causes(shared, 100, 0.0, 120)[0].first_row == 120
+    assert shared_causes(shared, FEWEST_SENSORS - 1, 0.0, 50) == ()
+
+
+def test_independent_sensors_share_nothing_and_one_in_twenty_moves_the_median_little():
+    random = np.random.default_rng(5)
+    z = random.standard_normal((20, 2000, P))
+    z[0, 500:] += 6.0
+    shared = shared_deviation(z)
+    assert shared_causes(shared, 20, 0.0, 0) == ()
+
+
+def test_the_unbroken_chart_is_the_chart_until_its_first_alarm():
+    random = np.random.default_rng(6)
+    x = random.standard_normal((260, P))
+    x[230:] += 5.0
+    found = assess(x, np.arange(260) < 200, NAMES, Budget())
+    first = found.onsets[0]
+    assert np.array_equal(found.unbroken[: first + 1], found.chart[: first + 1], equal_nan=True)
+    assert found.unbroken[-1] > found.chart_limit > found.chart[first + 1]

@@ -1,0 +1,252 @@
+"""A stored test judged once more: what other settings change, and why an alarm stands."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from support.command_line import solimon_here
+from support.drifting_wall import RAISED, drifting_wall
+from support.life_of_a_test import lived
+
+from daq_service.catalogue.rows import AlarmRow, FeatureRow, VerdictRow
+from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
+from daq_service.cli.offline.evidence.other_settings import changed, judging_keys, parsed
+from daq_service.cli.offline.evidence.replay import in_words, replayed
+from daq_service.errors import UsageError
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory):
+    return drifting_wall(tmp_path_factory.mktemp("drifting"))
+
+
+@pytest.fixture(scope="module")
+def life(tmp_path_factory):
+    return lived(tmp_path_factory.mktemp("life"))
+
+
+@pytest.fixture
+def changed_line(line, tmp_path):
+    """Give a copy of the folder in whose catalogue these rows of B stand otherwise."""
+
+    def change(kind, set_index, **columns):
+        folder = tmp_path / "changed"
+        shutil.copytree(line.folder, folder)
+        with replace(line, folder=folder).catalogue(writer=True) as catalogue:
+            rows = catalogue.rows(kind, position="B", set_index=set_index)
+            catalogue.restore([replace(row, **columns) for row in rows])
+        return folder
+
+    return change
+
+
+def alarm_id_of(line, kind, position):
+    with line.catalogue() as catalogue:
+        return next(
+            row.id for row in catalogue.rows(AlarmRow) if (row.kind, row.position) == (kind, position)
+        )
+
+
+def explain(folder, alarm_id, out, *options):
+    return solimon_here(
+        "explain", str(alarm_id), "--data-dir", str(folder), "--out", str(out), *options, env={}
+    )
+
+
+def content_of(folder):
+    """Every file and its bytes, but for what SQLite notes of its readers."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {path: path.read_bytes() for path in files if not path.name.endswith(("-shm", "-wal"))}
+
+
+def raised(onsets):
+    return {(one.position, one.kind): one.set_index for one in onsets}
+
+
+@pytest.mark.parametrize("extract", [False, True])
+def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract):
+    before = content_of(line.folder)
+    found = replayed(line.folder, (), extract=extract)
+    assert (found.sets, found.extracted, found.differences) == (25, extract, [])
+    assert raised(found.alarms.kept) == RAISED
+    assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
+    assert content_of(line.folder) == before
+
+
+def test_what_people_did_and_sets_without_a_record_are_judged_where_they_stood(life):
+    found = replayed(life.folder, (), extract=False)
+    assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
+    assert {one.kind for one in found.alarms.kept} == {"no_data", "retired"}
+    # D has two poor sets running in set 3, and was reinstated before it had four.
+    later = replayed(life.folder, ["quality.no_data_sets=4"], extract=False).alarms
+    assert raised(later.go) == {("D", "no_data"): 3}
+
+
+def test_a_setting_moves_an_alarm(line):
+    done = solimon_here("replay", str(line.folder), "--set", "alarms.k=2", "--json", env={})
+    told = json.loads(done.stdout)
+    (moved,) = told["alarms"]["moved"]
+    assert done.returncode == 0
+    assert (moved["stored"]["set_index"], moved["again"]["set_index"]) == (23, 22)
+    assert told["changed"] == {"alarms.k": 2}
+
+
+def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_otherwise(line):
+    found = replayed(line.folder, ["baseline.hours=8"], extract=False)
+    words = list(in_words(found))
+    assert "stays  C hole: set 22, hour 11.51" in words
+    assert "baseline B: n_sets 15 -> 16" in words
+    of_b = {(one.table, one.column): one for one in found.differences if one.position == "B"}
+    assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
+    limit = of_b["baseline", "limits.f_predictive"]
+    assert limit.again < limit.stored
+    # Set 15 was judged, and is part of the baseline now.
+    assert of_b["verdict", "in_baseline"].n_rows == 1
+    assert of_b["verdict", "in_baseline"].first_set_index == 15
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("schedule.shots_per_set=5", "does not say how records are judged; these do: features.of_set"),
+        ("quality.restrikes_per_set=0", "quality.no_data_sets, quality.retire_after_sets"),
+        ("alarms.decide_by=chart", "alarms.decides_by"),
+        ("alarms.k", "write KEY=VALUE"),
+        ("alarms.k=7", "k is 7; it must be at most n = 5"),
+        ("alarms.decides_by=luck", "alarms.decides_by: Input should be 'chart' or 'k_of_n'"),
+    ],
+)
+def test_what_does_not_judge_or_is_refused_is_named_with_what_may_be_set(line, given, told):
+    done = solimon_here("replay", str(line.folder), "--set", given, env={})
+    assert (done.returncode, done.stdout) == (2, "")
+    assert told in done.stderr
+
+
+def test_a_key_below_a_table_of_names_is_laid_over_and_every_key_can_be_set(line):
+    with line.catalogue() as catalogue:
+        configuration = catalogue.experiment_row().configuration
+    given = parsed(["alarms.kinds.wall_change.on_delay_s=3600", "novelty.limit=chi_square"])
+    settings = changed(configuration, given)
+    assert settings.alarms.kinds["wall_change"].on_delay_s == 3600.0
+    assert settings.novelty.limit == "chi_square"
+    assert settings.positions == line.settings.positions
+    table = {key: configuration[key.split(".")[0]][key.split(".")[1]] for key in judging_keys()}
+    assert changed(configuration, parsed([f"{key}={json.dumps(value)}" for key, value in table.items()]))
+    with pytest.raises(UsageError, match="twice"):
+        parsed(["alarms.k=1", "alarms.k=2"])
+
+
+def test_onsets_of_the_same_set_are_kept_and_the_others_are_paired_in_order():
+    def onset(set_index, position="B"):
+        return Onset(
+            position=position, kind="hole", set_index=set_index, hour=0.5, severity="high", message=""
+        )
+
+    found = alarm_changes([onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")])
+    assert [one.set_index for one in found.kept] == [7]
+    assert [(one.stored.set_index, one.again.set_index) for one in found.moved] == [(3, 5)]
+    assert [(one.position, one.set_index) for one in found.go] == [("B", 9), ("C", 4)]
+    assert [(one.position, one.set_index) for one in found.come] == [("D", 1)]
+
+
+def test_a_folder_that_is_none_and_a_set_that_cannot_be_read_have_their_exit_codes(line, tmp_path):
+    missing = solimon_here("replay", str(tmp_path / "nowhere"), env={})
+    assert (missing.returncode, missing.stdout) == (2, "")
+    assert "there is no data folder" in missing.stderr
+    path = next(line.folder.glob("sets/*000004*"))
+    kept = path.read_bytes()
+    try:
+        path.write_bytes(kept[: len(kept) // 2])
+        damaged = solimon_here("replay", str(line.folder), env={})
+    finally:
+        path.write_bytes(kept)
+    assert damaged.returncode == 4
+    assert path.name in damaged.stderr
+
+
+def test_an_alarm_of_the_wall_comes_out_again_on_a_page_that_needs_nothing_else(line, tmp_path):
+    before = content_of(line.folder)
+    done = explain(line.folder, alarm_id_of(line, "wall_change", "B"), tmp_path, "--json")
+    told = json.loads(done.stdout)
+    assert done.returncode == 0
+    assert content_of(line.folder) == before
+    again = told["recomputed"]
+    assert (told["agrees"], again["differences"], again["n_sets"], again["n_records"]) == (True, [], 24, 72)
+    assert [one["set_index"] for one in again["raised"]] == [23]
+    # Set 23 is 9 sets into the drift of 0.8 us a set, and rests a little differently, by up to 0.8 us.
+    pulses = again["pulses"]
+    late = [at for at, time_s in enumerate(pulses["time_s"]) if 200e-6 < time_s < 500e-6]
+    peaks = [max(late, key=pulses[name].__getitem__) for name in ("baseline_v", "set_v")]
+    assert 5 <= peaks[1] - peaks[0] <= 10, "in steps of 1 us"
+    page, facts = (Path(file).read_text(encoding="utf-8") for file in told["files"])
+    assert json.loads(facts) == told
+    assert page.count("<svg ") == 3
+    assert not re.search(r"<script|<link|<img|src=|href=.http|@import", page)
+    for words in ("Set 23 lies at a squared distance", "the same set raises the same alarm", "Whom to call"):
+        assert words in page
+
+
+def test_a_hole_is_shown_by_its_silent_shots_and_files_are_not_replaced_unasked(line, tmp_path):
+    hole = alarm_id_of(line, "hole", "C")
+    told = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
+    silent = {row["set_index"]: row["n"] for row in told["recomputed"]["shots_without_psw"]}
+    assert told["agrees"]
+    assert (silent[20], silent[21], silent[22]) == (0, 3, 3)
+    assert explain(line.folder, hole, tmp_path).returncode == 2
+    inside = explain(line.folder, hole, line.folder / "explained")
+    assert (inside.returncode, (line.folder / "explained").exists()) == (2, False)
+
+
+def test_what_is_stored_otherwise_is_named_with_both_values(changed_line, line, tmp_path):
+    folder = changed_line(VerdictRow, 20, distance_squared=1.0)
+    done = explain(folder, alarm_id_of(line, "wall_change", "B"), tmp_path / "out", "--json")
+    told = json.loads(done.stdout)
+    (difference,) = told["recomputed"]["differences"]
+    assert (done.returncode, told["agrees"]) == (0, False)
+    assert (difference["table"], difference["column"], difference["first_set_index"]) == (
+        *("verdict", "distance_squared"),
+        20,
+    )
+    assert difference["stored"] == 1.0
+    assert difference["again"] > 1.0
+    assert "what is stored differs in the 1 points" in told["told"]
+
+
+def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_told(
+    changed_line, line, tmp_path
+):
+    wall = alarm_id_of(line, "wall_change", "B")
+    unknown = explain(line.folder, 77, tmp_path / "out")
+    assert unknown.returncode == 2
+    assert "there are" in unknown.stderr
+    assert f"{wall} (wall_change at B)" in unknown.stderr
+    folder = changed_line(FeatureRow, 20, extractor_version="1.1")
+    foreign = explain(folder, wall, tmp_path / "out")
+    assert foreign.returncode == 2
+    assert "of the extractor 1.1, this version of solimon has 1.2" in foreign.stderr
+    mixed = solimon_here("replay", str(folder), env={})
+    assert mixed.returncode == 2
+    assert "the extractors 1.1 and 1.2" in mixed.stderr
+    with replace(line, folder=folder).catalogue(writer=True) as catalogue:
+        rows = catalogue.rows(FeatureRow, position="B", set_index=20)
+        catalogue.restore([replace(row, extractor_version="1.2") for row in rows])
+    path = next(folder.glob("sets/*000004*"))
+    path.write_bytes(path.read_bytes()[:5000])
+    damaged = explain(folder, wall, tmp_path / "out")
+    assert damaged.returncode == 4
+    assert path.name in damaged.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_alarm_of_a_person_s_order_is_told_as_it_is_stored(life, tmp_path):
+    told = json.loads(explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout)
+    assert (told["agrees"], told["recomputed"]) == (None, None)
+    assert "a person's order" in told["why_not_recomputed"]
+    assert "a loose cable" in told["alarm"]["message"]
+    assert "alarm_reset" in [one["kind"] for one in told["history"]]
+    assert "This alarm is not recomputed" in (tmp_path / f"alarm-{told['alarm']['id']}.html").read_text(
+        encoding="utf-8"
+    )

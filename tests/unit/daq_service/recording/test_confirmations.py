@@ -1,0 +1,249 @@
+"""Suspicion asks for a set beside the plan: it is struck at once, judged, told, and changes nothing else."""
+
+import threading
+from dataclasses import replace
+
+import pytest
+from support.memory_archive import MemoryArchive
+from support.memory_line import Line, healthy, memory_settings
+
+from daq_service.catalogue.rows import CommandRow, FeatureRow, SetRow, VerdictRow
+from daq_service.judgement.confirmation import confirmation_of
+from hardware_drivers.measurement import PLANNED_SETS, in_order
+
+SETS, FIRST = 22, 17
+"""The first sick set; the baseline ends with set 15."""
+AFTER_FIRST, AFTER_THIRD = PLANNED_SETS + FIRST, PLANNED_SETS + FIRST + 2
+
+
+def settings(schedule=None, baseline=None, **alarms):
+    """Settings of a test whose baseline is just long enough."""
+    return memory_settings(
+        schedule=schedule or {"phases": [{"until_h": 11.0, "interval_h": 0.5}]},
+        baseline={"hours": 8.0, "minimum_sets": 15} | (baseline or {}),
+        alarms={"decides_by": "k_of_n"} | alarms,
+    )
+
+
+def sick(*sets, position="B", shift=1.0):
+    """A script in which a transducer is sick in some planned sets and what is struck after them."""
+    return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
+
+
+@pytest.fixture
+def line(tmp_path):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    return Line(folder, settings(), sick(*range(FIRST, SETS)))
+
+
+def ordered_at(line, place, kind, **arguments):
+    """Give an order once, when a shot is read."""
+    script, left = line.script, [place]
+
+    def ordering(key):
+        if (key.position, key.set_index, key.shot_index) in left:
+            left.clear()
+            line.order(kind, **arguments)
+        return script(key)
+
+    line.script, line.listen_every_s = ordering, 0.0
+
+
+def beside(line, kind=SetRow):
+    with line.catalogue() as catalogue:
+        return catalogue.rows(kind, purpose="confirmation")
+
+
+def the_alarm(line):
+    (row,) = (row for row in line.rows("alarms") if row.kind == "wall_change")
+    return row
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A test that nothing disturbed; only read."""
+    one = Line(tmp_path_factory.mktemp("whole"), settings(), sick(*range(FIRST, SETS)))
+    assert one.run()
+    return one
+
+
+def test_suspicion_is_answered_at_once_at_its_own_position(whole):
+    line = whole
+    first, third = beside(line)
+    assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
+        ("B", AFTER_FIRST, "done"),
+        ("B", AFTER_THIRD, "done"),
+    ]
+    struck = line.instruments[0].struck
+    after = struck.index(("D", FIRST, 3, 0)) + 1
+    assert struck[after : after + 5] == [
+        *(("B", AFTER_FIRST, shot, 0) for shot in range(4)),
+        ("B", FIRST + 1, 0, 0),
+    ]
+    with line.catalogue() as catalogue:
+        (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
+        assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
+        assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
+        said = confirmation_of(catalogue, "B", FIRST)
+        assert confirmation_of(catalogue, "C") is None
+    assert said.confirms is True
+    assert said.distance_squared > said.limit
+
+
+def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
+    changes = [row for row in whole.rows("events") if row.position == "B" and row.topic == "alarms"]
+    assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
+    proven = [row.payload["proof"]["confirmation"] for row in changes]
+    assert [told["set_index"] for told in proven] == [AFTER_FIRST, AFTER_THIRD]
+    assert the_alarm(whole).proof["confirmation"] == proven[1]
+    assert proven[1]["confirms"] is True
+
+
+def test_a_single_odd_set_is_not_confirmed(line):
+    line.script = lambda key: healthy(key, 1.0 * (key.position == "B" and key.set_index == FIRST))
+    line.run()
+    (row,) = beside(line)
+    assert row.set_index == AFTER_FIRST
+    (verdict,) = beside(line, VerdictRow)
+    assert (verdict.confirms, verdict.outlier, verdict.in_baseline) == (False, False, False)
+    assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
+
+
+def test_planned_sets_are_judged_alike_whether_or_not_anything_is_struck_between_them(whole, line):
+    without, line = line, whole
+    without.settings = settings(confirmation_sets_a_day=0)
+    without.run()
+    assert beside(line)
+    assert not beside(without)
+
+    def planned(one, table):
+        ordinal = {"verdicts": ("id",), "features": ("id", "sequence")}[table]
+        return [replace(row, **dict.fromkeys(ordinal)) for row in one.rows(table)]
+
+    for table in ("verdicts", "features"):
+        assert planned(line, table) == planned(without, table)
+    assert line.rows("baselines") == without.rows("baselines")
+    assert the_alarm(line).message == the_alarm(without).message
+    with line.catalogue() as own, without.catalogue() as other:
+        assert own.counts()["sets"] == other.counts()["sets"] == SETS
+        assert own.positions_state()["B"].last_set.set_index == SETS - 1
+
+
+def test_the_budget_of_a_day_is_kept_and_an_order_does_not_count(line):
+    line.settings = settings(confirmation_sets_a_day=1)
+
+    ordered_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
+    line.run()
+    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
+    asked = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
+    assert [told["author"] for told in asked] == ["", "Ada"]
+    assert asked[1]["because"] == "what is it?"
+
+
+@pytest.mark.parametrize(
+    ("at", "order", "refused"),
+    [
+        (3, {"position": "B"}, "B has no baseline yet"),
+        (FIRST, {"position": "A"}, "there is no solitary-wave transducer 'A'"),
+    ],
+)
+def test_an_order_that_cannot_be_carried_out_is_refused_with_the_reason(line, at, order, refused):
+    line.script = healthy
+    ordered_at(line, ("C", at, 0), "confirm", **order)
+    line.run()
+    with line.catalogue() as catalogue:
+        (command,) = catalogue.rows(CommandRow)
+    assert command.state == "refused"
+    assert refused in command.result
+    assert not beside(line)
+
+
+def test_hands_in_the_rig_end_a_confirmation_set_too(line):
+    ordered_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
+    line.run()
+    (row,) = beside(line)
+    assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
+    assert confirmation_of_b(line).confirms is None
+    assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
+
+
+def confirmation_of_b(line):
+    with line.catalogue() as catalogue:
+        return confirmation_of(catalogue, "B")
+
+
+@pytest.mark.parametrize("journal", [True, False])
+def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line, journal):
+    stop = threading.Event()
+
+    def stopping(key):
+        if (key.set_index, key.shot_index) == (AFTER_FIRST, 1):
+            stop.set()
+        return sick(*range(FIRST, SETS))(key)
+
+    line.script = stopping
+    assert not line.run(stop=stop, archive=MemoryArchive(line.shelf, journal=journal))
+    line.script = sick(*range(FIRST, SETS))
+    assert line.run(archive=MemoryArchive(line.shelf, journal=journal))
+    first, _ = beside(line)
+    assert first.state == ("done" if journal else "partial")
+    again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
+    assert again == ([("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)] if journal else [])
+    assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
+
+
+class Killed(BaseException):
+    """The end of the process."""
+
+
+class DyingArchive(MemoryArchive):
+    """Is killed behind, or before, a confirmation set that it stores."""
+
+    def __init__(self, line, *, stored):
+        super().__init__(line.shelf)
+        self.stored = stored
+
+    def store_set(self, record):
+        done = super().store_set(record) if self.stored or record.set_index < PLANNED_SETS else None
+        if record.set_index > PLANNED_SETS:
+            raise Killed
+        return done
+
+
+@pytest.mark.parametrize("stored", [True, False])
+def test_a_crash_at_its_file_leaves_one_confirmation_set(line, whole, stored):
+    with pytest.raises(Killed):
+        line.run(archive=DyingArchive(line, stored=stored))
+    assert not beside(line)
+    line.run()
+    facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
+    told = [[tuple(getattr(row, name) for name in facts) for row in beside(one)] for one in (line, whole)]
+    assert told[0] == told[1]
+    ids = {"id": None, "sequence": None}
+    features = [[replace(row, **ids) for row in beside(one, FeatureRow)] for one in (line, whole)]
+    assert features[0] == features[1]
+
+
+def test_it_is_not_struck_where_the_next_planned_set_would_wait(line):
+    line.settings = settings({"phases": [{"until_h": 0.44, "interval_h": 0.02}]}, {"hours": 0.32})
+    line.run()
+    assert not beside(line)
+    assert "confirmation" not in the_alarm(line).proof
+
+
+def test_one_that_a_restart_finds_too_late_is_closed_with_what_it_has(line):
+    stop = threading.Event()
+
+    def stopping(key):
+        if key.set_index == AFTER_FIRST:
+            stop.set()
+        return sick(*range(FIRST, SETS))(key)
+
+    line.script = stopping
+    line.run(stop=stop, archive=MemoryArchive(line.shelf, journal=True))
+    line.script = sick(*range(FIRST, SETS))
+    line.run(start_h=9.6, archive=MemoryArchive(line.shelf, journal=True))
+    row = beside(line)[0]
+    assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
+    assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")
