@@ -391,6 +391,7 @@ add_order("release", "End a hold: the next due set is taken.")
 add_order("trust_clock", "Go on with this computer's clock though it is doubted after a restart.")
 add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
 add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
+add_order("confirm", "Strike a confirmation set at a transducer now, beside the plan.", POSITION)
 add_order("approve_baseline", "Sign the proposed baseline of a transducer.", POSITION)
 add_order(
     "renew_baseline",

@@ -44,7 +44,7 @@ from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot, in_order
+from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -170,7 +170,7 @@ class _Again:
                 progress(len(done), total)
                 if event.set_index == up_to_set:
                     break
-        return done
+        return {index for index in done if index < PLANNED_SETS}
 
     @staticmethod
     def _is_set(event: EventRow, up_to_set: int | None) -> bool:
@@ -185,7 +185,9 @@ class _Again:
             self._take_empty(rows)
             return
         record = self._read_set(SetReference(file))
-        self._ledger.commit(self._ledger.judged(due_of(record), record, file, self._features(record)))
+        due = due_of(record)
+        if due.position in (None, *self._settings.positions):
+            self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
 
     def _take_empty(self, rows: list[SetRow]) -> None:
         """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
