@@ -32,7 +32,7 @@ def record_of(position: str, set_index: int, shot_index: int) -> Waveform:
 
 
 def drifting_wall(folder: Path) -> Line:
-    """Record 25 sets of it, of which the first 15 are the baseline."""
+    """Record 25 planned sets of it, of which the first 15 are the baseline."""
     settings = memory_settings(
         schedule={"phases": [{"until_h": 12.5, "interval_h": 0.5}], "shots_per_set": 3},
         baseline={"hours": 7.5, "minimum_sets": 15},
