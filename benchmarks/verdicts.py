@@ -11,7 +11,8 @@ models asked for (solid plate, wet face, stronger dashpots). Sets are drawn at t
 judged model, with the noise that ten real records leave (measured from the twin once); its walls are that
 model's own curve. Slopes are straight: what bends is left out, as are rogue and invalid shots and a loose
 contact. `tests/validation/test_verdicts.py` takes real shots. A suspicion gets a confirmation set at once,
-at most two a day; "alone" counts what was called WALL without it. Healthy runs hold the re-seats of their
+at most two a day; "alone" counts what was called WALL without it,
+"other" what was ever called sensor, coupling or environment. Healthy runs hold the re-seats of their
 level.
 """
 
@@ -33,11 +34,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from cause_slopes import MEAN_TILT_RAD, slopes, walls
 
-from analysis.causes.hypotheses import OK, WALL
+from analysis.causes.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.causes.slopes import COMPONENTS, DEPTHS
-from analysis.causes.verdict import begun, cause_design, recollected, verdict_of
+from analysis.causes.verdict import Recollection, cause_design, recollected, remembering, verdict_of
 from analysis.statistics.baseline import fit_baseline
-from analysis.statistics.design import ONE_IN_FIVE_YEARS
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, next_alarm_state
@@ -191,12 +191,11 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     """Judge one run; depths and sets are None where it was never called so."""
     drawn = list(sets_of(case, level, model, seed))
     logs = np.array([one for one, _, _ in drawn])
-    history = logs[:BASELINE]
-    design = cause_design(history, ONE_IN_FIVE_YEARS.run_length)
+    design = cause_design(logs[:BASELINE])
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[:BASELINE], range(BASELINE), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
-    memory, state = begun(BASELINE - 1, history[-1]), AlarmState()
+    memory, state = Recollection(), AlarmState()
     calls: Counter[str] = Counter()
     before: Counter[str] = Counter()
     first: dict[str, float | None] = {"wall": None, "f": None}
@@ -204,13 +203,14 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
         log, again, depth = drawn[index]
-        memory = recollected(memory, design, index, log)
+        memory = recollected(memory, design, log)
         state = next_alarm_state(state, bool(distance_squared(raw[index], baseline) > limit), RULE)
         alone = told = verdict_of(memory, design, suspicious=state.active)
         if alone.cause != OK:
             if index - confirmed_at >= CONFIRMED_FOR:
                 confirming, confirmed_at = [again], index
             told = verdict_of(memory, design, suspicious=state.active, confirmation=confirming)
+        memory = remembering(memory, told)
         calls[told.cause] += 1
         before[alone.cause] += 1
         for name, seen in (("wall", told.cause == WALL), ("f", state.active)):
@@ -241,22 +241,25 @@ def percent(found: Sequence[bool]) -> float:
 
 
 def show(rows: Sequence[dict[str, Any]]) -> None:
-    head = f"{'level':11s}{'case':13s}{'runs':>5s}{'WALL %':>8s}{'(alone)':>8s}{'F alarms %':>11s}"
+    head = f"{'level':11s}{'case':13s}{'runs':>5s}{'WALL %':>8s}{'(alone)':>8s}{'other %':>8s}{'F %':>7s}"
     print(f"{head}  at the end, %")
     for level in dict.fromkeys(row["level"] for row in rows):
         for case in dict.fromkeys(row["case"] for row in rows):
             own = [row for row in rows if row["level"] == level and row["case"] == case]
             called = percent([bool(row["called"].get(WALL)) for row in own])
             alone = percent([bool(row["called_before_confirmation"].get(WALL)) for row in own])
+            other = percent([bool(OTHERS & row["called"].keys()) for row in own])
             by_f = percent([row["f_alarmed"] for row in own])
             ends = Counter(row["last"] for row in own).most_common()
             told = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
-            print(f"{level:11s}{case:13s}{len(own):5d}{called:8.1f}{alone:8.1f}{by_f:11.1f}  {told}")
+            shares = f"{called:8.1f}{alone:8.1f}{other:8.1f}{by_f:7.1f}"
+            print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {told}")
             if case == CORROSION.name:
                 first, f_first = median_depth(own, "first_wall_depth"), median_depth(own, "first_f_depth")
                 print(f"{'':11s}median depth at the first WALL {first:.3f}, by F, 3 of 5 {f_first:.3f}")
 
 
+OTHERS = {SENSOR, COUPLING, ENVIRONMENT}
 CASES = {case.name: case for case in (HEALTHY, RESEAT, *SENSOR_FAULTS, WARMER, CORROSION)}
 
 

@@ -48,8 +48,8 @@ USUAL_K = 5.0
 SENSITIVITY_PER_K, FRICTION_PER_K = 3e-3, 2e-3
 """SD of what a kelvin does to ln gain (soft PZT: some 2e-3) and to ln drop height (assumption)."""
 
-SHALLOWER = (0.0025, 0.005, 0.01)
-"""Depths below the first of `DEPTHS`, where the curve is straight."""
+TRIED_DEPTHS = np.geomspace(0.0025, DEPTHS[-1], 18)
+"""As densely as `MISMATCH` blurs the times of flight of neighbours."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,7 +98,7 @@ def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
     found += _weighted(WALL, list(_walls()), abrupt=False)
     found += _weighted(SENSOR, list(_spread(_sensor())))
     found += _weighted(COUPLING, list(_spread(_coupling())))
-    found += _weighted(ENVIRONMENT, list(_spread([_environment()])))
+    found += _weighted(ENVIRONMENT, list(_spread([_environment()])), abrupt=False)
     return tuple(found)
 
 
@@ -122,9 +122,9 @@ def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: bool = Tru
 def _walls() -> Iterator[Signature]:
     """Every depth under either patch: a wall has a sign, and follows a curve."""
     for patch in (WALL_B, WALL_C):
-        curve = np.array(patch)
-        shallow = np.array(SHALLOWER)[:, None] * (curve[0] / DEPTHS[0])
-        for change in np.vstack([shallow, curve]):
+        curve = np.vstack([np.zeros(len(patch[0])), patch])
+        for depth in TRIED_DEPTHS:
+            change = np.array([np.interp(depth, (0.0, *DEPTHS), column) for column in curve.T])
             yield change, np.diag((MISMATCH * change) ** 2)
 
 

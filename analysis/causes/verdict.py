@@ -9,19 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from analysis.causes.hypotheses import COUPLING, OK, PRIOR, Hypothesis, hypotheses
+from analysis.causes.hypotheses import COUPLING, OK, PRIOR, WALL, Hypothesis, hypotheses
 from analysis.causes.slopes import COMPONENTS
-from analysis.errors import InvalidInputError
-from analysis.statistics.chart import Chart, designed
-from analysis.statistics.design import next_alarming, parts_of
-from analysis.statistics.memory import innovation
-from analysis.statistics.mewma import WEIGHT
+from analysis.errors import InvalidInputError, SingularCovarianceError
+from analysis.statistics.baseline import whitening_matrix
+from analysis.statistics.chart import widened_phi
+from analysis.statistics.memory import guarded_phi
 from analysis.waves.record_reduction import FloatArray
 
 CANNOT_TELL = "cannot tell"
@@ -46,8 +45,8 @@ class CauseDesign:
 
     Attributes
     ----------
-    chart
-        Of the seven logarithms: it says when there is something to explain.
+    mean
+        Of the seven logarithms, shape (7,).
     whitening
         Turns a change of the logarithms, shape (7,), into one with covariance 1: row @ whitening.
     phi
@@ -63,7 +62,7 @@ class CauseDesign:
         eigendecomposition of their covariances.
     """
 
-    chart: Chart
+    mean: FloatArray
     whitening: FloatArray
     phi: float
     slow_variance: float
@@ -76,26 +75,21 @@ class CauseDesign:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recollection:
-    """What the next set is judged with beside the design.
+    """What the next set is judged with beside the design; as it is before the first set after a baseline.
 
     Attributes
     ----------
-    index, logs
-        Of the last complete set.
     n
         Sets judged so far.
-    charted
-        Average of the chart, shape (7,).
     changes
-        Averages of the change from the baseline's mean, one for each of `RATES`.
+        Averages of the change from the baseline's mean, one for each of `RATES`; shape (3, 7).
+    wall
+        A wall was named, and the transducer was not `OK` since.
     """
 
-    index: int
-    logs: tuple[float, ...]
-    n: int
-    charted: tuple[float, ...]
-    changes: tuple[tuple[float, ...], ...]
-    alarming: bool = False
+    n: int = 0
+    wall: bool = False
+    changes: tuple[tuple[float, ...], ...] = ((0.0,) * len(COMPONENTS),) * len(RATES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,34 +125,39 @@ def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
     return np.log(known) if len(known) == len(found) else None
 
 
-def cause_design(history: ArrayLike, run_length: float) -> CauseDesign:
+def cause_design(history: ArrayLike) -> CauseDesign:
     """Design from the baseline's sets.
 
     Parameters
     ----------
     history
         Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
-    run_length
-        Sets from one false alarm of the chart to the next.
+
+    Raises
+    ------
+    SingularCovarianceError
+        A feature is constant, or a combination of others.
     """
     x = np.asarray(history, dtype=np.float64)
     if x.ndim != 2 or x.shape[1] != len(COMPONENTS):
         raise InvalidInputError(f"history has shape {x.shape}; it must be (n, {len(COMPONENTS)})")
-    chart = designed(x, run_length)
     complete = x[np.isfinite(x).all(axis=1)]
     n, p = complete.shape
-    phi = float(chart.phi.mean())
+    mean, phi = complete.mean(axis=0), float(widened_phi(guarded_phi(x), n).mean())
     # Inverse of a covariance estimated from few sets is too large by this.
     covariance = np.cov(complete, rowvar=False) * (n - 1.0) / (n - p - 2.0)
-    whitening = np.linalg.inv(np.linalg.cholesky(covariance)).T
+    sd = np.sqrt(np.diag(covariance))
+    if not sd.all():
+        raise SingularCovarianceError(f"{COMPONENTS[int(sd.argmin())]} is constant in all {n} baseline sets")
+    whitening = whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
     known = hypotheses(covariance)
     in_white = [whitening.T @ one.covariance @ whitening for one in known]
     variances, directions = np.linalg.eigh(np.array(in_white))
     return CauseDesign(
-        chart=chart,
+        mean=mean,
         whitening=whitening,
         phi=phi,
-        slow_variance=_slow_variance((complete - chart.mean) @ whitening, phi),
+        slow_variance=_slow_variance((complete - mean) @ whitening, phi),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
         means=np.array([one.mean for one in known]) @ whitening,
@@ -176,33 +175,14 @@ def _slow_variance(whitened: FloatArray, phi: float) -> float:
     return max(float((means**2).mean()), (1.0 + phi) / (1.0 - phi) / n)
 
 
-def begun(index: int, logs: FloatArray) -> Recollection:
-    """Recollection before the first set after a baseline, whose last complete set is given."""
-    zero = (0.0,) * len(COMPONENTS)
-    return Recollection(
-        index=index, logs=tuple(logs.tolist()), n=0, charted=zero, changes=(zero,) * len(RATES)
-    )
-
-
-def recollected(before: Recollection, design: CauseDesign, index: int, logs: FloatArray) -> Recollection:
+def recollected(before: Recollection, design: CauseDesign, logs: FloatArray) -> Recollection:
     """Take in one more complete set."""
-    chart = design.chart
-    new = innovation(
-        logs - chart.mean, np.array(before.logs) - chart.mean, max(1, index - before.index), chart.phi
-    )
-    charted = WEIGHT * chart.entering(new) + (1.0 - WEIGHT) * np.array(before.charted)
-    changes = [
-        rate * (logs - chart.mean) + (1.0 - rate) * np.array(change)
-        for rate, change in zip(RATES, before.changes, strict=True)
+    change = logs - design.mean
+    averages = [
+        rate * change + (1.0 - rate) * np.array(old) for rate, old in zip(RATES, before.changes, strict=True)
     ]
-    statistic = float(parts_of(charted).sum())
     return Recollection(
-        index=index,
-        logs=tuple(logs.tolist()),
-        n=before.n + 1,
-        charted=tuple(charted.tolist()),
-        changes=tuple(tuple(change.tolist()) for change in changes),
-        alarming=next_alarming(before.alarming, statistic, chart.limit, len(logs)),
+        n=before.n + 1, wall=before.wall, changes=tuple(tuple(one.tolist()) for one in averages)
     )
 
 
@@ -218,19 +198,21 @@ def verdict_of(
     Parameters
     ----------
     suspicious
-        Another chart of this transducer alarms.
+        A chart of this transducer alarms, or its k of n.
     confirmation
         Logarithms of the sets struck because of the suspicion, which stand outside the averages.
     """
     probabilities, abrupt = _posterior(memory, design, confirmation)
     likeliest = max(probabilities, key=probabilities.__getitem__)
-    # A step alone may be a knock that is gone with the next strike.
-    unconfirmed = likeliest == COUPLING and abrupt > 0.5 and not confirmation
-    if likeliest != OK and probabilities[likeliest] >= STATED and not unconfirmed:
+    # What grows may be a wall after all, and a step alone be gone with the next strike.
+    unsure = likeliest == COUPLING and not (abrupt >= STATED and confirmation)
+    # A wall does not heal: nothing but a healthy transducer takes it back.
+    unsure |= memory.wall and likeliest != WALL
+    if likeliest != OK and probabilities[likeliest] >= STATED and not unsure:
         named = likeliest
     else:
-        named = CANNOT_TELL if suspicious or memory.alarming or unconfirmed else OK
-    changes = memory.changes[RATES.index(WEIGHT)]
+        named = CANNOT_TELL if suspicious or likeliest != OK else OK
+    changes = memory.changes[1]
     return CauseVerdict(
         cause=named,
         probability=probabilities[OK if named == OK else likeliest],
@@ -241,13 +223,18 @@ def verdict_of(
     )
 
 
+def remembering(memory: Recollection, verdict: CauseVerdict) -> Recollection:
+    """Keep that a wall was named, until the transducer is healthy again."""
+    return replace(memory, wall=verdict.cause == WALL or (memory.wall and verdict.cause != OK))
+
+
 def _posterior(
     memory: Recollection, design: CauseDesign, confirmation: Sequence[FloatArray]
 ) -> tuple[dict[str, float], float]:
     """Probability of each cause, and of a step."""
     averages, noise = np.array(memory.changes), _noise(memory.n, design, len(confirmation))
     if confirmation:
-        averages = np.vstack([averages, np.mean(confirmation, axis=0) - design.chart.mean])
+        averages = np.vstack([averages, np.mean(confirmation, axis=0) - design.mean])
     whole = np.linalg.inv(np.linalg.cholesky(noise))
     seen = whole @ averages @ design.whitening
     course = _courses(min(max(memory.n, 1), MOST_AVERAGED))

@@ -44,6 +44,17 @@ GUIDANCE: Mapping[str, Guidance] = {
         short="Does the control position move, too? Then which feature contributes; temperature.",
         call="who is responsible for the wall, with the proof",
     ),
+    "transducer_change": Guidance(
+        says="sets here are no longer like the baseline, for a sure cause: sensor, contact or temperature",
+        does_not_say="that the wall is as it was: behind such a change a thin one may hide",
+        look_first=(
+            "the cause in the message, and what it asks for",
+            "striker, beads, sensor, cable; how the chain stands",
+            "put right, a new baseline: until then nothing watches the wall here",
+        ),
+        short="The message names the cause; put it right, then record a new baseline.",
+        call="who looks after the rig",
+    ),
     "hole": Guidance(
         says="no reflected wave in most shots, sets running; the transducer is retired",
         does_not_say="whether the wall is open or the chain has lost contact",

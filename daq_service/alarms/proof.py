@@ -22,6 +22,11 @@ FEATURES: Mapping[str, str] = {
     "psw_area_v_s": "area of the reflected wave",
 }
 """The five of the distance, in words."""
+INCIDENT: Mapping[str, str] = {
+    "isw_amplitude_v": "height of the incident wave",
+    "isw_fwhm_s": "width of the incident wave",
+}
+"""The two that no wall changes."""
 MOST_FEATURES = 3
 
 
@@ -43,6 +48,12 @@ def evidence(kind: str, proof: Proof) -> list[str]:
 
 def _wall_change(proof: Proof) -> Iterator[str]:
     yield from _what_it_rests_on(proof)
+    if told := _known(proof.get("cause_told") or {}, "sentence", "action", "changes"):
+        sentence, action, changes = told
+        yield f"What it comes from: {sentence}. What to do: {action}."
+        words = {**FEATURES, **INCIDENT}
+        moved = [f"{words.get(name, name)} {100.0 * change:+.1f} %" for name, change in changes.items()]
+        yield f"Against the baseline, over some ten sets: {', '.join(moved)}."
     if said := proof.get("confirmation"):
         yield confirmation_sentence(said)
 
@@ -188,6 +199,7 @@ def _supply(proof: Proof) -> Iterator[str]:
 
 _OF_KIND: Mapping[str, Callable[[Proof], Iterator[str]]] = {
     "wall_change": _wall_change,
+    "transducer_change": _wall_change,
     "thickness": _thickness,
     "hole": _hole,
     "no_data": _poor_sets,

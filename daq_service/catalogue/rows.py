@@ -234,6 +234,15 @@ class VerdictRow(Row):
     averages: Annotated[
         dict[str, list[float]] | None, "Exponentially weighted vector behind each chart; null: not judged"
     ] = None
+    cause: Annotated[
+        str | None,
+        "`ok`, `wall`, `sensor`, `coupling`, `environment` or `cannot tell`; null: not judged",
+    ] = None
+    cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
+    cause_told: Annotated[
+        dict[str, Any] | None,
+        "Sentence and action for operators, probability of every cause and of a step, relative changes",
+    ] = None
     confirms: Annotated[
         bool | None,
         "Of a confirmation set: it lies where the planned sets before it do, not where the baseline does; "

@@ -11,7 +11,7 @@ from itertools import compress
 
 from analysis.statistics.design import Memory
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
-from analysis.statistics.named_limits import CHART, DISTANCE
+from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE
 from analysis.waves.features import (
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
@@ -28,12 +28,13 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import BaselineRow, FeatureRow, VerdictRow
 from daq_service.judgement.assessment import Assessment
+from daq_service.judgement.cause import averages_of, cause_confirmed, recollection_of, told_of
 from daq_service.judgement.confirmation import confirms, suspicion
 from daq_service.judgement.life import AUTOMATIC, Planned
 from daq_service.judgement.readiness import readiness_of
 from daq_service.judgement.rules import rules_of
 from daq_service.judgement.solitary_wave_step import SetOfShots, State, Verdict, alone, reinstated, step
-from daq_service.judgement.wall_condition import wall_condition
+from daq_service.judgement.wall_condition import wall_conditions
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
 
@@ -126,8 +127,8 @@ class SolitaryWaveAssessor:
             verdicts.append(self._verdict_row(due.set_index, due.due_h, verdict))
         # Strikes that come back without a reflection tell of the wall, not of the transducer.
         conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
-        wall = wall_condition(self.position, self._state, self._rules, verdicts[-1])
-        conditions += [wall, self._hole_condition(due, counting)]
+        conditions += wall_conditions(self.position, self._state, self._rules, verdicts[-1])
+        conditions.append(self._hole_condition(due, counting))
         return replace(
             self._told(due, shots, features, mean),
             baseline=self._baseline_row() if closes else None,
@@ -146,7 +147,10 @@ class SolitaryWaveAssessor:
         if self._state.baseline is None:
             return told
         found = self._set_of_shots(due, len(shots), n_tried(record, self.position), counting, mean)
-        verdict = alone(found, self._state.baseline, self._rules)
+        verdict, causes = alone(found, self._state.baseline, self._rules), self._state.baseline.causes
+        if causes is not None:
+            cause = cause_confirmed(self._state.recollection, causes, found.values)
+            verdict = replace(verdict, cause=cause)
         row = self._verdict_row(due.set_index, due.due_h, verdict)
         vector, fitted = found.vector(), self._state.baseline.fitted
         if vector is not None and fitted is not None:
@@ -284,9 +288,10 @@ class SolitaryWaveAssessor:
             chart_alarm=None if verdict.memory is None else verdict.memory.alarming,
             statistics=further or None,
             limits=dict(limits) or None,
-            averages=None
-            if verdict.memory is None
-            else {name: list(average) for name, average in verdict.memory.averages.items()},
+            averages=_averages(verdict),
+            cause=None if verdict.cause is None else verdict.cause.cause,
+            cause_probability=None if verdict.cause is None else verdict.cause.probability,
+            cause_told=None if verdict.cause is None else told_of(verdict.cause),
         )
 
     # Conditions ----------------------------------------------------------------------------------
@@ -351,15 +356,30 @@ def _stored(found: SetOfShots, row: VerdictRow | None) -> Verdict | None:
     """Give a verdict as it was stored; None: the set belongs to the baseline, or was not judged."""
     if row is None or row.in_baseline:
         return None
-    vector, memory = found.vector(), None
+    vector, memory, recollection = found.vector(), None, None
     if vector is not None and row.averages is not None:
         memory = Memory(
             index=found.set_index,
             vector=vector,
-            averages={name: tuple(average) for name, average in row.averages.items()},
+            averages={name: tuple(row.averages[name]) for name in (AVERAGE, CHART)},
             alarming=bool(row.chart_alarm),
         )
-    return Verdict(outlier=row.outlier, outlier_paper=row.outlier_paper, reason=row.reason, memory=memory)
+        recollection = recollection_of(row.averages)
+    return Verdict(
+        outlier=row.outlier,
+        outlier_paper=row.outlier_paper,
+        reason=row.reason,
+        memory=memory,
+        recollection=recollection,
+    )
+
+
+def _averages(verdict: Verdict) -> dict[str, list[float]] | None:
+    """Give everything that is remembered as averages, by name."""
+    if verdict.memory is None:
+        return None
+    charts = {name: list(average) for name, average in verdict.memory.averages.items()}
+    return charts if verdict.recollection is None else charts | averages_of(verdict.recollection)
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:

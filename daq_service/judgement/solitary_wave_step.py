@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from analysis.causes.verdict import CauseDesign, CauseVerdict, Recollection
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory
@@ -28,6 +29,7 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import FEATURE_NAMES
+from daq_service.judgement.cause import cause_after, design_of_causes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,12 +120,15 @@ class FrozenBaseline:
         By name.
     design
         Everything else to judge by; None: the baseline was frozen by a version that had no chart.
+    causes
+        What tells a sick wall from a sick sensor; None: there is no design, or features that never change.
     """
 
     fitted: Baseline | None
     limits: Mapping[str, float] = field(default_factory=dict)
     reason: str | None = None
     design: Design | None = None
+    causes: CauseDesign | None = None
 
     def judging(self, name: str) -> str:
         """Return the limit beyond which a set is an outlier: the wanted one, where that version had it."""
@@ -142,6 +147,8 @@ class State:
         None while it is being recorded.
     memory
         What the charts remember; None: they have not begun, or there are none.
+    recollection
+        What the causes are told by.
     poor_sets
         Sets running with too few valid shots.
     judged
@@ -153,6 +160,7 @@ class State:
     baseline: FrozenBaseline | None = None
     alarm: AlarmState = field(default_factory=AlarmState)
     memory: Memory | None = None
+    recollection: Recollection = field(default_factory=Recollection)
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
     judged: tuple[JudgedSet, ...] = ()
@@ -172,6 +180,8 @@ class Verdict:
         Everything that limits bound, by name; empty: not judged.
     memory
         What the charts remember after it; None: it was not judged by them.
+    cause, recollection
+        What the change comes from, and what is remembered for it; None: no cause was sought.
     """
 
     in_baseline: bool = False
@@ -182,6 +192,8 @@ class Verdict:
     contributions: Mapping[str, float] | None = None
     statistics: Mapping[str, float] = field(default_factory=dict)
     memory: Memory | None = None
+    cause: CauseVerdict | None = None
+    recollection: Recollection | None = None
 
 
 def step(
@@ -226,15 +238,28 @@ def step(
         )
     assert state.baseline is not None, "it closes at the first set after it"
     verdict = stored or _judged(found, state, state.baseline, rules)
+    alarm = next_alarm_state(state.alarm, verdict.outlier, rules.alarm)
+    if stored is None:
+        verdict = _with_cause(verdict, found, state, suspicious=alarm.active)
     vector = found.vector()
     if verdict.outlier is not None and vector is not None:
         last = JudgedSet(vector=vector, outlier=verdict.outlier)
         state = replace(state, judged=(*state.judged, last)[-rules.alarm.n :])
     return replace(
         state,
-        alarm=next_alarm_state(state.alarm, verdict.outlier, rules.alarm),
+        alarm=alarm,
         memory=verdict.memory or state.memory,
+        recollection=verdict.recollection or state.recollection,
     ), verdict
+
+
+def _with_cause(verdict: Verdict, found: SetOfShots, state: State, *, suspicious: bool) -> Verdict:
+    design = None if state.baseline is None else state.baseline.causes
+    if design is None or verdict.memory is None:
+        return verdict
+    suspicious = suspicious or verdict.memory.alarming
+    recollection, cause = cause_after(state.recollection, design, found.values, suspicious=suspicious)
+    return replace(verdict, cause=cause, recollection=recollection)
 
 
 def reinstated(state: State) -> State:
@@ -272,8 +297,14 @@ def _frozen(state: State, rules: Rules) -> State:
     design = design_of(history, fitted, rules.run_length, rules.false_alarm_rate)
     return replace(
         state,
-        baseline=FrozenBaseline(fitted=fitted, limits=design.limits, design=design),
+        baseline=FrozenBaseline(
+            fitted=fitted,
+            limits=design.limits,
+            design=design,
+            causes=design_of_causes([(found.set_index, found.values) for found in state.healthy]),
+        ),
         memory=at_the_end_of(fitted, vectors[-1]),
+        recollection=Recollection(),
     )
 
 

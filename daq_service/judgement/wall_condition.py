@@ -1,4 +1,4 @@
-"""What the verdicts of a transducer say of the alarm `wall_change`: whether, in which words, with what proof.
+"""What a transducer's verdicts say of `wall_change` and `transducer_change`: in which words, with what proof.
 
 The chart decides, or k of n sets beyond a limit, as the configuration says. Where a baseline has no chart,
 k of n decides in any case.
@@ -6,6 +6,7 @@ k of n decides in any case.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
 from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement.cause import NOT_THE_WALL, said
 from daq_service.judgement.solitary_wave_step import Rules, State
 from daq_service.judgement.stored_limits import limits_by_name, statistic_of
 
@@ -26,23 +28,33 @@ CHART_FORMULA = (
 REMEDY = "wall or transducer has changed; inspect"
 
 
-def wall_condition(position: str, state: State, rules: Rules, verdict: VerdictRow) -> Condition:
-    """Say it after a set; ``verdict`` is that set's row."""
+def wall_conditions(position: str, state: State, rules: Rules, verdict: VerdictRow) -> list[Condition]:
+    """Say it after a set; ``verdict`` is that set's row.
+
+    A change that surely comes from elsewhere is an alarm of the transducer; one whose cause cannot be told is
+    one of the wall.
+    """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
         present, times_limit, message, proof = _by_chart(position, design, state.memory, rules, verdict)
     else:
         present, times_limit, message, proof = _by_k_of_n(position, state, rules, verdict)
-    return Condition(
+    message += said(verdict.cause, verdict.cause_probability, verdict.cause_told) or REMEDY
+    elsewhere = verdict.cause in NOT_THE_WALL
+    wall = Condition(
         position=position,
         kind="wall_change",
         family="damage",
         severity="high",
-        present=present,
+        present=present and not elsewhere,
         times_limit=times_limit,
         message=message if present else "",
         proof=proof | _of_every_rule(verdict),
     )
+    transducer = replace(
+        wall, kind="transducer_change", family="device", severity="medium", present=present and elsewhere
+    )
+    return [wall, transducer]
 
 
 def _of_every_rule(verdict: VerdictRow) -> dict[str, Any]:
@@ -51,6 +63,9 @@ def _of_every_rule(verdict: VerdictRow) -> dict[str, Any]:
         "distance_squared": verdict.distance_squared,
         "baseline_id": verdict.baseline_id,
         "extractor_version": EXTRACTOR_VERSION,
+        "cause": verdict.cause,
+        "cause_probability": verdict.cause_probability,
+        "cause_told": verdict.cause_told,
     }
 
 
@@ -70,7 +85,7 @@ def _by_chart(position: str, design: Design, memory: Memory, rules: Rules, verdi
     budget = rules.false_alarms_per_sensor_year
     told = (
         f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
-        f"({promise(design, budget)}): {REMEDY}"
+        f"({promise(design, budget)}): "
     )
     proof = {
         "formula": CHART_FORMULA,
@@ -90,7 +105,7 @@ def _by_k_of_n(position: str, state: State, rules: Rules, verdict: VerdictRow) -
     limit, value = limits_by_name(verdict).get(verdict.limit_name), statistic_of(verdict, verdict.limit_name)
     told = (
         f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
-        f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): {REMEDY}"
+        f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
     )
     proof = {
         "formula": FORMULA,

@@ -8,13 +8,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 DAY_S = 86_400.0
 LONGEST_DELAY_S: Mapping[str, float] = {
-    **dict.fromkeys(("wall_change", "thickness", "no_data"), DAY_S),
+    **dict.fromkeys(("wall_change", "transducer_change", "thickness", "no_data"), DAY_S),
     **dict.fromkeys(("supply_lost", "supply_off_unexpectedly", "supply_limit"), 10.0),
 }
 """By kind. What is absent follows its condition at once: something has been done already that hangs on the
 alarm (a transducer retired, an interlock opened, files named), or nobody might tell later (the recorder has
 stopped, the disk does not take the event, the clock itself is doubted)."""
-DEAD_BAND_KINDS = ("wall_change", "thickness")
+DEAD_BAND_KINDS = ("wall_change", "transducer_change", "thickness")
 """Kinds that compare a measured quantity with a limit and have no dead-band of their own."""
 
 

@@ -37,6 +37,7 @@ CAME_LATER = {
     "chart",
     "chart_alarm",
 }
+CAME_LATER |= {"cause", "cause_probability", "cause_told"}
 """Columns of a baseline that has a chart, and of its verdicts."""
 
 Unpack = Callable[[str], Path]

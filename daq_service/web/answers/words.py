@@ -295,6 +295,7 @@ PURE = frozenset(
         "baseline_sets",
         "averages",
         "bin_sets",
+        "cause_probability",
         "chart",
         "command_id",
         "consecutive_sets",

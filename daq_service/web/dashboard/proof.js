@@ -51,6 +51,7 @@ const KINDS = {
   retired: SHOTS,
   hole: SHOTS,
 };
+KINDS.transducer_change = KINDS.wall_change;
 
 /** A wall's alarm that the chart raised. @type {typeof KINDS[string]} */
 const BY_CHART = { ...KINDS.wall_change, name: "Chart", short: "chart", taken: { fields: ["chart"], method: "solitary_wave" }, read: ofTrend(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)) };

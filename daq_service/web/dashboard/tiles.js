@@ -3,7 +3,7 @@
 import { el, setText } from "./dom.js";
 import { NONE, duration, fixed, hour, quantity, significant, utc } from "./format.js";
 import { STATES, chip } from "./icons.js";
-import { limitOf } from "./limit.js";
+import { causeOf, limitOf } from "./limit.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -143,6 +143,7 @@ export class Tiles {
       el("div", { class: "tile-figure" }, el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }), el("span", { class: "figure-note", text: note })),
       gauge(ratio),
       list([
+        ...(verdict?.cause ? [["Cause", causeOf(verdict)]] : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],

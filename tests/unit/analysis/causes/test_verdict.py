@@ -23,14 +23,13 @@ from analysis.causes.verdict import (
     CauseDesign,
     CauseVerdict,
     Recollection,
-    begun,
     cause_design,
     logs_of,
     recollected,
+    remembering,
     verdict_of,
 )
 from analysis.errors import InvalidInputError
-from analysis.statistics.design import ONE_IN_FIVE_YEARS
 from analysis.waves.record_reduction import FloatArray
 
 BASELINE, AFTER, EVERY = 200, 120, 5
@@ -66,10 +65,10 @@ def judged(
     """Verdicts of every fifth set after the baseline; a confirmation is given from their 30th on."""
     logs = healthy(seed)
     logs[BASELINE:] += change
-    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
-    memory = begun(BASELINE - 1, logs[BASELINE - 1])
+    design = cause_design(logs[:BASELINE])
+    memory = Recollection()
     for index in range(BASELINE, BASELINE + AFTER):
-        memory = recollected(memory, design, index, logs[index])
+        memory = recollected(memory, design, logs[index])
         if index % EVERY:
             continue
         known = confirmation is not None and index >= BASELINE + 30
@@ -117,8 +116,8 @@ def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(d
 
 def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
     logs = healthy(3)
-    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
-    memory = recollected(begun(BASELINE - 1, logs[BASELINE - 1]), design, BASELINE, logs[BASELINE])
+    design = cause_design(logs[:BASELINE])
+    memory = recollected(Recollection(), design, logs[BASELINE])
     assert verdict_of(memory, design).cause == OK
     told = verdict_of(memory, design, suspicious=True)
     assert (told.cause, told.probability) == (CANNOT_TELL, told.probabilities[OK])
@@ -127,14 +126,14 @@ def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
 
 def test_what_is_remembered_survives_a_restart_as_json() -> None:
     logs = healthy(4) + 0.002
-    design = cause_design(logs[:BASELINE], ONE_IN_FIVE_YEARS.run_length)
-    memory = begun(BASELINE - 1, logs[BASELINE - 1])
+    design = cause_design(logs[:BASELINE])
+    memory = Recollection()
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
         stored["changes"] = tuple(tuple(one) for one in stored["changes"])
-        told = Recollection(**{**stored, "logs": tuple(stored["logs"]), "charted": tuple(stored["charted"])})
+        told = Recollection(**stored)
         assert told == memory
-        memory = recollected(told, design, index, logs[index])
+        memory = recollected(told, design, logs[index])
     assert memory.n == 20
 
 
@@ -144,10 +143,23 @@ def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_tol
     assert logs_of(values | {"isw_fwhm_s": None}) is None
     assert logs_of(values | {"psw_area_v_s": -1.0}) is None
     with pytest.raises(InvalidInputError, match=r"shape \(200, 5\)"):
-        cause_design(healthy(1)[:200, :5], ONE_IN_FIVE_YEARS.run_length)
+        cause_design(healthy(1)[:200, :5])
 
 
 def test_few_sets_make_a_design_too_and_know_their_means_less_well() -> None:
-    few, many = (cause_design(healthy(6)[:n], ONE_IN_FIVE_YEARS.run_length) for n in (24, 200))
+    few, many = (cause_design(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, CauseDesign)
     assert few.slow_variance > 3.0 * many.slow_variance
+
+
+def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
+    logs = healthy(2)
+    design = cause_design(logs[:BASELINE])
+    memory = Recollection(wall=True)
+    for index in range(BASELINE, BASELINE + 60):
+        memory = recollected(memory, design, logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN))
+    told = verdict_of(memory, design)
+    assert told.probabilities[SENSOR] > 0.9
+    assert told.cause == CANNOT_TELL
+    assert remembering(memory, told).wall
+    assert not remembering(memory, verdict_of(Recollection(), design)).wall

@@ -1,0 +1,150 @@
+"""What a change comes from, for the recorder: memory of `analysis.causes`, and words for operators."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from analysis.causes.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.causes.slopes import COMPONENTS
+from analysis.causes.verdict import (
+    CANNOT_TELL,
+    RATES,
+    CauseDesign,
+    CauseVerdict,
+    Recollection,
+    cause_design,
+    logs_of,
+    recollected,
+    remembering,
+    verdict_of,
+)
+from analysis.errors import SingularCovarianceError
+from analysis.statistics.rules import MINIMUM_SETS
+
+NOT_THE_WALL = frozenset({SENSOR, COUPLING, ENVIRONMENT})
+"""A change that surely comes from one of these is no alarm of the wall."""
+
+Values = Mapping[str, float | None]
+
+SENTENCES: Mapping[str, tuple[str, str]] = {
+    OK: ("the transducer is as in its baseline", "nothing to do"),
+    WALL: (
+        "the reflected wave has changed as under a thinning wall, and the incident wave has not",
+        "have the wall inspected here",
+    ),
+    SENSOR: (
+        "the incident wave has changed as by striker, beads, tilt or gain, which no wall does",
+        "check striker, beads, sensor and cable; then record a new baseline",
+    ),
+    COUPLING: (
+        "the waves have changed as by contacts that sit differently",
+        "see how the chain stands on the wall, then record a new baseline",
+    ),
+    ENVIRONMENT: (
+        "the waves have changed as by temperature",
+        "compare with the temperature and with the other transducers; wait for a day",
+    ),
+    CANNOT_TELL: (
+        "something has changed, and no cause is sure",
+        "treat it as the wall until it is known: compare with the control position, then inspect",
+    ),
+}
+"""By cause: what is seen, and what to do."""
+ABRUPT = (
+    "something has changed from one set to the next",
+    "abrupt: inspect the contact; a wall does not jump",
+)
+"""In place of `CANNOT_TELL` where a step is likelier than not."""
+
+
+def averages_of(memory: Recollection) -> dict[str, list[float]]:
+    """Give what is remembered as averages by name, beside those of the charts."""
+    changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
+    return {_COUNT: [float(memory.n), float(memory.wall)], **changes}
+
+
+_COUNT = "changes_count"
+_NAMES = tuple(f"changes_{rate:g}" for rate in RATES)
+
+
+def recollection_of(averages: Mapping[str, Sequence[float]]) -> Recollection | None:
+    """Give back what `averages_of` gave; None: an earlier version kept none."""
+    if _COUNT not in averages:
+        return None
+    n, wall = averages[_COUNT]
+    return Recollection(n=int(n), wall=bool(wall), changes=tuple(tuple(averages[name]) for name in _NAMES))
+
+
+def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> CauseDesign | None:
+    """Design from a baseline's sets and their indices; None: too few, or a feature is constant."""
+    logs = [(index, found) for index, values in healthy if (found := logs_of(values)) is not None]
+    if len(logs) < MINIMUM_SETS:
+        return None
+    first = logs[0][0]
+    history = np.full((logs[-1][0] - first + 1, len(COMPONENTS)), np.nan)
+    for index, found in logs:
+        history[index - first] = found
+    try:
+        return cause_design(history)
+    except SingularCovarianceError:
+        return None
+
+
+def cause_after(
+    memory: Recollection,
+    design: CauseDesign,
+    values: Values,
+    *,
+    suspicious: bool,
+    confirmation: Sequence[Values] = (),
+) -> tuple[Recollection, CauseVerdict | None]:
+    """Take in one more set and say what the sets so far mean; None: it lacks a feature.
+
+    Parameters
+    ----------
+    confirmation
+        Features of sets struck beside the plan because of the suspicion.
+    """
+    logs = logs_of(values)
+    if logs is None:
+        return memory, None
+    memory = recollected(memory, design, logs)
+    beside = [found for one in confirmation if (found := logs_of(one)) is not None]
+    verdict = verdict_of(memory, design, suspicious=suspicious, confirmation=beside)
+    return remembering(memory, verdict), verdict
+
+
+def cause_confirmed(memory: Recollection, design: CauseDesign, values: Values) -> CauseVerdict | None:
+    """Say what the planned sets mean beside one struck because of them; nothing is remembered of it."""
+    logs = logs_of(values)
+    return None if logs is None else verdict_of(memory, design, suspicious=True, confirmation=[logs])
+
+
+def words_of(cause: str, abrupt: float) -> tuple[str, str]:
+    """Say for operators what is seen and what to do."""
+    return ABRUPT if cause == CANNOT_TELL and abrupt > 0.5 else SENTENCES[cause]
+
+
+def told_of(verdict: CauseVerdict) -> dict[str, Any]:
+    """Give what stands in a verdict's row beside cause and probability."""
+    sentence, action = words_of(verdict.cause, verdict.abrupt)
+    return {
+        "sentence": sentence,
+        "action": action,
+        "probabilities": dict(verdict.probabilities),
+        "abrupt": verdict.abrupt,
+        "changes": dict(verdict.changes),
+        "confirmed": verdict.confirmed,
+    }
+
+
+def said(row_cause: str | None, probability: float | None, told: Mapping[str, Any] | None) -> str:
+    """Say cause, probability, sentence and action in one; empty where nothing is known."""
+    if row_cause is None or told is None or probability is None:
+        return ""
+    # Of what cannot be told the probability is that of the likeliest cause, which is not named.
+    sure = f" ({100.0 * probability:.0f} %)" if row_cause in (OK, *CAUSES) else ""
+    return f"{row_cause.upper()}{sure}: {told['sentence']}; {told['action']}"

@@ -1,0 +1,144 @@
+"""The recorder's verdicts name a cause, remember what it rests on, and raise the alarm that fits it."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from analysis.causes.hypotheses import COUPLING, OK, SENSOR, WALL
+from analysis.causes.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
+from analysis.causes.verdict import CANNOT_TELL
+from analysis.statistics.rules import AlarmRule, HoleRule
+from daq_service.alarms.proof import evidence
+from daq_service.catalogue.rows import VerdictRow
+from daq_service.judgement.cause import averages_of, cause_after, recollection_of, said, told_of
+from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, step
+from daq_service.judgement.wall_condition import wall_conditions
+
+LAST, SETS = 59, 100
+RULES = Rules(
+    baseline_name="B-baseline-1",
+    first_baseline_set=0,
+    last_baseline_set=LAST,
+    minimum_sets=15,
+    minimum_valid_shots=3,
+    shots_per_set=4,
+    limit="f_predictive",
+    false_alarm_rate=0.0027,
+    run_length=43_830.0,
+    false_alarms_per_sensor_year=0.2,
+    decides_by="k_of_n",
+    alarm=AlarmRule(k=3, n=5),
+    hole=HoleRule(shots=3, consecutive_sets=2),
+)
+RANDOM = np.random.default_rng(3)
+SD = np.array([0.01] * 9 + [0.05] * 9 + [0.06, 0.003])
+SCATTER = (SD * RANDOM.standard_normal((SETS, 20))) @ np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
+SCATTER += 1e-3 * RANDOM.standard_normal(SCATTER.shape)
+RAMP = np.clip((np.arange(SETS) - LAST) / (SETS - LAST), 0.0, None)[:, None]
+CHANGES = {
+    OK: np.zeros((SETS, 7)),
+    SENSOR: -0.5 * RAMP * np.array(GAIN),
+    WALL: RAMP * np.array(WALL_B[5]),
+}
+
+
+def sets(change):
+    logs = SCATTER + change
+    return [
+        SetOfShots(
+            set_index=index,
+            due_h=float(index),
+            n_taken=4,
+            n_tried=4,
+            n_valid=4,
+            quality="good",
+            reason="",
+            values=dict(zip(COMPONENTS, np.exp(row).tolist(), strict=True)),
+            flags=((),) * 4,
+        )
+        for index, row in enumerate(logs)
+    ]
+
+
+def run(change, state=None, since=0, until=SETS):
+    state = state or State()
+    for one in sets(change)[since:until]:
+        state, verdict = step(state, one, RULES)
+    return state, verdict
+
+
+def row_of(verdict):
+    return VerdictRow(
+        set_index=SETS - 1,
+        position="B",
+        due_h=99.0,
+        in_baseline=False,
+        distance_squared=verdict.distance_squared,
+        limit_name="f_predictive",
+        limits={"f_predictive": 30.0},
+        outlier=verdict.outlier,
+        cause=verdict.cause.cause,
+        cause_probability=verdict.cause.probability,
+        cause_told=told_of(verdict.cause),
+    )
+
+
+@pytest.mark.parametrize(
+    ("cause", "raised"), [(OK, set()), (SENSOR, {"transducer_change"}), (WALL, {"wall_change"})]
+)
+def test_the_alarm_is_that_of_the_cause_and_says_it(cause, raised):
+    state, verdict = run(CHANGES[cause])
+    assert verdict.cause.cause == cause
+    found = wall_conditions("B", state, RULES, row_of(verdict))
+    assert {one.kind for one in found if one.present} == raised
+    for one in found:
+        if one.present:
+            assert f"{cause.upper()} (" in one.message
+            assert any("What to do:" in sentence for sentence in evidence(one.kind, one.proof))
+
+
+def test_what_cannot_be_told_is_an_alarm_of_the_wall():
+    state, verdict = run(CHANGES[SENSOR])
+    row = replace(row_of(verdict), cause=CANNOT_TELL)
+    assert [one.present for one in wall_conditions("B", state, RULES, row)] == [True, False]
+    # Without a cause, as of a folder of an earlier version, the message is as it was.
+    row = replace(row, cause=None, cause_probability=None, cause_told=None)
+    wall, transducer = wall_conditions("B", state, RULES, row)
+    assert (wall.present, transducer.present) == (True, False)
+    assert wall.message.endswith("wall or transducer has changed; inspect")
+
+
+def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
+    change = CHANGES[WALL]
+    state, whole = run(change)
+    before = State()
+    for one in sets(change)[: LAST + 20]:
+        before, _ = step(before, one, RULES)
+    kept = json.loads(json.dumps(averages_of(before.recollection)))
+    again = replace(before, recollection=recollection_of(kept))
+    resumed, verdict = run(change, state=again, since=LAST + 20)
+    assert verdict.cause == whole.cause
+    assert resumed.recollection == state.recollection
+    assert recollection_of({"average": [0.0]}) is None
+
+
+def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
+    state, _ = run(CHANGES[OK])
+    design = state.baseline.causes
+    memory, cause = cause_after(state.recollection, design, {"isw_fwhm_s": None}, suspicious=True)
+    assert (memory, cause) == (state.recollection, None)
+
+
+def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s():
+    foot = 0.3 * np.array(STIFFNESS[-1])
+    change = np.where(np.arange(SETS)[:, None] > LAST + 20, foot, 0.0)
+    found = sets(change)
+    state, _ = run(change, until=SETS - 1)
+    design, last = state.baseline.causes, found[-1].values
+    _, alone = cause_after(state.recollection, design, last, suspicious=True)
+    _, confirmed = cause_after(state.recollection, design, last, suspicious=True, confirmation=[last])
+    assert (alone.cause, confirmed.cause) == (CANNOT_TELL, COUPLING)
+    assert said(alone.cause, alone.probability, told_of(alone)).startswith("CANNOT TELL: something has")
+    assert "abrupt: inspect the contact" in told_of(alone)["action"]
