@@ -24,10 +24,11 @@ import threading
 from concurrent.futures import Executor
 from functools import partial
 
-from daq_service.cli.sweep.execution import ExecutorKind, compute, opened_executor, usable_cores
+from daq_service.cli.sweep.execution import compute
 from daq_service.cli.sweep.plan import Model, Plan, make_plan
 from daq_service.cli.sweep.shot import coupled_numbers, zener_numbers
 from daq_service.cli.sweep.specification import parse_axis
+from daq_service.processes.executors import opened_executor, usable_cores
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -89,7 +90,7 @@ def measure(sweep: str, rows: int, workers: int) -> dict[str, float]:
         )
 
     result = {"rows": float(len(planned(sweep, rows, 0).rows)), "loop_per_s": best(loop)}
-    kinds: list[tuple[ExecutorKind, int]] = [("threads", 1), ("threads", workers), ("processes", workers)]
+    kinds: list[tuple[str, int]] = [("threads", 1), ("threads", workers), ("processes", workers)]
     for kind, count in kinds:
         with opened_executor(kind, count) as executor:
             work = partial(computed, executor=executor, workers=count)

@@ -28,6 +28,7 @@ SEED = click.option("--seed", type=click.IntRange(min=0), help="Seed of the twin
 RESTARTED = click.option("--restarted-because", default="", hidden=True)
 JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on standard output.")
 POSITION = click.option("--position", required=True, help="The transducer's position, for example B.")
+EXECUTORS = "processes|threads|dask://HOST"
 SUPERVISED = click.option("--supervised", is_flag=True, hidden=True)
 
 
@@ -390,6 +391,7 @@ add_order("release", "End a hold: the next due set is taken.")
 add_order("trust_clock", "Go on with this computer's clock though it is doubted after a restart.")
 add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
 add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
+add_order("confirm", "Strike a confirmation set at a transducer now, beside the plan.", POSITION)
 add_order("approve_baseline", "Sign the proposed baseline of a transducer.", POSITION)
 add_order(
     "renew_baseline",
@@ -449,8 +451,8 @@ def supply(on: bool | None, voltage_v: float | None, current_limit_a: float | No
 @click.option("--workers", type=click.IntRange(1, 256), help="Default: one for each core.")
 @click.option(
     "--executor",
-    type=click.Choice(["processes", "threads"]),
-    help="Default: threads for a short sweep, processes for a long one.",
+    metavar=EXECUTORS,
+    help="Default: threads for a short sweep, processes for a long one; a cluster needs the extra.",
 )
 @click.option("--overwrite", is_flag=True, help="Replace outputs that exist.")
 @JSON
@@ -651,6 +653,8 @@ def explain(**options: Any) -> None:
     help="Judge by this setting instead, for example alarms.decides_by=chart; may be given several times.",
 )
 @click.option("--extract", is_flag=True, help="Extract the features from the waveforms again first.")
+@click.option("--executor", metavar=EXECUTORS, help="With --extract: who does it; default: threads.")
+@click.option("--workers", type=click.IntRange(1, 256), help="With --extract: default one for each core.")
 @JSON
 def replay(**options: Any) -> None:
     """Judge a stored test again, with other settings or another version, and list what changes."""

@@ -19,6 +19,7 @@ from support.stored_files import set_files
 from test_docs import ROOT, blocks
 
 from daq_service.corrosion_drive.watch import SEVERITIES
+from daq_service.errors import BusyError
 
 HOW_TO = ROOT / "docs/how-to"
 SETS = 17
@@ -188,13 +189,16 @@ def test_a_recorder_makes_a_test_of_its_own_of_a_backup(folder: Path, tmp_path: 
 COMMANDS = {
     "tutorial.md": ["demo", "status", "verify", "export"],
     "how-to/back-up.md": ["backup", "verify"],
-    "how-to/choose-a-baseline.md": ["check-config", "simulate"],
+    "how-to/choose-a-baseline.md": ["check-config", "simulate", "approve-baseline", "renew-baseline"],
     "how-to/my-alarm-what-now.md": ["status"],
     "how-to/upgrade.md": ["backup", "verify", "check-config", "doctor", "run"],
 }
 """Pages and the commands that stand in lines of their own there, in this order."""
 TAKES_LONG = ("demo", "doctor", "run")
 """Tested as commands elsewhere; the tutorial's demo is the one that its pictures are made by."""
+
+ORDERS = ("approve-baseline", "renew-baseline")
+"""Understood, but nobody records the test of this page."""
 
 
 @pytest.mark.parametrize("page", COMMANDS)
@@ -213,5 +217,5 @@ def test_the_commands_of_a_page_run_one_after_the_other(
     for words in lines:
         if words[0] not in TAKES_LONG:
             done = solimon_here(*(places.get(word, word) for word in words), env=COARSE)
-            assert done.returncode == 0, (words, done.stderr)
+            assert done.returncode == (BusyError.exit_code if words[0] in ORDERS else 0), (words, done.stderr)
             assert done.stdout + done.stderr

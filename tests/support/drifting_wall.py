@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from hardware_drivers.measurement import Waveform
+from hardware_drivers.measurement import Waveform, in_order
 from support.life_of_a_test import run
 from support.memory_line import Line, memory_settings
 from support.synthetic_records import Scene
@@ -32,12 +32,15 @@ def record_of(position: str, set_index: int, shot_index: int) -> Waveform:
 
 
 def drifting_wall(folder: Path) -> Line:
-    """Record 25 sets of it, of which the first 15 are the baseline."""
+    """Record 25 planned sets of it, of which the first 15 are the baseline."""
     settings = memory_settings(
         schedule={"phases": [{"until_h": 12.5, "interval_h": 0.5}], "shots_per_set": 3},
         baseline={"hours": 7.5, "minimum_sets": 15},
+        alarms={"decides_by": "k_of_n"},
     )
     settings = settings.model_copy(update={"positions": {name: settings.positions[name] for name in "BC"}})
-    line = Line(folder, settings, lambda key: record_of(key.position, key.set_index, key.shot_index))
+    line = Line(
+        folder, settings, lambda key: record_of(key.position, in_order(key.set_index)[0], key.shot_index)
+    )
     run(line)
     return line

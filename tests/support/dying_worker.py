@@ -3,6 +3,7 @@
 import os
 import signal
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 
 def die_while_answering() -> bytes:
@@ -14,3 +15,16 @@ def die_while_answering() -> bytes:
 
     Connection._send = send
     return bytes(100_000)
+
+
+def die_once(noted: Path, number: int) -> int:
+    """Return the number; whoever does it first is gone in the midst of it, without a word."""
+    if not noted.exists():
+        noted.touch()
+        os._exit(9)
+    return number
+
+
+def die_always(number: int) -> int:
+    """Kill whoever does it."""
+    os._exit(9)

@@ -17,9 +17,10 @@ from typing import Any, cast
 
 import orjson
 
+from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
-from daq_service.catalogue import RecorderCatalogue, open_catalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow, EventRow
@@ -36,7 +37,7 @@ from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import sync_folder
 from hardware_drivers.instruments import Rig
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 from support.traced_files import mark, set_tracing
 
@@ -54,6 +55,9 @@ EVENT_OF: Mapping[str, str] = {
     "release": "release",
     "retire": "alarm_raised",
     "reinstate": "alarm_reset",
+    "confirm": "confirmation_asked",
+    "approve_baseline": "baseline_approved",
+    "renew_baseline": "baseline_retired",
 }
 """Kind of an order, and of the event that tells of what it did."""
 
@@ -93,15 +97,25 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     clock = SimulatedClock(catalogue.experiment_row().epoch_utc_ns)
     rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
     ledger = Ledger(WAVES_ONLY, FolderArchive(folder), catalogue, rig, Cost())
+
+    def moment() -> Moment:
+        return Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None)
+
+    def confirmation(position: str, author: str, because: str) -> Transaction:
+        transaction = Transaction()
+        first = plan(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
+        ledger.confirmations.add(because, first, position, moment(), transaction, author)
+        return transaction
+
     test = RunningTest(
         clock=clock,
-        moment=lambda: Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None),
+        moment=moment,
         stop=threading.Event(),
         alarms=ledger.alarms,
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=ledger.commit,
         reinstated=ledger.reinstated,
-        confirmation=lambda position, author, because: Transaction(),
+        confirmation=confirmation,
         settings=WAVES_ONLY,
         next_set=lambda: 1,
         baseline=catalogue.baseline,
@@ -127,6 +141,8 @@ def give_each(folder: Path, trace: Path) -> None:
         os.fsync(file.fileno())  # a copy, which nobody has made durable
     sync_folder(folder)
     filled.add_set(0, stored=False)  # before it there is nothing to give an order about
+    proposed = frozen_baseline("B", state="proposed", approval="by_a_person", id=1)
+    filled.catalogue.commit_set(SetCommit(baselines=[proposed]))
     alarm_id, annotation_id = filled.add_alarm("B", 5), filled.annotate(0.5, "to be withdrawn")
     orders = [
         *alarm_orders(alarm_id),
@@ -136,6 +152,9 @@ def give_each(folder: Path, trace: Path) -> None:
         command("release"),
         command("retire", position="C"),
         command("reinstate", position="C"),
+        command("confirm", position="B"),
+        command("approve_baseline", position="B"),
+        command("renew_baseline", position="B", note="coupled anew"),
     ]
     look = recorder_on(folder, filled.catalogue)
     with served(filled.settings, folder) as service, service.client() as api:

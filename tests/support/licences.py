@@ -13,7 +13,19 @@ from packaging.utils import canonicalize_name
 
 BROUGHT_BY_PYTHON = {"pip", "setuptools"}
 OURS = "solimon"
-EXTRAS = ("grpc", "niscope", "tdms", "parquet", "client", "notify", "visa", "conformance", "test", "dev")
+EXTRAS = (
+    "grpc",
+    "niscope",
+    "tdms",
+    "parquet",
+    "client",
+    "cluster",
+    "notify",
+    "visa",
+    "conformance",
+    "test",
+    "dev",
+)
 _LONGEST = 60
 
 Need = tuple[str, Requirement]

@@ -17,9 +17,9 @@ from analysis.statistics.design import Budget
 from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
 from daq_service.cli.offline.table_file import read_table
-from daq_service.cli.sweep.execution import opened_executor, usable_cores
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
+from daq_service.processes.executors import opened_executor, usable_cores
 
 FEW_FILES = 8
 """Fewer are judged in this process: another one takes a second to begin."""

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import click
 
-from daq_service.cli.sweep.execution import ExecutorKind, usable_cores
 from daq_service.cli.sweep.keys import SECTIONS
 from daq_service.cli.sweep.plan import Model, make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
@@ -19,6 +18,7 @@ from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_fil
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
 from daq_service.processes.child import stop_on_signals
+from daq_service.processes.executors import checked_name, usable_cores
 
 ROWS_FOR_PROCESSES = {"coupled": 1000, "zener": 150}
 """Fewer rows are done by threads before processes have started (`python benchmarks/sweep_speed.py`)."""
@@ -54,7 +54,7 @@ class SweepRequest:
     outputs: tuple[Path, ...]
     waveforms: bool
     workers: int | None
-    executor: ExecutorKind | None
+    executor: str | None
     overwrite: bool
 
 
@@ -76,6 +76,8 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
         skip_invalid=request.skip_invalid,
         waveforms=request.waveforms,
     )
+    if request.executor is not None:
+        checked_name(request.executor, request.workers)
     workers = usable_cores() if request.workers is None else request.workers
     long = len(plan.rows) >= ROWS_FOR_PROCESSES[request.model]
     options = SweepOptions(

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
-import multiprocessing
-import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
-    BrokenExecutor,
     Executor,
     Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
     wait,
 )
-from contextlib import contextmanager
 from dataclasses import replace
-from typing import Literal
 
 from daq_service.cli.sweep.plan import Plan, Row
-from daq_service.cli.sweep.shot import Outcome, compute_rows, start_worker
+from daq_service.cli.sweep.shot import Outcome, compute_rows
 from daq_service.errors import SolimonError
-from simulator.numerics.one_thread import one_blas_thread
-
-ExecutorKind = Literal["processes", "threads"]
+from daq_service.processes.executors import worker_lost
 
 ROWS_PER_TASK = 8
 """At most: small enough to stop and to tell progress soon, large enough that sending costs nothing."""
@@ -39,41 +30,7 @@ TASKS_PER_WORKER = 2
 
 STOP_SEEN_WITHIN_S = 0.2
 
-MOST_PROCESSES = 61
-"""Windows waits for no more at once."""
-
 Task = list[Row]
-
-
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@contextmanager
-def opened_executor(kind: ExecutorKind, workers: int) -> Iterator[Executor]:
-    """Give an executor; leaving it early drops what has not begun and waits for what has.
-
-    Processes are spawned, not forked: so it is on every platform, and no lock of this process's threads
-    is copied in a locked state.
-    """
-    executor: Executor
-    if kind == "processes":
-        executor = ProcessPoolExecutor(
-            min(workers, MOST_PROCESSES),
-            mp_context=multiprocessing.get_context("spawn"),
-            initializer=start_worker,
-        )
-    else:
-        executor = ThreadPoolExecutor(workers)
-    # Threads share the libraries' setting: without this one's end would give the others more BLAS threads.
-    with one_blas_thread():
-        try:
-            yield executor
-        finally:
-            executor.shutdown(wait=True, cancel_futures=True)
 
 
 def compute(
@@ -98,7 +55,7 @@ def compute(
     Raises
     ------
     SolimonError
-        A worker process died.
+        Workers died again and again.
     """
     tasks = iter(tasks_of(rows, workers))
     running: set[Future[list[Outcome]]] = set()
@@ -115,10 +72,10 @@ def compute(
             done, running = wait(running, timeout=STOP_SEEN_WITHIN_S, return_when=FIRST_COMPLETED)
             for future in done:
                 keep(future.result())
-    except BrokenExecutor as error:
+    except worker_lost() as error:
         raise SolimonError(
-            "a worker process ended by itself (killed, or out of memory); finished rows are kept: give the "
-            "same command again, with fewer --workers if memory is short"
+            "workers ended by themselves again and again (killed, or out of memory); finished rows are kept: "
+            "give the same command again, with fewer --workers if memory is short"
         ) from error
 
 

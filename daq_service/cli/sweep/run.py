@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from daq_service.cli.sweep.execution import ExecutorKind, compute, opened_executor
+from daq_service.cli.sweep.execution import compute
 from daq_service.cli.sweep.outputs import check_outputs, files_of, write_output
 from daq_service.cli.sweep.plan import Plan, Row, describe
 from daq_service.cli.sweep.progress import Progress
@@ -20,6 +20,7 @@ from daq_service.cli.sweep.shot import INVALID, RESULTS, Outcome
 from daq_service.cli.sweep.table import SweepTable, make_table
 from daq_service.cli.sweep.work_file import WorkFile, belongs_to, open_work_file, work_path
 from daq_service.errors import StorageError, UsageError
+from daq_service.processes.executors import opened_executor, workers_of
 from daq_service.shared_file import patiently
 
 
@@ -29,7 +30,7 @@ class SweepOptions:
 
     outputs: tuple[Path, ...] = ()
     workers: int = 1
-    executor: ExecutorKind = "processes"
+    executor: str = "processes"
     skip_invalid: bool = False
     overwrite: bool = False
 
@@ -92,7 +93,8 @@ def _outcomes(
     missing = [row for row in plan.rows if row.index not in outcomes]
     if missing:
         with opened_executor(options.executor, options.workers) as executor:
-            compute(plan, missing, executor, workers=options.workers, keep=keep, stop=stop)
+            workers = workers_of(executor, options.workers)
+            compute(plan, missing, executor, workers=workers, keep=keep, stop=stop)
     if len(outcomes) < len(plan.rows):
         kept = (
             "nothing is kept without --out"

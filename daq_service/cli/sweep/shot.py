@@ -14,9 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.processes.worker import leave_with_parent
 from simulator.errors import SimulatorError, SpecimenError
-from simulator.numerics.one_thread import one_blas_thread
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
@@ -160,9 +158,3 @@ def zener_numbers(
     """Zener's impact of the last sphere."""
     row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}
-
-
-def start_worker() -> None:
-    """Prepare a worker process: one BLAS thread, and gone when its parent is."""
-    one_blas_thread().__enter__()
-    leave_with_parent()

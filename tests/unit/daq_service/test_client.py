@@ -11,10 +11,11 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 
 from daq_service import client
+from daq_service.catalogue import SetCommit
 from daq_service.client.connection import Connection, parsed
 from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
@@ -41,6 +42,14 @@ def filled(tmp_path_factory):
         if index > 1:
             folder.add_environment(index)
     folder.add_alarm("B", 55)
+    retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+    second = {"name": "B-baseline-2", "state": "collecting", "first_set_index": 400, "last_set_index": 424}
+    for row in (
+        frozen_baseline("B", state="retired", **retired),
+        frozen_baseline("B", **second),
+        frozen_baseline("C", approved_utc_ns=folder.epoch_ns),
+    ):
+        folder.catalogue.commit_set(SetCommit(baselines=[row]))
     folder.annotate(3.0, to_h=5.5, position="B", text="couplant renewed")
     folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space")
     yield folder
@@ -82,6 +91,18 @@ def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, s
             else:
                 assert value == told, column
     assert set(here) == set(page["items"][0]), "nothing that the page has is missing"
+
+
+def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
+    here, there = of_folder.baselines("B"), of_service.baselines("B")
+    pd.testing.assert_frame_equal(here, there, check_exact=True)
+    assert here["name"].tolist() == ["B-baseline-1", "B-baseline-2"]
+    assert here["state"].tolist() == ["retired", "collecting"]
+    assert (here["retired_by"][0], here["retired_because"][0]) == ("ben", "coupled anew")
+    assert here["retired_utc"].tolist() == [pd.Timestamp("2024-01-01T00:00Z"), pd.NaT]
+    # Around sets 2 to 47 it was 21.5 degrees, around 400 to 424 nothing was measured.
+    assert here["temperature_c"].tolist() == [[21.5, 21.5], None]
+    assert of_folder.baselines()["position"].tolist() == ["B", "B", "C"]
 
 
 def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):

@@ -182,12 +182,12 @@ def _recomputed(
     read_set = partial(_records_at, position, archive)
     with ExitStack() as stack:
         again = stack.enter_context(catalogue_beside(stored.experiment_row()))
-        judged = judge_again(
+        judge_again(
             stored,
             again,
             folder,
             settings,
-            partial(extracted_features, settings),
+            lambda record: extracted_features(settings.rig.dry_run, record.shots),
             up_to_set=up_to_set,
             read_set=read_set,
             progress=progress,
@@ -204,7 +204,7 @@ def _recomputed(
         if settings.positions[position].method == SOLITARY_WAVE and not settings.rig.dry_run:
             pulses = pulses_of(again, read_set, baseline, position, up_to_set)
         return Recomputed(
-            n_sets=len(judged),
+            n_sets=len({shot.set_index for shot in shots}),
             n_records=len(shots),
             raised=raised,
             differences=found,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +18,7 @@ from typing import Any
 import click
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import features_of, features_of_a_rehearsal
+from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
 from daq_service.alarms.states import (
     AFTER_ACKNOWLEDGEMENT,
     RETIRING,
@@ -30,18 +29,30 @@ from daq_service.alarms.states import (
 )
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, ExperimentRow, FeatureRow, SetRow, ShotRow
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    BaselineRow,
+    EventRow,
+    ExperimentRow,
+    FeatureRow,
+    SetRow,
+    ShotRow,
+)
 from daq_service.catalogue.store import open_for_a_while
+from daq_service.judgement.life import STEPS, planned
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.cost import Cost
 from daq_service.recording.ledger import Ledger
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
 """Features of a set's shots by their sequence."""
 ReadSet = Callable[[SetReference], SetRecord]
 Progress = Callable[[int, int], None]
+LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
+"""Columns of a baseline that a person's step changes."""
 
 
 @contextmanager
@@ -71,10 +82,10 @@ def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFe
     return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
 
 
-def extracted_features(settings: Settings, record: SetRecord) -> dict[int, ShotFeatures]:
+def extracted_features(rehearsal: bool, shots: Sequence[Shot]) -> dict[int, ShotFeatures]:
     """Extract the features of a set's shots from their waveforms, as the recorder does."""
-    extract = features_of_a_rehearsal if settings.rig.dry_run else features_of
-    return {shot.sequence: extract(shot) for shot in record.shots}
+    extract = features_of_a_rehearsal if rehearsal else features_of
+    return {shot.sequence: extract(shot) for shot in shots}
 
 
 def _as_extracted(row: FeatureRow, flags: tuple[str, ...]) -> ShotFeatures:
@@ -141,11 +152,17 @@ class _Again:
         logging.getLogger(Ledger.__module__).addHandler(logging.NullHandler())
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
-        events = self._stored.rows(EventRow, topics=("sets", "alarms"))
+        events = [
+            event
+            for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
+            if event.topic != "verdicts" or event.kind in STEPS
+        ]
         total = len({event.set_index for event in events if self._is_set(event, up_to_set)})
         done: set[int] = set()
         for event in events:
-            if event.set_index is None:
+            if event.kind in STEPS:
+                self._take_step(event)
+            elif event.set_index is None:
                 self._take_deed(event)
             elif self._is_set(event, up_to_set) and event.set_index not in done:
                 self._take_set(event.set_index)
@@ -153,12 +170,13 @@ class _Again:
                 progress(len(done), total)
                 if event.set_index == up_to_set:
                     break
-        return done
+        return {index for index in done if index < PLANNED_SETS}
 
     @staticmethod
     def _is_set(event: EventRow, up_to_set: int | None) -> bool:
-        wanted = up_to_set is None or (event.set_index is not None and event.set_index <= up_to_set)
-        return event.topic == "sets" and event.set_index is not None and wanted
+        if event.topic != "sets" or event.set_index is None:
+            return False
+        return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
 
     def _take_set(self, set_index: int) -> None:
         rows = self._stored.rows(SetRow, set_index=set_index)
@@ -167,18 +185,34 @@ class _Again:
             self._take_empty(rows)
             return
         record = self._read_set(SetReference(file))
-        due = DueSet(set_index=set_index, due_h=record.due_h, due_utc_ns=record.due_utc_ns)
-        self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
+        due = due_of(record)
+        if due.position in (None, *self._settings.positions):
+            self._ledger.commit(self._ledger.judged(due, record, file, self._features(record)))
 
     def _take_empty(self, rows: list[SetRow]) -> None:
         """Give a set without a record the rows that it has; strikes that came to nothing tell of alarms."""
         self._ledger.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
-            if row.state != "retired" and row.n_missed:
+            if row.purpose is None and row.state != "retired" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
                 for condition in self._ledger.passed(row):
                     self._ledger.tell(condition, moment)
+
+    def _take_step(self, event: EventRow) -> None:
+        """Do again what a person did to a baseline; its numbers are those of this judgement."""
+        told = BaselineRow(
+            **{name: event.payload[name] for name in BaselineRow.__slots__ if name in event.payload}
+        )
+        rows = {row.id: row for row in self._again.rows(BaselineRow, position=told.position)}
+        if (present := rows.get(told.id)) is not None:
+            step = {name: getattr(told, name) for name in LIFE}
+            self._again.restore([replace(present, **step)])
+        else:  # a successor that begins: as many sets as a baseline has by these settings
+            its = planned(told.position, self._settings, self._again.baseline(told.position))
+            last_set = told.first_set_index + its.last_set - its.first_set
+            self._again.restore([replace(told, last_set_index=last_set)])
+        self._ledger.renewed(told.position)
 
     def _take_deed(self, event: EventRow) -> None:
         """Do again what a person did to an alarm, where it stands in this judgement, too."""

@@ -13,8 +13,10 @@ from typing import Any
 import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.archive import FolderSetReader
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow
+from daq_service.cli.offline.evidence.ahead import ExtractedAhead
 from daq_service.cli.offline.evidence.changes import (
     EXTRACTED,
     JUDGED,
@@ -26,10 +28,8 @@ from daq_service.cli.offline.evidence.changes import (
     onsets,
 )
 from daq_service.cli.offline.evidence.judged_again import (
-    FeaturesOfSet,
     Progress,
     catalogue_beside,
-    extracted_features,
     judge_again,
     stored_features,
     told_progress,
@@ -37,6 +37,8 @@ from daq_service.cli.offline.evidence.judged_again import (
 from daq_service.cli.offline.evidence.other_settings import changed, parsed
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
+from hardware_drivers.measurement import in_order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +60,22 @@ class Replayed:
     differences: list[Difference]
 
 
-def run_replay(*, data_dir: Path, given: tuple[str, ...], extract: bool, as_json: bool) -> None:
+def run_replay(
+    *,
+    data_dir: Path,
+    given: tuple[str, ...],
+    extract: bool,
+    executor: str | None,
+    workers: int | None,
+    as_json: bool,
+) -> None:
     """Judge a stored test again and print what changed; the folder is only read."""
-    found = replayed(data_dir, given, extract=extract, progress=told_progress)
+    if not extract and (executor or workers):
+        raise UsageError("--executor and --workers do the work of --extract; give it, or leave them out")
+    by = None
+    if extract:
+        by = checked_name(executor or "threads", workers), workers or usable_cores()
+    found = replayed(data_dir, given, extract_by=by, progress=told_progress)
     if as_json:
         click.echo(json.dumps(asdict(found)))
         return
@@ -69,7 +84,11 @@ def run_replay(*, data_dir: Path, given: tuple[str, ...], extract: bool, as_json
 
 
 def replayed(
-    folder: Path, given: Iterable[str], *, extract: bool, progress: Progress = lambda done, total: None
+    folder: Path,
+    given: Iterable[str],
+    *,
+    extract_by: tuple[str, int] | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> Replayed:
     """Judge a stored test with some settings changed, and compare with what is stored.
 
@@ -77,8 +96,8 @@ def replayed(
     ----------
     given
         ``KEY=VALUE`` each; without any the test is judged as it was.
-    extract
-        Take the features from the waveforms again, instead of the stored ones.
+    extract_by
+        Executor and number of workers that take the features from the waveforms again; None: the stored ones.
 
     Raises
     ------
@@ -93,25 +112,35 @@ def replayed(
         stored = stack.enter_context(open_catalogue(folder))
         experiment = stored.experiment_row()
         settings = changed(experiment.configuration, settings_given)
-        features: FeaturesOfSet = partial(extracted_features, settings)
-        extractor = EXTRACTOR_VERSION
-        if not extract:
-            features, extractor = (
-                partial(stored_features, stored),
-                _one_extractor(stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]),
-            )
         again = stack.enter_context(catalogue_beside(experiment))
-        sets = judge_again(stored, again, folder, settings, features, progress=progress)
-        last = max(sets, default=None)
+        judge = partial(judge_again, stored, again, folder, settings, progress=progress)
+        if extract_by is None:
+            versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
+            extractor = _one_extractor(versions)
+            sets = judge(partial(stored_features, stored))
+        else:
+            extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
+            executor = stack.enter_context(opened_executor(name, workers))
+            archive = FolderSetReader(folder)
+            files = archive.sets()
+            ahead = ExtractedAhead(
+                executor=executor,
+                workers=workers_of(executor, workers),
+                rehearsal=settings.rig.dry_run,
+                read=archive.read_set,
+                references=iter([files[index] for index in sorted(files, key=in_order)]),
+            )
+            sets = judge(ahead.features, read_set=ahead.read_set)
+        last = max(sets, key=in_order, default=None)
         return Replayed(
             experiment=experiment.name,
             changed={".".join(path): value for path, value in settings_given.items()},
-            extracted=extract,
+            extracted=extract_by is not None,
             extractor_version=extractor,
             sets=len(sets),
             alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
             differences=differences(
-                (*EXTRACTED, *JUDGED) if extract else JUDGED, stored, again, up_to_set=last
+                (*EXTRACTED, *JUDGED) if extract_by else JUDGED, stored, again, up_to_set=last
             ),
         )
 

@@ -207,8 +207,10 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         for step in steps:
             scanned = re.match(r"SCAN (\w+)( USING)?", step)
             if scanned is not None and scanned[1] in GROWING:
-                # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11.
-                filtered = "WHERE" in sql and "shot_index IS" not in sql
+                # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11,
+                # but for the few that are beside the plan.
+                asked = re.sub(r"WHERE \w+\.set_index < \?", "", sql)
+                filtered = "WHERE" in asked and "shot_index IS" not in asked
                 page = "LIMIT" in sql and not scanned[2] and not filtered
                 assert page, (sql, values, steps)
             # Only what is few is sorted: open orders, standing alarms, a position's resets, a set's shots.

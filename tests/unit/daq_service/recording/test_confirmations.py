@@ -4,11 +4,16 @@ import threading
 from dataclasses import replace
 
 import pytest
+from support.life_of_a_test import run
 from support.memory_archive import MemoryArchive
 from support.memory_line import Line, healthy, memory_settings
+from support.stored_files import read_set
+from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.catalogue.rows import CommandRow, FeatureRow, SetRow, VerdictRow
-from daq_service.judgement.confirmation import confirmation_of
+from daq_service.cli.keeping.verify import verify_folder
+from daq_service.judgement.confirmation import ALARM, STEP, confirmation_of
+from daq_service.recording.rebuild import rebuild
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 
 SETS, FIRST = 22, 17
@@ -98,6 +103,11 @@ def test_the_alarm_s_proof_says_what_the_confirmation_set_says(whole):
     assert [told["set_index"] for told in proven] == [AFTER_FIRST, AFTER_THIRD]
     assert the_alarm(whole).proof["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
+
+
+def test_a_transducer_that_stays_sick_is_not_asked_every_set(whole):
+    asked = [row.payload["because"] for row in whole.rows("events") if row.kind == "confirmation_asked"]
+    assert asked == [STEP, ALARM]
 
 
 def test_a_single_odd_set_is_not_confirmed(line):
@@ -191,6 +201,18 @@ def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line, journal
     again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
     assert again == ([("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)] if journal else [])
     assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
+
+
+def test_a_lost_catalogue_comes_again_with_its_confirmation_sets(line):
+    run(line)
+    before = table_rows(line.folder)
+    assert verify_folder(line.folder).damage == []
+    files = {read_set(line.folder / row.file).set_index for row in beside(line)}
+    assert files == {AFTER_FIRST, AFTER_THIRD}
+    lose_catalogue(line.folder)
+    assert rebuild(line.folder, features_of=line.features_of).warnings == []
+    assert table_rows(line.folder) == before
+    assert verify_folder(line.folder).damage == []
 
 
 class Killed(BaseException):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hardware_drivers.measurement import PLANNED_SETS
 from simulator.experiment import processes
 from simulator.experiment.processes import (
     LAGS,
@@ -39,6 +40,19 @@ def test_the_memory_from_set_to_set_is_that_of_an_ar1_process(memory):
     assert x.var() == pytest.approx(1.0, abs=slack)
     for lag in (1, 2, 5):
         assert (x[lag:] * x[:-lag]).mean() == pytest.approx(memory**lag, abs=slack)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.8])
+def test_a_set_beside_the_plan_remembers_the_planned_one_before_it(memory):
+    last = LAGS - 1  # the next planned set lies in the next block
+    planned, following = series(memory, sets=2, first=last)
+    beside, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
+    # As between neighbouring planned sets. 4 of 1 / sqrt(n), widened by the kurtosis of t5.
+    slack = 4.0 * np.sqrt(3.0 / WIDE)
+    assert (beside * planned).mean() == pytest.approx(memory, abs=slack)
+    assert (beside * following).mean() == pytest.approx(memory**2, abs=slack)
+    assert (beside * another).mean() == pytest.approx(memory**2, abs=slack)
+    assert not np.any(beside == following)
 
 
 def test_the_tails_are_student_s():

@@ -1,8 +1,11 @@
 """A stored test judged once more: what other settings change, and why an alarm stands."""
 
 import json
+import pickle
 import re
 import shutil
+from concurrent.futures import Executor, Future
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +15,7 @@ from support.drifting_wall import RAISED, drifting_wall
 from support.life_of_a_test import lived
 
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, VerdictRow
+from daq_service.cli.offline.evidence import replay
 from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
 from daq_service.cli.offline.evidence.other_settings import changed, judging_keys, parsed
 from daq_service.cli.offline.evidence.replay import in_words, replayed
@@ -66,22 +70,34 @@ def raised(onsets):
     return {(one.position, one.kind): one.set_index for one in onsets}
 
 
-@pytest.mark.parametrize("extract", [False, True])
-def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract):
+class Elsewhere(Executor):
+    """Does its tasks at once, with copies, as another process has them."""
+
+    def submit(self, work, /, *arguments):
+        future = Future()
+        work, arguments = pickle.loads(pickle.dumps((work, arguments)))
+        future.set_result(pickle.loads(pickle.dumps(work(*arguments))))
+        return future
+
+
+@pytest.mark.parametrize("extract_by", [None, ("processes", 2)])
+def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, extract_by, monkeypatch):
+    monkeypatch.setattr(replay, "opened_executor", lambda name, workers: nullcontext(Elsewhere()))
     before = content_of(line.folder)
-    found = replayed(line.folder, (), extract=extract)
-    assert (found.sets, found.extracted, found.differences) == (25, extract, [])
+    # Two of them stand beside the plan: both suspicions were confirmed.
+    found = replayed(line.folder, (), extract_by=extract_by)
+    assert (found.sets, found.extracted, found.differences) == (27, extract_by is not None, [])
     assert raised(found.alarms.kept) == RAISED
     assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
     assert content_of(line.folder) == before
 
 
 def test_what_people_did_and_sets_without_a_record_are_judged_where_they_stood(life):
-    found = replayed(life.folder, (), extract=False)
+    found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
     assert {one.kind for one in found.alarms.kept} == {"no_data", "retired"}
     # D has two poor sets running in set 3, and was reinstated before it had four.
-    later = replayed(life.folder, ["quality.no_data_sets=4"], extract=False).alarms
+    later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
     assert raised(later.go) == {("D", "no_data"): 3}
 
 
@@ -95,7 +111,7 @@ def test_a_setting_moves_an_alarm(line):
 
 
 def test_a_longer_baseline_is_told_with_its_limits_and_the_sets_that_are_judged_otherwise(line):
-    found = replayed(line.folder, ["baseline.hours=8"], extract=False)
+    found = replayed(line.folder, ["baseline.hours=8"])
     words = list(in_words(found))
     assert "stays  C hole: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words

@@ -22,7 +22,6 @@ from support.waiting import ended
 
 from daq_service.cli.sweep import outputs as outputs_module
 from daq_service.cli.sweep import run as run_module
-from daq_service.cli.sweep import shot as shot_module
 from daq_service.cli.sweep.execution import ROWS_PER_TASK, tasks_of
 from daq_service.cli.sweep.plan import Plan, make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
@@ -31,6 +30,7 @@ from daq_service.cli.sweep.specification import parse_axis
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.sweep.work_file import open_work_file, work_path
 from daq_service.errors import BusyError, StorageError, UsageError
+from daq_service.processes import executors
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -132,10 +132,10 @@ def test_a_worker_is_deaf_to_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest
     told: list[object] = []
     monkeypatch.setattr("multiprocessing.parent_process", Parent)
     monkeypatch.setattr(os, "_exit", told.append)
-    monkeypatch.setattr(shot_module, "one_blas_thread", nullcontext)
+    monkeypatch.setattr(executors, "one_blas_thread", nullcontext)
     before, threads = signal.getsignal(signal.SIGINT), set(threading.enumerate())
     try:
-        shot_module.start_worker()
+        executors.start_worker()
         assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGINT, before)

@@ -1,0 +1,74 @@
+"""Executors by name: the same interface and digits, and a killed worker costs its task, not the run."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from support.dying_worker import die_always, die_once
+
+from daq_service.errors import BusyError, UsageError
+from daq_service.processes import executors
+from daq_service.processes.executors import checked_name, opened_executor, worker_lost
+
+NUMBERS = range(6)
+NOBODY = "dask://127.0.0.1:1"
+
+
+def test_a_killed_process_costs_its_task_and_not_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors, "MOST_TRIES", 2)
+    with opened_executor("processes", 1) as executor:
+        futures = [executor.submit(die_once, tmp_path / "noted", number) for number in NUMBERS]
+        assert [future.result() for future in futures] == list(NUMBERS)
+        # One that kills every worker is given up, and the pool serves on.
+        with pytest.raises(worker_lost()):
+            executor.submit(die_always, 0).result()
+        assert executor.submit(math.sqrt, 4.0).result() == 2.0
+
+
+def test_what_has_not_begun_is_dropped_and_an_error_is_the_task_s_own():
+    with opened_executor("processes", 1) as executor:
+        with pytest.raises(ValueError, match="math domain"):
+            executor.submit(math.sqrt, -1.0).result()
+        held = [executor.submit(math.sqrt, float(number)) for number in range(500)]
+        assert held[-1].cancel()
+        assert held[-1].cancelled()
+    assert {future.cancelled() or future.result() >= 0.0 for future in held} == {True}
+
+
+def test_names_of_executors_are_checked_before_anything_is_begun():
+    for name in ("processes", "threads", "dask://there", "dask://there:9000"):
+        assert checked_name(name, None) == name
+    for name in ("process", "dask://", "dask:there", "http://there"):
+        with pytest.raises(UsageError, match="say processes, threads, or dask"):
+            checked_name(name, None)
+    with pytest.raises(UsageError, match="--workers does not belong to a cluster"):
+        checked_name("dask://there", 4)
+
+
+def test_a_cluster_that_does_not_answer_and_a_missing_extra_are_told(monkeypatch):
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    with pytest.raises(BusyError, match="no Dask scheduler answers at tcp:"), opened_executor(NOBODY, 1):
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match=r"solimon\[cluster\]"), opened_executor(NOBODY, 1):
+        pass
+
+
+@pytest.mark.slow
+def test_a_cluster_and_processes_have_the_same_digits_and_a_worker_may_be_killed(tmp_path):
+    pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+    # In a process of its own: Dask keeps threads for the life of one.
+    command = [sys.executable, "-m", "support.local_cluster", str(tmp_path)]
+    tests = Path(__file__).parents[3]
+    environment = {**os.environ, "PYTHONPATH": str(tests)}
+    done = subprocess.run(command, cwd=tests, env=environment, capture_output=True, text=True, check=True)
+    told = json.loads(done.stdout)
+    assert told["workers"] == 2
+    assert told["died"]
+    assert told["done"] == list(range(6))
+    assert told["sweep"]["cluster"] == told["sweep"]["threads"]
+    assert told["replay"] == [{"sets": 27, "differences": [], "kept": 2}] * 2
