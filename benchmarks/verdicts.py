@@ -141,7 +141,7 @@ def place_of(case: Case, part: float, reseat: FloatArray, n: int) -> tuple[Float
             warmer_k = part * size
         else:
             place[rows[source]] += part * size
-    return (place + part * reseat if case is RESEAT else place), warmer_k
+    return (place + part * reseat if case == RESEAT else place), warmer_k
 
 
 def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
