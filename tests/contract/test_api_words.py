@@ -90,6 +90,8 @@ def kinds_of_the_code():
             elif name == "_to" and path.name == "states.py":
                 place = node.args[3]
             named = [key.value for key in node.keywords if key.arg == "event_kind"]
+            if name == "change_baselines":
+                named += [step.elts[1] for step in node.args if isinstance(step, ast.Tuple)]
             if name == "add_event":
                 named += [key.value for key in node.keywords if key.arg == "kind"]
             for part in ([place] if place is not None else []) + named:
