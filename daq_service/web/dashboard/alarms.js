@@ -5,13 +5,15 @@ import { get, post } from "./api.js";
 import { confirmed } from "./control/confirm.js";
 import { author, may } from "./control/who.js";
 import { button, el, setText } from "./dom.js";
-import { hour, utc } from "./format.js";
+import { hour, setName, utc } from "./format.js";
 import { SEVERITIES, chip } from "./icons.js";
-import { follow, order } from "./orders.js";
+import { follow, giveBy, order } from "./orders.js";
 import { Proof, setLink } from "./proof.js";
 import { ShelfDialog, suppressedText, tellAgain } from "./shelf.js";
 
 const WAITING = new Set(["unacknowledged", "returned_unacknowledged"]);
+/** Kinds that a confirmation set may tell more of. */
+const CONFIRMED = new Set(["wall_change", "transducer_change"]);
 const RANK = { critical: 0, high: 1, medium: 2, low: 3 };
 /** @type {Record<string, string>} */
 const WORDS = {
@@ -111,6 +113,9 @@ export class SolimonAlarms extends HTMLElement {
     if (alarm.position !== null && alarm.raised_set_index !== null) {
       foot.append(setLink(alarm.position, alarm.raised_set_index, "Open set", { "data-focus": `set-${alarm.id}`, "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` }, this.host.open));
     }
+    const beside = alarm.proof?.confirmation?.set_index;
+    if (beside != null) foot.append(setLink(alarm.position, beside, "Open confirmation set", { "data-focus": `beside-${alarm.id}`, "aria-label": `Open ${setName(beside)} of position ${alarm.position}` }, this.host.open));
+    if (CONFIRMED.has(alarm.kind) && alarm.state !== "normal") offer("confirm", "confirm", "Strike again now", (pressed) => this.strikeAgain(alarm, pressed), { "aria-label": `Strike a confirmation set at ${alarm.position} now` });
     const at = `hour ${hour(alarm.raised_h)}`;
     const show = () => this.dispatchEvent(new CustomEvent("show-hour", { detail: { position: alarm.position, hour: alarm.raised_h } }));
     const goes = button(at, show, { class: "link", "data-focus": `hour-${alarm.id}`, "aria-label": `Show ${at} of ${alarm.position ?? "the test"} on the charts and the waterfall` });
@@ -205,6 +210,11 @@ export class SolimonAlarms extends HTMLElement {
       button.disabled = false;
       this.dispatchEvent(new CustomEvent("trouble", { detail: /** @type {Error} */ (error).message }));
     }
+  }
+
+  /** @param {any} alarm @param {HTMLButtonElement} button */
+  async strikeAgain(alarm, button) {
+    await giveBy(button, "confirm", { position: alarm.position }, (detail) => this.dispatchEvent(new CustomEvent("trouble", { detail })));
   }
 
   /** @param {HTMLButtonElement} button */

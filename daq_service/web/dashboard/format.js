@@ -54,6 +54,15 @@ export function hour(hours) {
   return fixed(hours, 1);
 }
 
+/** Sets of a plan have smaller indices, those beside it (`hardware_drivers/measurement.py`) larger ones. */
+export const PLANNED_SETS = 10_000_000;
+
+/** A planned set by its number, a confirmation set by the planned one before it. @param {number} index */
+export function setName(index) {
+  const beside = Math.floor(index / PLANNED_SETS);
+  return beside ? `confirmation set ${beside} after set ${index % PLANNED_SETS}` : `set ${index}`;
+}
+
 /** RFC 3339 to a short UTC text. @param {string | null | undefined} text */
 export function utc(text) {
   return text ? `${text.slice(0, 10)} ${text.slice(11, 16)} UTC` : NONE;

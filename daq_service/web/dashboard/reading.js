@@ -2,6 +2,7 @@
 // what is drawn; an event only says what to read again.
 
 import { all, get, hasData, trend } from "./api.js";
+import { PLANNED_SETS } from "./format.js";
 
 const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
@@ -42,6 +43,8 @@ export class Reading {
     this.fits = new Map();
     /** @type {Map<string, any[]>} sets without a record, by position */
     this.gaps = new Map();
+    /** Confirmation sets by position. @type {Map<string, any[]>} */
+    this.beside = new Map();
     /** @type {any[]} */
     this.alarms = [];
     /** @type {Map<string, any>} newest verdict by position; it holds every limit by its name */
@@ -178,7 +181,7 @@ export class Reading {
       const last = this.trends.get(event.position)?.columns.set_index.at(-1) ?? -1;
       // A frozen baseline or a correction changes sets that are already drawn.
       if (topic === "service" || (topic === "verdicts" && (event.set_index ?? last) < last) || String(event.kind).includes("baseline")) this.wholly(event.position);
-      if (event.kind === "set_missed" || event.kind === "set_retired") dirty.gaps.add(event.position);
+      if (event.kind === "set_missed" || event.kind === "set_retired" || event.set_index >= PLANNED_SETS) dirty.gaps.add(event.position);
       dirty.positions.add(event.position);
     } else if (!["alarms", "service", "environment"].includes(topic)) this.everything();
     else if (topic !== "environment" && event.set_index !== null) for (const place of this.info.positions) dirty.positions.add(place.position);
@@ -288,10 +291,11 @@ export class Reading {
     if (String(span) === String(this.span)) this.details.set(position, detail);
   }
 
-  /** Sets that were missed or fell into a retirement: marks of the charts. @param {string} position */
+  /** Sets that were missed, fell into a retirement or stand beside the plan: marks of the charts. @param {string} position */
   async readGaps(position) {
-    const states = ["missed", "retired"];
-    const pages = await Promise.all(states.map((state) => all(`/sets?position=${position}&state=${state}&limit=1000`)));
+    const which = ["state=missed", "state=retired", "purpose=confirmation"];
+    const pages = await Promise.all(which.map((one) => all(`/sets?position=${position}&${one}&limit=1000`)));
+    this.beside.set(position, pages.pop() ?? []);
     this.gaps.set(position, pages.flat().sort((a, b) => a.set_index - b.set_index));
   }
 

@@ -3,7 +3,7 @@
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 import { axisLook } from "./charts/plot.js";
 import { color, el, setText } from "./dom.js";
-import { NONE, fixed, hour, quantity } from "./format.js";
+import { NONE, fixed, hour, quantity, setName } from "./format.js";
 import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
 /** @typedef {import("./streams.js").Record_} Record_ */
@@ -75,7 +75,7 @@ export class SolimonWaveform extends HTMLElement {
     this.dataset.samples = String(record.volts.length);
     this.emptyText.hidden = true;
     const { header } = record;
-    setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, set ${header.set_index}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
+    setText(this.subtitle, `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`);
     this.fillReadouts();
     this.box.setAttribute("aria-label", `Record of position ${header.position}: ${[...this.readouts.children].map((group) => group.textContent).join("; ")}`);
     if (this.plot && sameKind) this.plot.setData([record.micros, record.volts]);

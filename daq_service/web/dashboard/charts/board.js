@@ -30,6 +30,11 @@ export function rangesOf(gaps) {
   return ranges.map(({ from_h, to_h, word, tone }) => ({ from_h, to_h, word, tone }));
 }
 
+/** Sets beside the plan: a line with its word. @param {any[]} beside @returns {import("./marks.js").Range[]} */
+export function besideOf(beside) {
+  return beside.map(({ due_h }) => ({ from_h: due_h, to_h: due_h, word: "confirmation set", tone: "note" }));
+}
+
 export class Board {
   /**
    * @param {import("../reading.js").Reading} reading @param {import("./others.js").Others} others of other tests
@@ -168,14 +173,15 @@ export class Board {
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
     const of = { method: this.reading.place(position).method, positions: positions.filter((one) => !isOther(one)) };
-    return { of, ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => rangesOf(this.reading.gaps.get(one) ?? []))], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
+    return { of, ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => [...rangesOf(this.reading.gaps.get(one) ?? []), ...besideOf(this.reading.beside.get(one) ?? [])])], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
   hourOf(position, index) {
     const columns = this.trend(position)?.columns;
     const row = columns?.set_index.indexOf(index) ?? -1;
-    return row >= 0 ? columns.due_h[row] : (this.reading.gaps.get(position)?.find((gap) => gap.set_index === index)?.due_h ?? null);
+    const others = [...(this.reading.gaps.get(position) ?? []), ...(this.reading.beside.get(position) ?? [])];
+    return row >= 0 ? columns.due_h[row] : (others.find((one) => one.set_index === index)?.due_h ?? null);
   }
 
   /** @param {SolimonChart} chart @param {View} view @param {string[]} positions @param {string} field @param {string} key @param {string} short */

@@ -1,6 +1,7 @@
 // Everything that is known of one set of one position, from the API.
 
 import { get } from "../api.js";
+import { setName } from "../format.js";
 import { readRecords } from "./records.js";
 
 /**
@@ -24,12 +25,12 @@ const items = async (path) => (await get(path)).items;
  * @returns {Promise<Evidence>}
  */
 export async function readEvidence(position, method, index) {
-  const which = `position=${position}&set_index=${index}`;
   const waves = method === "solitary_wave";
+  const which = `position=${position}&set_index=${index}${waves ? "&purpose=any" : ""}`;
   const [set] = await items(`/sets?${which}`);
   /** @type {Evidence} */
   const nothing = { set: set ?? null, shots: [], feature: null, ofShots: [], verdict: null, baseline: null, environment: null, stored: null, missing: "" };
-  if (!set) return { ...nothing, missing: `Set ${index} of position ${position} has not been recorded.` };
+  if (!set) return { ...nothing, missing: `Nothing is recorded of ${setName(index)} at position ${position} yet.` };
   const taken = set.n_taken > 0;
   const [features, ofShots, [verdict], baselines, environment, shots, stored] = await Promise.all([
     items(waves ? `/features?${which}&scope=set` : `/thickness?${which}`),

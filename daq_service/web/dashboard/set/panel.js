@@ -4,7 +4,7 @@ import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
 import { exportMenu, setOffer } from "../export.js";
-import { duration, fixed, hour, utc } from "../format.js";
+import { PLANNED_SETS, duration, fixed, hour, setName, utc } from "../format.js";
 import { SEVERITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
 import { readEvidence } from "./evidence.js";
@@ -123,7 +123,7 @@ export class SolimonSet extends HTMLElement {
     if (set === null) return;
     const asked = (this.asked = `${position} ${set}`);
     const place = this.host.info().positions.find((/** @type {any} */ one) => one.position === position);
-    setText(this.heading, `Position ${position} · set ${set}`);
+    setText(this.heading, `Position ${position} · ${setName(set)}`);
     setText(this.subtitle, place.label);
     this.neighbours();
     try {
@@ -165,14 +165,16 @@ export class SolimonSet extends HTMLElement {
   neighbours() {
     const { position, set } = this.host.view();
     this.previous.disabled = set === 0;
-    this.next.disabled = set !== null && set >= this.host.last(position);
+    this.next.disabled = set !== null && set % PLANNED_SETS >= this.host.last(position);
   }
 
   /** @param {number} by */
   step(by) {
     const { position, set } = this.host.view();
     if (set === null) return;
-    const next = Math.max(0, Math.min(this.host.last(position), set + by));
+    // A confirmation set stands between two planned ones.
+    const planned = set % PLANNED_SETS;
+    const next = Math.max(0, Math.min(this.host.last(position), planned === set || by > 0 ? planned + by : planned));
     if (next !== set) this.host.go({ set: next, shot: null }, { step: true });
   }
 
@@ -214,7 +216,7 @@ export class SolimonSet extends HTMLElement {
     const units = this.host.units(view.position);
     const place = info.positions.find((/** @type {any} */ one) => one.position === view.position);
     this.neighbours();
-    setText(this.heading, `Position ${view.position} · set ${view.set}${set ? ` · hour ${hour(set.due_h)}` : ""}`);
+    setText(this.heading, `Position ${view.position} · ${setName(view.set ?? 0)}${set ? ` · hour ${hour(set.due_h)}` : ""}`);
     setText(this.subtitle, set ? `${place.label} · ${utc(set.due_utc)} · ${duration(3600 * set.age_h)} old on the experiment's clock` : place.label);
     const chips = [];
     if (set && set.state !== "done") chips.push(chip({ word: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));

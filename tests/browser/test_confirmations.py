@@ -1,0 +1,49 @@
+"""From suspicion over a confirmation set to an explained alarm: a test that the recorder's own line took."""
+
+import pytest
+from support.browser_pages import dashboard, expect, query
+from support.command_line import solimon_here
+from support.drifting_wall import RAISED, drifting_wall
+from support.served_web import served
+from support.waiting import until
+
+pytestmark = pytest.mark.browser
+SET = RAISED["B", "wall_change"]
+NAME = f"confirmation set 1 after set {SET}"
+
+
+@pytest.fixture(scope="module")
+def line(tmp_path_factory):
+    return drifting_wall(tmp_path_factory.mktemp("drifting"))
+
+
+def test_from_suspicion_over_confirmation_to_the_explained_alarm(line, open_page, tmp_path):
+    with served(line.settings, line.folder) as service:
+        page = open_page(f"{service.url}?position=B")
+        until(lambda: dashboard(page, "ready"), "all that the page shows is read")
+        # Suspicion asked twice: at the first set beyond the limit, and as the alarm came.
+        ranges = dashboard(page, "charts.tof.ranges")
+        marks = [one["from_h"] for one in ranges if one["word"] == "confirmation set"]
+        assert len(marks) == 2
+        card = page.locator("[data-alarm]").filter(has_text="lie beyond the limit").first
+        expect(card).to_contain_text("CANNOT TELL")  # the walls of this test do what no wall does
+        number = card.get_attribute("data-alarm")
+        card.locator("summary", has_text="Proof").click()
+        expect(card).to_contain_text("Confirmed: the set at")
+        card.get_by_role("link", name=f"Open {NAME} of position B").click()
+        panel = page.locator("solimon-set")
+        expect(panel.get_by_role("heading", level=2)).to_contain_text(f"Position B · {NAME} · hour")
+        expect(panel).to_have_attribute("data-records", "3")
+        assert query(page)["set"] == str(10_000_000 + SET)
+        for key, shown in (("ArrowRight", SET + 1), ("ArrowLeft", SET)):
+            page.keyboard.press(key)
+            expect(panel.get_by_role("heading", level=2)).to_contain_text(f"Position B · set {shown} · hour")
+        page.close()
+    done = solimon_here(
+        "explain", number, "--data-dir", str(line.folder), "--out", str(tmp_path / "told"), env={}
+    )
+    assert done.returncode == 0, done.stderr
+    (written,) = (tmp_path / "told").glob("*.html")
+    told = open_page(written.as_uri())
+    expect(told.locator("body")).to_contain_text("the same set raises the same alarm")
+    expect(told.locator("body")).to_contain_text("Confirmed: the set at")
