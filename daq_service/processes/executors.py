@@ -203,7 +203,7 @@ def _cluster(name: str) -> Iterator[Executor]:
     address = f"tcp://{place[0]}:{place[1]}"
     try:  # a client that finds nobody leaves its thread behind
         socket.create_connection(place, timeout=CONNECTED_WITHIN_S).close()
-        client: Any = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
     except OSError as error:
         raise BusyError(
             f"no Dask scheduler answers at {address} within {CONNECTED_WITHIN_S:g} s; start `dask scheduler` "

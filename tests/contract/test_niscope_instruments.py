@@ -177,8 +177,9 @@ def test_a_pulser_that_is_off_times_out_and_one_that_is_on_again_is_recorded():
         rig.met_brain(rig.description(repetition_hz=0.5)),
         open_niscope(rig.parameters(averages=1)) as unit,
     ):
+        # It has just fired: the next firing is 2 s away.
+        unit.acquire(rig.key(), 5.0)
         with pytest.raises(AcquisitionTimeoutError, match="its sync reaches the trigger input"):
-            # The next firing is up to 2 s away, unless it happens to come in this very millisecond.
             unit.acquire(rig.key(), 1e-3)
         unit.acquire(rig.key(), 5.0)
 

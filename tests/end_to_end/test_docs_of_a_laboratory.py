@@ -123,7 +123,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exp
 
 
 def kinds_of_alarms() -> set[str]:
-    """Every kind that the code raises: those of the drive by its table, the others by their `Condition`."""
+    """Every kind that the code raises: those of the drive by its table, the others by their `Condition`s."""
     found = set(SEVERITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -138,9 +138,12 @@ def kinds_of_alarms() -> set[str]:
             if isinstance(target, ast.Name)
         }
         for node in ast.walk(tree):
-            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Condition"):
+            if not (isinstance(node, ast.Call) and getattr(node.func, "id", "") in {"Condition", "replace"}):
                 continue
-            (kind,) = (keyword.value for keyword in node.keywords if keyword.arg == "kind")
+            given = [keyword.value for keyword in node.keywords if keyword.arg == "kind"]
+            if not given and node.func.id == "replace":  # of something else than a kind
+                continue
+            (kind,) = given
             if isinstance(kind, ast.Constant):
                 found.add(str(kind.value))
             elif isinstance(kind, ast.Name):

@@ -19,12 +19,12 @@ EXTRAS = (
     "tdms",
     "parquet",
     "client",
-    "cluster",
     "notify",
     "visa",
     "conformance",
     "test",
     "dev",
+    "cluster",
 )
 _LONGEST = 60
 

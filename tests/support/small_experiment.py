@@ -108,14 +108,14 @@ def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
     with open_catalogue(folder) as catalogue:
         return {
             # A file tells by which end of the schedule its recorder went.
-            "sets": [replace(row, file_sha256=None) for row in catalogue.rows(SetRow)],
-            "set_features": catalogue.rows(FeatureRow, scope="set"),
-            "shot_features": catalogue.rows(FeatureRow, scope="shot"),
+            "sets": [replace(row, file_sha256=None) for row in catalogue.rows(SetRow, purpose="any")],
+            "set_features": catalogue.rows(FeatureRow, scope="set", purpose="any"),
+            "shot_features": catalogue.rows(FeatureRow, scope="shot", purpose="any"),
             "thickness": catalogue.rows(ThicknessRow),
-            "verdicts": catalogue.rows(VerdictRow),
+            "verdicts": catalogue.rows(VerdictRow, purpose="any"),
             "baselines": [replace(row, created_utc_ns=0) for row in catalogue.rows(BaselineRow)],
             "alarms": catalogue.rows(AlarmRow),
-            "shots": catalogue.rows(ShotRow),
+            "shots": catalogue.rows(ShotRow, purpose="any"),
         }
 
 

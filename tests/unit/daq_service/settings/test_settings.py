@@ -189,7 +189,10 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
         ({"hole": {"on_delay_s": 60.0}}, r"'hole' has neither delays nor .*these have: wall_change"),
         ({"supply_lost": {"on_delay_s": 60.0}}, r"supply_lost.on_delay_s is 60 s; .*at most 10 s"),
         ({"no_data": {"off_delay_s": 1e5}}, r"no_data.off_delay_s: .*equal to 86400.*100000"),
-        ({"no_data": {"dead_band_fraction": 0.1}}, r"is 0.1; only these kinds .*: wall_change, thickness"),
+        (
+            {"no_data": {"dead_band_fraction": 0.1}},
+            r"is 0.1; only .*: wall_change, transducer_change, thickness",
+        ),
         ({"thickness": {"dead_band_m": 1e-4}}, r"thickness.dead_band_m: unknown key; did you mean dead"),
     ],
 )
