@@ -16,6 +16,7 @@ Types and property lists never change and cost as much as writing a number, so t
 
 from __future__ import annotations
 
+import struct
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -35,6 +36,10 @@ _BLOCK_BYTES = 1 << 20
 _TEXT = h5py.string_dtype()
 _AS_STORED = ("<", "|")
 """First characters of the types whose numbers lie in memory as they lie in the file."""
+
+_HEAP = b"GCOL\1\0\0\0"
+_HEAP_OBJECT = struct.Struct("<H6xQ")
+"""Index and length of what follows."""
 
 Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
@@ -69,10 +74,35 @@ def image_of(file: h5f.FileID) -> bytes:
 
 def opened_image(image: bytes) -> h5f.FileID:
     """Open the bytes of a file for reading, in memory; whoever takes it closes it."""
+    require_finite_heaps(image)
     access = h5p.create(h5p.FILE_ACCESS)
     access.set_fapl_core(_BLOCK_BYTES, False)
     access.set_file_image(image)
     return h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDONLY, fapl=access)
+
+
+def require_finite_heaps(image: bytes) -> None:
+    """Refuse a file in whose heaps of strings HDF5 would go round for ever, holding its lock.
+
+    HDF5 goes from object to object of a global heap by the length that each tells (format specification,
+    III.E) and does not look whether that leads anywhere: in a page of zeros it stays for ever.
+
+    Raises
+    ------
+    OSError
+        An object leads nowhere, or out of its heap; as from HDF5 where it finds damage by itself.
+    """
+    at = image.find(_HEAP)
+    while at >= 0:
+        place, end = at + 16, min(at + int.from_bytes(image[at + 8 : at + 16], "little"), len(image))
+        while place + _HEAP_OBJECT.size <= end:
+            index, length = _HEAP_OBJECT.unpack_from(image, place)
+            # Object 0 is what is free, counted with its header; the others are filled up to eight bytes.
+            step = _HEAP_OBJECT.size + (length + 7) // 8 * 8 if index else length
+            if not 0 < step <= end - place:
+                raise OSError(f"the object at byte {place} of a heap of strings has the length {length}")
+            place += step
+        at = image.find(_HEAP, at + 1)
 
 
 def add_group(

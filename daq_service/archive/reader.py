@@ -28,7 +28,7 @@ from daq_service.archive.errors import (
 from daq_service.archive.journal.frames import record_of
 from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.layout import RESULTS
-from daq_service.archive.nexus import opened_image, read_field
+from daq_service.archive.nexus import opened_image, read_field, require_finite_heaps
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
@@ -479,6 +479,8 @@ def _read_everything(group: h5py.Group, place: str, left_out: set[str], unreadab
 def opened_set(path: Path, content: bytes | None = None) -> Iterator[h5py.Group]:
     """Entry of a set's file, or of its content in memory; errors below are translated."""
     try:
+        if content is None:
+            require_finite_heaps(read_shared(path))
         # No lock: a complete file never changes.
         with (
             patiently(lambda: h5py.File(path, "r", locking=False))

@@ -1,6 +1,7 @@
 """Damaged files and segments: named, or every value that is read is the one that was written."""
 
 import hashlib
+import struct
 from contextlib import closing
 from dataclasses import replace
 
@@ -19,7 +20,9 @@ from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file, check_journal
 
 QUICK = [range(15)]
-SLOW = [pytest.param(range(start, start + 100), marks=pytest.mark.slow) for start in range(30, 1030, 100)]
+# A hundred damages on a machine that does other things.
+LONG = (pytest.mark.slow, pytest.mark.timeout(1800))
+SLOW = [pytest.param(range(start, start + 100), marks=LONG) for start in range(30, 1030, 100)]
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +58,15 @@ def test_a_damaged_file_is_named_or_reads_as_it_was_written(path, image, numbers
             touched = check_file(path, sha256=hashlib.sha256(image).hexdigest()).touched
             assert touched == (content != image), number
     assert named > len(numbers) / 2
+
+
+@pytest.mark.parametrize("length", [0, 1 << 40, (1 << 64) - 16], ids=["zeros", "far", "back"])
+def test_a_heap_of_strings_in_which_hdf5_would_stay_for_ever_is_named(path, image, length):
+    at = image.index(b"GCOL")
+    first, free = at + 16, struct.pack("<H6xQ", 0, length)
+    path.write_bytes(image[:first] + free + image[first + len(free) :])
+    (found,) = check_file(path).damages
+    assert f"the object at byte {first} of a heap of strings has the length {length}" in found.reason
 
 
 def test_a_damaged_record_is_named_by_its_shot(path, image):
