@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
+from analysis.waves.outline import unlike_others
 from analysis.waves.quality_gate import DISTURBED
+from analysis.waves.record_reduction import MAD_TO_SD
 
 FEWEST_SHOTS = 3
 """Fewer valid shots have no middle."""
@@ -32,6 +35,10 @@ DEEPER_PULL = 0.035
 EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
 EARLIEST_TENTH, SHALLOW_QUARTER = 0.1, 0.25
+LATEST_OWN = 0.5
+"""Of the usual width: a wave that fires the trigger itself peaks always as late after it."""
+ARRIVAL_SD = 6.0
+"""Standard deviations, where arrivals scatter by more."""
 LATEST_MERGED = 1.6
 """Of `Template.earliest_tof_s`: before, no thinned patch splits the reflected wave (the twin's: from 1.9)."""
 
@@ -50,6 +57,8 @@ class Template:
         Most reflected waves are merged with another one.
     earliest_tof_s
         Time of flight below which no wall sends a wave back; None: not known.
+    isw_time_s, isw_time_sd_s
+        Usual arrival of the incident wave after the trigger, and its scatter; None: not known.
     """
 
     isw_fwhm_s: float
@@ -58,6 +67,8 @@ class Template:
     merged: bool = False
     pull_fraction: float | None = None
     earliest_tof_s: float | None = None
+    isw_time_s: float | None = None
+    isw_time_sd_s: float = 0.0
 
 
 def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
@@ -66,6 +77,8 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
     if len(valid) < FEWEST_SHOTS:
         return None
     tofs_s = [shot.tof_mf_s for shot in valid]
+    arrivals_s = np.array([shot.isw_time_s for shot in valid])
+    arrival_s = float(np.median(arrivals_s))
     return Template(
         isw_fwhm_s=float(np.median([shot.isw_fwhm_s for shot in valid])),
         isw_amplitude_v=float(np.median([shot.isw_amplitude_v for shot in valid])),
@@ -74,7 +87,23 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
         pull_fraction=float(np.quantile([shot.pull_fraction for shot in valid], SHALLOW_QUARTER)),
         merged=2 * sum("psw_merged" in shot.flags for shot in valid) >= len(valid),
         earliest_tof_s=EARLIEST * float(np.quantile(tofs_s, EARLIEST_TENTH)),
+        isw_time_s=arrival_s,
+        isw_time_sd_s=MAD_TO_SD * float(np.median(np.abs(arrivals_s - arrival_s))),
     )
+
+
+def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
+    """Compare shots of one transducer with its own waves, then with one another (`outline.unlike_others`)."""
+    found = [compared(shot, template) for shot in shots]
+    seen = {
+        index: shot.outline
+        for index, shot in enumerate(found)
+        if shot.valid and not shot.compared and shot.outline is not None
+    }
+    unlike = unlike_others([*seen.values()], np.array([found[index].tof_mf_s for index in seen]))
+    for index in compress(seen, unlike):
+        found[index] = graded(found[index], {*found[index].flags, DISTURBED})
+    return found
 
 
 def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
@@ -88,7 +117,7 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     # A plateau widens a wave, two strikes in one do too: those are told already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
-        other = other or abs(width - 1.0) > LIKE_ITS_OWN
+        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrived_otherwise(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
         unknown: dict[str, Any] = dict.fromkeys(
             (name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))), math.nan
@@ -110,3 +139,10 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
         found.add("double")
     return graded(shot, found)
+
+
+def _arrived_otherwise(shot: ShotFeatures, template: Template) -> bool:
+    if template.isw_time_s is None:
+        return False
+    limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)
+    return abs(shot.isw_time_s - template.isw_time_s) > limit_s
