@@ -7,6 +7,7 @@ all others resemble, but that came much earlier than they did, has lost samples 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,8 +19,11 @@ from analysis.waves.record_reduction import FloatArray, ReducedRecord
 
 STEP_S = 15e-6
 """Between points; each is a mean over `TOP_SMOOTHING_S`, so that nothing wider than 30 us falls between."""
-PARTS = {"isw": (-5, 10), "psw": (-10, 10), "after": (11, 30)}
-"""First and last point around the ISW's matched time, and around and after the PSW's, in steps."""
+FROM_ISW, FROM_PSW = -5, -10
+"""First points, from the matched time of each, in steps."""
+LENGTHS = np.array([16, 21, 20])
+"""Points around the ISW, around the PSW and after it: parts that are compared each by itself."""
+BEGINS, PSW = np.cumsum(LENGTHS) - LENGTHS, 1
 FEWEST = 7
 """Shots that can tell what is usual."""
 NEIGHBOURS = 3
@@ -36,6 +40,8 @@ LARGEST_PART_EARLY = 1 / 3
 """More are another wall."""
 MOST_OTHERS = 400
 """Of a long file, evenly spread: who has no neighbour among them has none."""
+ROWS_AT_ONCE = 64
+"""So that a long file needs little memory."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,7 +51,7 @@ class Outline:
     Attributes
     ----------
     points
-        Those of all `PARTS`, shape (n_points,); NaN in a part that the record does not hold.
+        Those of all parts, shape (n_points,); NaN where the record does not reach.
     sd
         Standard deviation that white noise gives each.
     """
@@ -55,19 +61,24 @@ class Outline:
 
 
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
-    """Read a record at the points of `PARTS`, linearly between blocks."""
-    stride, parts = max(1, round(STEP_S / record.step_s)), []
-    for name, (first, last) in PARTS.items():
-        at = record.index((isw if name == "isw" else psw).matched_time_s)
-        whole = int(at)
-        begin, end = whole + first * stride, whole + last * stride + 1
-        if begin < 0 or end >= record.smooth_v.size:
-            parts.append(np.full(last - first + 1, np.nan))
-            continue
-        before, after = record.smooth_v[begin:end:stride], record.smooth_v[begin + 1 : end + 1 : stride]
-        parts.append(before + (at - whole) * (after - before))
-    noise = record.noise_rms_v / (record.block_samples * record.smooth_blocks) ** 0.5
-    return Outline(points=np.concatenate(parts) / isw.amplitude_v, sd=noise / isw.amplitude_v)
+    """Read a record at its points, linearly between blocks."""
+    stride, points = max(1, round(STEP_S / record.step_s)), np.full(int(LENGTHS.sum()), math.nan)
+    _read(record, isw, FROM_ISW, stride, points[: LENGTHS[0]])
+    _read(record, psw, FROM_PSW, stride, points[LENGTHS[0] :])
+    points /= isw.amplitude_v
+    noise = record.noise_rms_v / math.sqrt(record.block_samples * record.smooth_blocks)
+    return Outline(points=points, sd=noise / isw.amplitude_v)
+
+
+def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
+    """Fill in the points from ``first`` on that the record holds, if it holds that one."""
+    at = record.index(pulse.matched_time_s)
+    begin = math.floor(at) + first * stride
+    if begin < 0:
+        return
+    end = begin + points.size * stride
+    before, after = record.smooth_v[begin:end:stride], record.smooth_v[begin + 1 : end + 1 : stride]
+    points[: after.size] = before[: after.size] + (at % 1.0) * (after - before[: after.size])
 
 
 def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
@@ -79,46 +90,49 @@ def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np
         Of each shot, of one transducer; of less than `FEWEST` none is told.
     """
     n = len(outlines)
-    unlike = np.zeros(n, dtype=bool)
     if n < FEWEST:
-        return unlike
+        return np.zeros(n, dtype=bool)
     table = np.array([one.points for one in outlines])
     noise = np.array([one.sd for one in outlines])
-    others = np.unique(np.linspace(0, n - 1, min(n, MOST_OTHERS)).round().astype(np.intp))
-    start = 0
-    for name, (first, last) in PARTS.items():
-        part = table[:, start : start + last - first + 1]
-        start += last - first + 1
-        there = np.isfinite(part[:, 0])
-        if np.count_nonzero(there[others]) < FEWEST:
-            continue
-        distance = _distances(part, others)
-        nearest = np.partition(distance, NEIGHBOURS - 1, axis=1)[:, NEIGHBOURS - 1]
-        usual = TIMES_USUAL * float(np.median(nearest[there]))
-        limit = np.maximum(max(LEAST_APART, usual), TIMES_NOISE * np.sqrt(2.0) * noise)
-        unlike |= there & (nearest > limit)
-        if name == "psw":
-            unlike |= _early(distance <= limit[:, None], tofs_s, others)
+    others = np.arange(n)
+    if n > MOST_OTHERS:
+        others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
+    distance = np.concatenate([_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1)
+    nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
+    usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
+    limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
+    unlike = ((nearest > limit) & (nearest < math.inf)).any(axis=0)
+    early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
+    if early.size:
+        unlike[_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
     return unlike
 
 
-def _distances(part: FloatArray, others: NDArray[np.intp]) -> FloatArray:
-    """Root mean square between each row and each of the others, shape (n, n_others); inf to itself."""
-    squares = np.einsum("ij,ij->i", part, part)
-    apart = squares[:, None] + squares[others] - 2.0 * np.einsum("ik,jk->ij", part, part[others])
-    apart[others, np.arange(others.size)] = np.inf
-    apart = np.where(np.isnan(apart), np.inf, apart).clip(0.0)
-    return np.asarray(np.sqrt(apart / part.shape[1]), dtype=np.float64)
+def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
+    """Root mean square between some rows and each of the others, shape (n_parts, n_rows, n_others).
+
+    It is inf to itself, and where one of both does not hold the part.
+    """
+    rows = table[start : start + ROWS_AT_ONCE]
+    apart = rows[:, None] - table[others]
+    apart *= apart
+    squares = np.add.reduceat(apart, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
+    squares[np.isnan(squares)] = math.inf
+    squares[:, np.arange(start, start + len(rows))[:, None] == others] = math.inf
+    return np.asarray(np.sqrt(squares), dtype=np.float64)
 
 
-def _early(alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Whether a reflected wave came before those like it, whose later half tells their scatter."""
-    early = np.zeros(tofs_s.size, dtype=bool)
-    for index in np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S):
-        like_s = tofs_s[others[alike[index]]]
+def _early(
+    candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
+) -> list[int]:
+    """Give those whose reflected wave came before those like it, whose later half tells their scatter."""
+    early = []
+    for index in candidates.tolist():
+        like_s = np.sort(tofs_s[others[alike[index]]])
         if like_s.size < FEWEST - 1:
             continue
-        middle_s, later_s = np.quantile(like_s, (0.5, 0.75))
+        middle_s, later_s = like_s[like_s.size // 2], like_s[3 * like_s.size // 4]
         scatter_s = (later_s - middle_s) / UPPER_QUARTER_SD
-        early[index] = tofs_s[index] < middle_s - max(LEAST_EARLY_S, EARLY_SD * scatter_s)
-    return early if early.mean() <= LARGEST_PART_EARLY else np.zeros_like(early)
+        if tofs_s[index] < middle_s - max(LEAST_EARLY_S, EARLY_SD * scatter_s):
+            early.append(index)
+    return early if len(early) <= LARGEST_PART_EARLY * tofs_s.size else []
