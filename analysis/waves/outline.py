@@ -23,7 +23,8 @@ FROM_ISW, FROM_PSW = -5, -10
 """First points, from the matched time of each, in steps."""
 LENGTHS = np.array([16, 21, 20])
 """Points around the ISW, around the PSW and after it: parts that are compared each by itself."""
-BEGINS, PSW = np.cumsum(LENGTHS) - LENGTHS, 1
+N_ISW, N_POINTS, PSW = 16, 57, 1
+BEGINS = np.cumsum(LENGTHS) - LENGTHS
 FEWEST = 7
 """Shots that can tell what is usual."""
 NEIGHBOURS = 3
@@ -62,9 +63,9 @@ class Outline:
 
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
     """Read a record at its points, linearly between blocks."""
-    stride, points = max(1, round(STEP_S / record.step_s)), np.full(int(LENGTHS.sum()), math.nan)
-    _read(record, isw, FROM_ISW, stride, points[: LENGTHS[0]])
-    _read(record, psw, FROM_PSW, stride, points[LENGTHS[0] :])
+    stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
+    _read(record, isw, FROM_ISW, stride, points[:N_ISW])
+    _read(record, psw, FROM_PSW, stride, points[N_ISW:])
     points /= isw.amplitude_v
     noise = record.noise_rms_v / math.sqrt(record.block_samples * record.smooth_blocks)
     return Outline(points=points, sd=noise / isw.amplitude_v)
@@ -77,8 +78,9 @@ def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: 
     if begin < 0:
         return
     end = begin + points.size * stride
-    before, after = record.smooth_v[begin:end:stride], record.smooth_v[begin + 1 : end + 1 : stride]
-    points[: after.size] = before[: after.size] + (at % 1.0) * (after - before[: after.size])
+    after = record.smooth_v[begin + 1 : end + 1 : stride]
+    before = record.smooth_v[begin:end:stride][: after.size]
+    points[: after.size] = before + (at % 1.0) * (after - before)
 
 
 def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
@@ -101,7 +103,7 @@ def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np
     nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
     usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
     limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
-    unlike = ((nearest > limit) & (nearest < math.inf)).any(axis=0)
+    unlike = np.asarray(((nearest > limit) & (nearest < math.inf)).any(axis=0))
     early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
     if early.size:
         unlike[_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True

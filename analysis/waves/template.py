@@ -17,7 +17,7 @@ import numpy as np
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
 from analysis.waves.outline import unlike_others
 from analysis.waves.quality_gate import DISTURBED
-from analysis.waves.record_reduction import MAD_TO_SD
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
 
 FEWEST_SHOTS = 3
 """Fewer valid shots have no middle."""
@@ -41,6 +41,16 @@ ARRIVAL_SD = 6.0
 """Standard deviations, where arrivals scatter by more."""
 LATEST_MERGED = 1.6
 """Of `Template.earliest_tof_s`: before, no thinned patch splits the reflected wave (the twin's: from 1.9)."""
+
+
+LEARNT_FROM = (
+    "isw_fwhm_s",
+    "isw_amplitude_v",
+    "amplitude_ratio",
+    "pull_fraction",
+    "tof_mf_s",
+    "isw_time_s",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,20 +86,27 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
-    tofs_s = [shot.tof_mf_s for shot in valid]
-    arrivals_s = np.array([shot.isw_time_s for shot in valid])
-    arrival_s = float(np.median(arrivals_s))
+    ordered = np.sort([[getattr(shot, name) for name in LEARNT_FROM] for shot in valid], axis=0)
+    middle = dict(zip(LEARNT_FROM, _quantile(ordered, 0.5).tolist(), strict=True))
+    arrivals_s = np.abs(ordered[:, LEARNT_FROM.index("isw_time_s")] - middle["isw_time_s"])
     return Template(
-        isw_fwhm_s=float(np.median([shot.isw_fwhm_s for shot in valid])),
-        isw_amplitude_v=float(np.median([shot.isw_amplitude_v for shot in valid])),
-        amplitude_ratio=float(np.median([shot.amplitude_ratio for shot in valid])),
+        isw_fwhm_s=middle["isw_fwhm_s"],
+        isw_amplitude_v=middle["isw_amplitude_v"],
+        amplitude_ratio=middle["amplitude_ratio"],
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
-        pull_fraction=float(np.quantile([shot.pull_fraction for shot in valid], SHALLOW_QUARTER)),
+        pull_fraction=float(_quantile(ordered, SHALLOW_QUARTER)[LEARNT_FROM.index("pull_fraction")]),
         merged=2 * sum("psw_merged" in shot.flags for shot in valid) >= len(valid),
-        earliest_tof_s=EARLIEST * float(np.quantile(tofs_s, EARLIEST_TENTH)),
-        isw_time_s=arrival_s,
-        isw_time_sd_s=MAD_TO_SD * float(np.median(np.abs(arrivals_s - arrival_s))),
+        earliest_tof_s=EARLIEST * float(_quantile(ordered, EARLIEST_TENTH)[LEARNT_FROM.index("tof_mf_s")]),
+        isw_time_s=middle["isw_time_s"],
+        isw_time_sd_s=MAD_TO_SD * median(arrivals_s),
     )
+
+
+def _quantile(ordered: FloatArray, part: float) -> FloatArray:
+    """Quantile of each column of sorted numbers, linear between two: `numpy.quantile` takes a set's time."""
+    place = part * (len(ordered) - 1)
+    low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
+    return np.asarray(low + (place % 1.0) * (high - low))
 
 
 def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
