@@ -47,8 +47,8 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.2"
-"""Changes whenever any feature of any record would."""
+EXTRACTOR_VERSION = "1.3"
+"""Changes whenever any feature of any record or set would, and so with the flags."""
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7
 """Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""

@@ -34,7 +34,7 @@ DEEPER_PULL = 0.035
 """Beyond the usual one, of the ISW's amplitude: noise, which is in both, lets it scatter by .01."""
 EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
-EARLIEST_TENTH, SHALLOW_QUARTER = 0.1, 0.25
+EARLIEST_TENTH, SHALLOW_QUARTER, STRONG_QUARTER = 0.1, 0.25, 0.75
 LATEST_OWN = 0.5
 """Of the usual width: a wave that fires the trigger itself peaks always as late after it."""
 ARRIVAL_SD = 6.0
@@ -82,7 +82,7 @@ class Template:
 
 
 def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Medians of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
+    """Medians and other quantiles of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
@@ -91,7 +91,8 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
     arrivals_s = np.abs(ordered[:, LEARNT_FROM.index("isw_time_s")] - middle["isw_time_s"])
     return Template(
         isw_fwhm_s=middle["isw_fwhm_s"],
-        isw_amplitude_v=middle["isw_amplitude_v"],
+        # Weak strikes are lower, nothing is higher: the middle of the sound ones, were half of all weak.
+        isw_amplitude_v=float(_quantile(ordered, STRONG_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]),
         amplitude_ratio=middle["amplitude_ratio"],
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
         pull_fraction=float(_quantile(ordered, SHALLOW_QUARTER)[LEARNT_FROM.index("pull_fraction")]),

@@ -17,7 +17,8 @@ def extracted(volts, scene=SCENE):
 
 
 def clean(n, first=0, **changes):
-    return [extracted(SCENE.with_(**changes).volts(first + seed)) for seed in range(n)]
+    scene = SCENE.with_(**changes)
+    return [extracted(scene.volts(first + seed), scene) for seed in range(n)]
 
 
 def judged(shots):
@@ -70,10 +71,18 @@ def test_a_reflection_that_is_later_is_the_wall():
     assert judged([*clean(9), *clean(1, first=50, tof_s=360e-6)]) == [()] * 10
 
 
-def test_walls_of_many_times_of_flight_in_one_file_are_told_by_none():
-    tofs_s = np.linspace(330e-6, 480e-6, 30)
+@pytest.mark.parametrize("latest_s", [390e-6, 480e-6])
+def test_walls_of_many_times_of_flight_in_one_file_are_told_by_none(latest_s):
+    tofs_s = np.linspace(330e-6, latest_s, 30)
     shots = [shot for k, tof_s in enumerate(tofs_s) for shot in clean(1, first=k, tof_s=tof_s)]
     assert judged(shots) == [()] * 30
+
+
+def test_a_wall_that_one_shot_of_a_file_has_is_told_by_none():
+    walls = [*clean(9), *clean(8, first=20, tof_s=420e-6)]
+    deeper = clean(1, first=40, tof_s=600e-6, amplitude_ratio=0.65)
+    assert judged([*walls, *deeper]) == [()] * 18
+    assert judged([*walls, foreign(330e-6, 0.12, 200e-6)]) == [()] * 17 + [DISTURBED]
 
 
 def test_a_third_and_more_that_are_earlier_are_another_wall():
@@ -93,6 +102,13 @@ def test_a_part_that_a_record_does_not_hold_is_not_compared():
     odd = SCENE.with_(**short)
     bump = 0.12 * odd.isw_v * cos4(odd.time_s(), odd.isw_time_s + odd.tof_s, 200e-6)
     assert judged([*clean(9, **short), extracted(odd.volts(99) + bump)]) == [()] * 9 + [DISTURBED]
+
+
+@pytest.mark.parametrize("pretrigger_samples", [235, 250, 265])
+def test_a_wave_at_the_beginning_of_its_record_has_no_outline_before(pretrigger_samples):
+    shot = clean(1, pretrigger_samples=pretrigger_samples)[0]
+    begins_inside = SCENE.isw_time_s + pretrigger_samples / SCENE.rate_hz > 76e-6
+    assert np.isfinite(shot.outline.points).all() == begins_inside
 
 
 def test_flags_that_count_the_others_already_stay():
