@@ -1,10 +1,13 @@
 """How often waves that are not a transducer's own are flagged, and its own are not, at 20, 30 and 40 dB.
 
-    python benchmarks/flags_on_waves.py [--records N] [--seed S] [--shape twin|cos4|gauss|sech2]
+    python benchmarks/flags_on_waves.py [--records N] [--seed S] [--walls one|any]
+        [--shape twin|cos4|gauss|sech2]
 
 Records are of the twin's noise-free waves at any depth from 0 to 80 %, of two sizes of patch, or of drawn
-pulses with a reflection of .38-.58 after 320-480 us; white noise is the only noise. Each is compared with
-what a file of clean records would teach. A row tells flagged and not valid shots in percent.
+pulses with a reflection of .38-.58 after 320-480 us; white noise is the only noise. Each is the tenth shot
+of a set of one wall, the others clean; with ``--walls any`` one of a file of 26 from as many walls, where of
+lost samples only a reflection that is earlier than any wall's can tell. A row tells flagged and not valid
+shots in percent.
 """
 
 from __future__ import annotations
@@ -13,13 +16,14 @@ import argparse
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from analysis.waves.features import ShotFeatures, extract_from_volts
-from analysis.waves.template import Template, compared, learnt
+from analysis.waves.template import compared_with_others, learnt
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
@@ -28,7 +32,10 @@ RATE_HZ, PRETRIGGER, SAMPLES = 10e6, 1_000, 13_000
 TIME_S = (np.arange(SAMPLES) - PRETRIGGER) / RATE_HZ
 FWHM_S = 64.7e-6
 LOST_S = 50e-6
-TAUGHT_BY = 25
+OTHERS = {"one": 9, "any": 25}
+"""Clean records that a record is compared with."""
+OF_A_SET = 5
+"""Records beside the same others."""
 FloatArray = NDArray[np.float64]
 Wave = Callable[[float], FloatArray]
 """Record of a strike of height 1 whose ISW peaks at a time."""
@@ -104,6 +111,12 @@ def foreign_before(scene: Scene) -> FloatArray:
     return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
 
 
+def foreign_anywhere(scene: Scene) -> FloatArray:
+    return scene.clean() + foreign(
+        scene, scene.random.uniform(-50e-6, 1.15e-3), scene.random.uniform(0.2, 0.8)
+    )
+
+
 def foreign_on_the_psw(scene: Scene) -> FloatArray:
     centre_s = scene.isw_s + scene.tof_s + scene.random.uniform(-40e-6, 40e-6)
     return scene.clean() + foreign(scene, centre_s, scene.random.uniform(0.2, 0.8))
@@ -142,12 +155,14 @@ CASES: tuple[Callable[[Scene], FloatArray], ...] = (
     foreign_alone,
     foreign_before,
     foreign_on_the_psw,
+    foreign_anywhere,
     lost_and_zero,
     lost_and_held,
     lost_and_closed_up,
 )
 
 
+@cache
 def twin_waves() -> list[tuple[Wave, Wave, float]]:
     """Waves of the twin, with a hole's, and their times of flight; the mesh is coarse."""
     plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
@@ -185,16 +200,19 @@ def drawn_wave(random: Generator, name: str) -> tuple[Wave, Wave, float]:
 
 
 def rates(
-    case: Callable[[Scene], FloatArray], shape: str, snr_db: float, n: int, seed: int
+    case: Callable[[Scene], FloatArray], shape: str, snr_db: float, n: int, seed: int, walls: str = "one"
 ) -> tuple[float, float]:
     """Part of the shots that are flagged, and that are not valid."""
     random = np.random.default_rng([seed, round(snr_db)])
-    waves = twin_waves() if shape == "twin" else None
 
-    def scene() -> Scene:
-        wave, silent, tof_s = (
-            drawn_wave(random, shape) if waves is None else waves[random.integers(len(waves))]
-        )
+    def wall() -> tuple[Wave, Wave, float]:
+        if shape != "twin":
+            return drawn_wave(random, shape)
+        waves = twin_waves()
+        return waves[random.integers(len(waves))]
+
+    def scene(of: tuple[Wave, Wave, float]) -> Scene:
+        wave, silent, tof_s = of if walls == "one" else wall()
         return Scene(
             random=random,
             isw_s=random.uniform(35e-6, 55e-6),
@@ -205,15 +223,20 @@ def rates(
             noise=10.0 ** (-snr_db / 20.0),
         )
 
-    own = learnt([_extracted(scene().clean(), None) for _ in range(TAUGHT_BY)])
-    shots = [_extracted(case(scene()), own) for _ in range(n)]
+    shots = []
+    for _ in range(0, n, OF_A_SET):
+        own = wall()
+        others = [_extracted(scene(own).clean()) for _ in range(OTHERS[walls])]
+        for _ in range(OF_A_SET):
+            seen = [*others, _extracted(case(scene(own)))]
+            shots.append(compared_with_others(seen, learnt(seen))[-1])
     return float(np.mean([bool(shot.flags) for shot in shots])), float(
         np.mean([not shot.valid for shot in shots])
     )
 
 
-def _extracted(volts: FloatArray, own: Template | None) -> ShotFeatures:
-    return compared(extract_from_volts(volts, RATE_HZ, PRETRIGGER), own)
+def _extracted(volts: FloatArray) -> ShotFeatures:
+    return extract_from_volts(volts, RATE_HZ, PRETRIGGER)
 
 
 def main() -> None:
@@ -223,11 +246,18 @@ def main() -> None:
     parser.add_argument("--records", type=int, default=300, help="of each case and level of noise")
     parser.add_argument("--seed", type=int, default=902)
     parser.add_argument("--shape", choices=["twin", *SHAPES], default="twin")
+    parser.add_argument("--walls", choices=[*OTHERS], default="one")
     arguments = parser.parse_args()
     levels_db = (20.0, 30.0, 40.0)
-    print(f"{arguments.shape}, flagged / not valid in %   " + "   ".join(f"{db:.0f} dB" for db in levels_db))
+    print(
+        f"{arguments.shape}, walls {arguments.walls}, flagged / not valid in %   "
+        + "   ".join(f"{db:.0f} dB" for db in levels_db)
+    )
     for case in CASES:
-        found = [rates(case, arguments.shape, db, arguments.records, arguments.seed) for db in levels_db]
+        found = [
+            rates(case, arguments.shape, db, arguments.records, arguments.seed, arguments.walls)
+            for db in levels_db
+        ]
         told = "  ".join(f"{100 * flagged:5.1f} / {100 * bad:5.1f}" for flagged, bad in found)
         print(f"{case.__name__:22s} {told}", flush=True)
 

@@ -31,6 +31,7 @@ from numpy.fft import irfft, rfft
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, stretch_alike
 from analysis.waves.fft_length import fast_length
+from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
 from analysis.waves.record_reduction import (
@@ -46,8 +47,8 @@ from hardware_drivers.measurement import Waveform
 
 Quality = Literal["good", "suspect", "bad"]
 
-EXTRACTOR_VERSION = "1.2"
-"""Changes whenever any feature of any record would."""
+EXTRACTOR_VERSION = "1.3"
+"""Changes whenever any feature of any record or set would, and so with the flags."""
 
 FAR_APART, FEWEST_FOR_FAR = 10.0, 7
 """Standard deviations: of ten normal values one lies so far from the others in two sets of a thousand."""
@@ -98,6 +99,8 @@ class ShotFeatures:
         How far the record falls below its quiet level, of the ISW's amplitude (`disturbance.deepest_pull`).
     compared
         The flags count what the set's other shots say already, as stored ones do (`template.compared`).
+    outline
+        The record at some points, beside which other shots' are seen; None without a reflected wave.
     sd
         Standard deviation that the record's own white noise gives a feature, by name; empty where nobody
         asked for it.
@@ -123,6 +126,7 @@ class ShotFeatures:
     quality: Quality = "good"
     pull_fraction: float = math.nan
     compared: bool = False
+    outline: Outline | None = field(default=None, compare=False, repr=False)
     sd: Mapping[str, float] = field(default_factory=dict)
 
     def values(self) -> dict[str, float]:
@@ -261,11 +265,17 @@ def extract_from_volts(
         **measured,
         noise_rms_v=record.noise_rms_v,
         pull_fraction=pull,
+        outline=_outline(record, pulses),
         sd=standard_deviations(record, pulses, measured, settings) if with_sd else {},
         flags=flags,
         valid=valid,
         quality="bad" if not valid else "suspect" if flags else "good",
     )
+
+
+def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
+    isw, psw = pulses.isw, pulses.psw
+    return None if isw is None or psw is None else outline(record, isw, psw)
 
 
 def _flags(

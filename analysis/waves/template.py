@@ -9,12 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
+from analysis.waves.outline import unlike_others
 from analysis.waves.quality_gate import DISTURBED
+from analysis.waves.record_reduction import MAD_TO_SD, FloatArray, median
 
 FEWEST_SHOTS = 3
 """Fewer valid shots have no middle."""
@@ -31,9 +34,23 @@ DEEPER_PULL = 0.035
 """Beyond the usual one, of the ISW's amplitude: noise, which is in both, lets it scatter by .01."""
 EARLIEST = 0.9
 """Of the earliest tenth's time of flight: no wall quickens the wave, and healthy shots scatter by 1 %."""
-EARLIEST_TENTH, SHALLOW_QUARTER = 0.1, 0.25
+EARLIEST_TENTH, SHALLOW_QUARTER, STRONG_QUARTER = 0.1, 0.25, 0.75
+LATEST_OWN = 0.5
+"""Of the usual width: a wave that fires the trigger itself peaks always as late after it."""
+ARRIVAL_SD = 6.0
+"""Standard deviations, where arrivals scatter by more."""
 LATEST_MERGED = 1.6
 """Of `Template.earliest_tof_s`: before, no thinned patch splits the reflected wave (the twin's: from 1.9)."""
+
+
+LEARNT_FROM = (
+    "isw_fwhm_s",
+    "isw_amplitude_v",
+    "amplitude_ratio",
+    "pull_fraction",
+    "tof_mf_s",
+    "isw_time_s",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +67,8 @@ class Template:
         Most reflected waves are merged with another one.
     earliest_tof_s
         Time of flight below which no wall sends a wave back; None: not known.
+    isw_time_s, isw_time_sd_s
+        Usual arrival of the incident wave after the trigger, and its scatter; None: not known.
     """
 
     isw_fwhm_s: float
@@ -58,23 +77,51 @@ class Template:
     merged: bool = False
     pull_fraction: float | None = None
     earliest_tof_s: float | None = None
+    isw_time_s: float | None = None
+    isw_time_sd_s: float = 0.0
 
 
 def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
-    """Medians of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
+    """Medians and other quantiles of the valid shots; None where there are fewer than `FEWEST_SHOTS`."""
     valid = [shot for shot in shots if shot.valid and math.isfinite(shot.isw_fwhm_s)]
     if len(valid) < FEWEST_SHOTS:
         return None
-    tofs_s = [shot.tof_mf_s for shot in valid]
+    ordered = np.sort([[getattr(shot, name) for name in LEARNT_FROM] for shot in valid], axis=0)
+    middle = dict(zip(LEARNT_FROM, _quantile(ordered, 0.5).tolist(), strict=True))
+    arrivals_s = np.abs(ordered[:, LEARNT_FROM.index("isw_time_s")] - middle["isw_time_s"])
     return Template(
-        isw_fwhm_s=float(np.median([shot.isw_fwhm_s for shot in valid])),
-        isw_amplitude_v=float(np.median([shot.isw_amplitude_v for shot in valid])),
-        amplitude_ratio=float(np.median([shot.amplitude_ratio for shot in valid])),
+        isw_fwhm_s=middle["isw_fwhm_s"],
+        # Weak strikes are lower, nothing is higher: the middle of the sound ones, were half of all weak.
+        isw_amplitude_v=float(_quantile(ordered, STRONG_QUARTER)[LEARNT_FROM.index("isw_amplitude_v")]),
+        amplitude_ratio=middle["amplitude_ratio"],
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
-        pull_fraction=float(np.quantile([shot.pull_fraction for shot in valid], SHALLOW_QUARTER)),
+        pull_fraction=float(_quantile(ordered, SHALLOW_QUARTER)[LEARNT_FROM.index("pull_fraction")]),
         merged=2 * sum("psw_merged" in shot.flags for shot in valid) >= len(valid),
-        earliest_tof_s=EARLIEST * float(np.quantile(tofs_s, EARLIEST_TENTH)),
+        earliest_tof_s=EARLIEST * float(_quantile(ordered, EARLIEST_TENTH)[LEARNT_FROM.index("tof_mf_s")]),
+        isw_time_s=middle["isw_time_s"],
+        isw_time_sd_s=MAD_TO_SD * median(arrivals_s),
     )
+
+
+def _quantile(ordered: FloatArray, part: float) -> FloatArray:
+    """Quantile of each column of sorted numbers, linear between two: `numpy.quantile` takes a set's time."""
+    place = part * (len(ordered) - 1)
+    low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
+    return np.asarray(low + (place % 1.0) * (high - low))
+
+
+def compared_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
+    """Compare shots of one transducer with its own waves, then with one another (`outline.unlike_others`)."""
+    found = [compared(shot, template) for shot in shots]
+    seen = {
+        index: shot.outline
+        for index, shot in enumerate(found)
+        if shot.valid and not shot.compared and shot.outline is not None
+    }
+    unlike = unlike_others([*seen.values()], np.array([found[index].tof_mf_s for index in seen]))
+    for index in compress(seen, unlike):
+        found[index] = graded(found[index], {*found[index].flags, DISTURBED})
+    return found
 
 
 def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
@@ -88,7 +135,7 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     # A plateau widens a wave, two strikes in one do too: those are told already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
-        other = other or abs(width - 1.0) > LIKE_ITS_OWN
+        other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrived_otherwise(shot, template)
     if other or shot.isw_amplitude_v < WEAKEST * template.isw_amplitude_v:
         unknown: dict[str, Any] = dict.fromkeys(
             (name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))), math.nan
@@ -110,3 +157,10 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
         found.add("double")
     return graded(shot, found)
+
+
+def _arrived_otherwise(shot: ShotFeatures, template: Template) -> bool:
+    if template.isw_time_s is None:
+        return False
+    limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)
+    return abs(shot.isw_time_s - template.isw_time_s) > limit_s

@@ -21,7 +21,7 @@ from analysis.waves.features import (
     mean_features,
 )
 from analysis.waves.quality_gate import ACCEPTED
-from analysis.waves.template import compared, learnt
+from analysis.waves.template import compared_with_others, learnt
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
@@ -167,8 +167,7 @@ class SolitaryWaveAssessor:
     ) -> tuple[list[ShotFeatures], list[ShotFeatures], SetFeatures]:
         """Look at the shots of a set together: features of all, those of the accepted ones, the set's."""
         # One shot alone cannot tell what the others can: a weak strike, a knock, a second one.
-        own = learnt(features)
-        features = [compared(found, own) for found in features]
+        features = compared_with_others(features, learnt(features))
         counts = [outcomes.get(shot.sequence, ACCEPTED) == ACCEPTED for shot in shots]
         counting = list(compress(features, counts))
         return features, counting, self._set_features(list(compress(shots, counts)), counting)

@@ -1,6 +1,6 @@
 """Waves that are not a transducer's own, as `benchmarks/flags_on_waves.py` draws them: each is flagged.
 
-The floors are those of 40 seeded records, some percent below what the benchmark prints for 300.
+The benchmark prints at least 95 % of 300; of 30 seeded records three may pass.
 """
 
 import sys
@@ -9,20 +9,24 @@ from pathlib import Path
 
 import pytest
 
+from analysis.waves.template import Template, compared
+
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "flags_on_waves.py"
-N_RECORDS, SEED = 40, 1
-FLOORS = {
-    "hole": 1.0,
-    "weak": 1.0,
-    "saturated": 0.98,
-    "second_strike": 0.93,
-    "knock": 0.88,
-    "foreign_alone": 1.0,
-    "foreign_before": 0.9,
-    "foreign_on_the_psw": 0.75,
-    "lost_and_zero": 1.0,
-    "lost_and_held": 1.0,
-}
+N_RECORDS, SEED = 30, 1
+FAULTS = [
+    "hole",
+    "weak",
+    "saturated",
+    "second_strike",
+    "knock",
+    "foreign_alone",
+    "foreign_before",
+    "foreign_on_the_psw",
+    "foreign_anywhere",
+    "lost_and_zero",
+    "lost_and_held",
+    "lost_and_closed_up",
+]
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +39,10 @@ def benchmark():
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
-@pytest.mark.parametrize("name", FLOORS)
+@pytest.mark.parametrize("name", FAULTS)
 def test_each_is_flagged(benchmark, name, snr_db):
     flagged, bad = benchmark.rates(getattr(benchmark, name), "cos4", snr_db, N_RECORDS, SEED)
-    assert flagged >= bad >= FLOORS[name]
+    assert flagged >= bad >= 0.9
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
@@ -51,13 +55,13 @@ def test_its_own_are_not(benchmark, shape, snr_db):
 def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
     """Only one that has the own wave's width, height and smoothness can be."""
     random = benchmark.np.random.default_rng(SEED)
-    own = benchmark.Template(isw_fwhm_s=benchmark.FWHM_S, isw_amplitude_v=1.0)
+    own = Template(isw_fwhm_s=benchmark.FWHM_S, isw_amplitude_v=1.0)
     holes = 0
     for _ in range(200):
         pulse = random.uniform(0.1, 1.2) * benchmark.SHAPES["gauss"](
             (benchmark.TIME_S - 45e-6) / random.uniform(30e-6, 150e-6)
         )
         volts = pulse + 0.01 * random.standard_normal(pulse.size)
-        holes += "no_psw" in benchmark._extracted(volts, own).flags
+        holes += "no_psw" in compared(benchmark._extracted(volts), own).flags
     # 12 % of the width to both sides of 120 us, .35 of the height and more: one in ten.
     assert holes <= 30

@@ -24,7 +24,7 @@ from analysis.waves.features import (
 from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import ExtractionSettings
-from analysis.waves.template import Template, compared, learnt
+from analysis.waves.template import Template, compared_with_others, learnt
 from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_records
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import console_on
@@ -116,8 +116,9 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
         if template is not None:
             at = f"{path}{f', {position}' if position else ''}"
             click.echo(f"{at}: {_in_words(template)}", err=True)
-        for index in indices:
-            shots[index] = compared(shots[index], template)
+        found = compared_with_others([shots[index] for index in indices], template)
+        for index, shot in zip(indices, found, strict=True):
+            shots[index] = shot
     return shots
 
 

@@ -63,6 +63,17 @@ def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag
     assert compared(silent, OWN).flags == (flag,)
 
 
+@pytest.mark.parametrize(
+    ("arrives_s", "scatter_s", "flag"),
+    [(70e-6, 2e-6, "no_psw"), (90e-6, 2e-6, "missed"), (10e-6, 2e-6, "missed"), (90e-6, 8e-6, "no_psw")],
+)
+def test_a_pulse_like_its_own_that_did_not_fire_the_trigger_is_no_sign_of_a_hole(arrives_s, scatter_s, flag):
+    silent = replace(SHOT, isw_time_s=arrives_s, flags=("no_psw",), valid=False, quality="bad")
+    own = replace(OWN, isw_time_s=5e-5, isw_time_sd_s=scatter_s)
+    assert compared(silent, own).flags == (flag,)
+    assert compared(replace(SHOT, isw_time_s=arrives_s), own).flags == (), "its reflection came with it"
+
+
 def test_a_reflection_merged_once_is_a_second_strike_and_in_most_shots_the_wall():
     merged = replace(SHOT, flags=("psw_merged",), quality="suspect")
     assert compared(merged, OWN).flags == ("double", "psw_merged")
@@ -75,5 +86,12 @@ def test_it_is_learnt_from_valid_shots_if_there_are_three():
     weak = replace(SHOT, isw_amplitude_v=0.1, valid=False)
     assert learnt([SHOT, SHOT, weak]) is None
     own = learnt([SHOT, replace(SHOT, isw_amplitude_v=2.2), SHOT, weak])
-    assert (own.isw_amplitude_v, own.isw_fwhm_s, own.merged) == (2.0, 65e-6, False)
+    assert (own.isw_amplitude_v, own.isw_fwhm_s, own.merged) == (pytest.approx(2.1), 65e-6, False)
+    assert (own.isw_time_s, own.isw_time_sd_s) == (5e-5, 0.0)
     assert own.earliest_tof_s == pytest.approx(0.9 * 335e-6)
+
+
+def test_weak_strikes_are_told_where_every_second_one_is_weak():
+    shots = [SHOT, replace(SHOT, isw_amplitude_v=0.4)] * 5
+    own = learnt(shots)
+    assert [compared(shot, own).flags for shot in shots] == [(), ("missed",)] * 5

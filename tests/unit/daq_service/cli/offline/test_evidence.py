@@ -14,6 +14,7 @@ from support.command_line import solimon_here
 from support.drifting_wall import RAISED, drifting_wall
 from support.life_of_a_test import lived
 
+from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.catalogue.rows import AlarmRow, FeatureRow, VerdictRow
 from daq_service.cli.offline.evidence import replay
 from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
@@ -242,13 +243,13 @@ def test_an_alarm_that_is_not_there_a_foreign_extractor_and_a_damaged_set_are_to
     folder = changed_line(FeatureRow, 20, extractor_version="1.1")
     foreign = explain(folder, wall, tmp_path / "out")
     assert foreign.returncode == 2
-    assert "of the extractor 1.1, this version of solimon has 1.2" in foreign.stderr
+    assert f"of the extractor 1.1, this version of solimon has {EXTRACTOR_VERSION}" in foreign.stderr
     mixed = solimon_here("replay", str(folder), env={})
     assert mixed.returncode == 2
-    assert "the extractors 1.1 and 1.2" in mixed.stderr
+    assert f"the extractors 1.1 and {EXTRACTOR_VERSION}" in mixed.stderr
     with replace(line, folder=folder).catalogue(writer=True) as catalogue:
         rows = catalogue.rows(FeatureRow, position="B", set_index=20)
-        catalogue.restore([replace(row, extractor_version="1.2") for row in rows])
+        catalogue.restore([replace(row, extractor_version=EXTRACTOR_VERSION) for row in rows])
     path = next(folder.glob("sets/*000004*"))
     path.write_bytes(path.read_bytes()[:5000])
     damaged = explain(folder, wall, tmp_path / "out")

@@ -1,0 +1,155 @@
+"""A record in a few dozen numbers, and shots whose record is unlike that of all others.
+
+Corrosion changes the reflected wave from set to set; from strike to strike of one wall it stays, but for
+noise and what the contacts do. So a wave that no other shot resembles holds something foreign, and one that
+all others resemble, but that came much earlier than they did, has lost samples on its way.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.waves.pulses import Pulse
+from analysis.waves.record_reduction import FloatArray, ReducedRecord
+
+STEP_S = 15e-6
+"""Between points; each is a mean over `TOP_SMOOTHING_S`, so that nothing wider than 30 us falls between."""
+FROM_ISW, FROM_PSW = -5, -10
+"""First points, from the matched time of each, in steps."""
+LENGTHS = np.array([16, 21, 20])
+"""Points around the ISW, around the PSW and after it: parts that are compared each by itself."""
+N_ISW, N_POINTS, PSW = 16, 57, 1
+BEGINS = np.cumsum(LENGTHS) - LENGTHS
+FEWEST = 7
+"""Shots that can tell what is usual."""
+NEIGHBOURS = 3
+"""So many others must resemble a wave: two knocks alike are still knocks."""
+LEAST_APART = 0.035
+"""Of the ISW's amplitude, rms: the twin's shots at ``laboratory`` have their third neighbour at .012, one in
+a hundred at .025; a foreign pulse of .2 on the reflected wave moves it by .045."""
+TIMES_USUAL, TIMES_NOISE = 3.0, 2.2
+"""Of the middle distance (at ``plant`` one shot in 200 is beyond), and of what noise alone gives."""
+ONE_WALL_S, SAME_WALL_S = 30e-6, 25e-6
+"""Eight of ten shots of one wall come within 10 us at ``laboratory``, 25 us at ``plant``; in a file of many
+walls a shot has its own wall's beside it where others come within the second."""
+LEAST_EARLY_S, EARLY_SD = 20e-6, 6.0
+"""Healthy shots of a set come up to 7 us before the middle one at ``laboratory``, 15 us at ``plant``."""
+UPPER_QUARTER_SD = 0.6745
+LARGEST_PART_EARLY = 1 / 3
+"""More are another wall."""
+MOST_OTHERS = 400
+"""Of a long file, evenly spread: who has no neighbour among them has none."""
+ROWS_AT_ONCE = 64
+"""So that a long file needs little memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Outline:
+    """A record's smoothed values around its waves, of the ISW's amplitude.
+
+    Attributes
+    ----------
+    points
+        Those of all parts, shape (n_points,); NaN where the record does not reach.
+    sd
+        Standard deviation that white noise gives each.
+    """
+
+    points: FloatArray
+    sd: float
+
+
+def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
+    """Read a record at its points, linearly between blocks."""
+    stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
+    _read(record, isw, FROM_ISW, stride, points[:N_ISW])
+    _read(record, psw, FROM_PSW, stride, points[N_ISW:])
+    points /= isw.amplitude_v
+    noise = record.noise_rms_v / math.sqrt(record.block_samples * record.smooth_blocks)
+    return Outline(points=points, sd=noise / isw.amplitude_v)
+
+
+def _read(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
+    """Fill in the points from ``first`` on that the record holds, if it holds that one."""
+    at = record.index(pulse.matched_time_s)
+    begin = math.floor(at) + first * stride
+    if begin < 0:
+        return
+    end = begin + points.size * stride
+    after = record.smooth_v[begin + 1 : end + 1 : stride]
+    before = record.smooth_v[begin:end:stride][: after.size]
+    points[: after.size] = before + (at % 1.0) * (after - before)
+
+
+def unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
+    """Tell which shots no others resemble, or came earlier than all that they resemble, shape (n,).
+
+    Parameters
+    ----------
+    outlines, tofs_s
+        Of each shot, of one transducer; of less than `FEWEST` none is told.
+    """
+    n = len(outlines)
+    if n < FEWEST:
+        return np.zeros(n, dtype=bool)
+    table = np.array([one.points for one in outlines])
+    noise = np.array([one.sd for one in outlines])
+    others = np.arange(n)
+    if n > MOST_OTHERS:
+        others = np.linspace(0, n - 1, MOST_OTHERS).round().astype(np.intp)
+    distance = np.concatenate([_distances(table, k, others) for k in range(0, n, ROWS_AT_ONCE)], axis=1)
+    nearest = np.partition(distance, NEIGHBOURS - 1)[:, :, NEIGHBOURS - 1]
+    usual = np.maximum(TIMES_USUAL * np.partition(nearest, n // 2)[:, n // 2], LEAST_APART)
+    limit = np.maximum(usual[:, None], TIMES_NOISE * math.sqrt(2.0) * noise)
+    apart = (nearest > limit) & (nearest < math.inf)
+    apart[PSW:] &= _has_company(tofs_s, others)
+    unlike = np.asarray(apart.any(axis=0))
+    early = np.flatnonzero(tofs_s < tofs_s.max() - LEAST_EARLY_S)
+    if early.size:
+        unlike[_early(early, distance[PSW] <= limit[PSW][:, None], tofs_s, others)] = True
+    return unlike
+
+
+def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
+    """Root mean square between some rows and each of the others, shape (n_parts, n_rows, n_others).
+
+    It is inf to itself, and where one of both does not hold the part.
+    """
+    rows = table[start : start + ROWS_AT_ONCE]
+    apart = rows[:, None] - table[others]
+    apart *= apart
+    squares = np.add.reduceat(apart, BEGINS, axis=2).transpose(2, 0, 1) / LENGTHS[:, None, None]
+    squares[np.isnan(squares)] = math.inf
+    squares[:, np.arange(start, start + len(rows))[:, None] == others] = math.inf
+    return np.asarray(np.sqrt(squares), dtype=np.float64)
+
+
+def _has_company(tofs_s: FloatArray, others: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether a shot's wall is seen by others, too; corrosion changes what comes after the incident wave."""
+    ordered = np.sort(tofs_s)
+    if ordered[-1 - tofs_s.size // 10] - ordered[tofs_s.size // 10] <= ONE_WALL_S:
+        return np.ones(tofs_s.size, dtype=bool)
+    ordered = np.sort(tofs_s[others])
+    upper, lower = tofs_s + SAME_WALL_S, tofs_s - SAME_WALL_S
+    return np.asarray(np.searchsorted(ordered, upper) - np.searchsorted(ordered, lower) >= FEWEST)
+
+
+def _early(
+    candidates: NDArray[np.intp], alike: NDArray[np.bool_], tofs_s: FloatArray, others: NDArray[np.intp]
+) -> list[int]:
+    """Give those whose reflected wave came before those like it, whose later half tells their scatter."""
+    early = []
+    for index in candidates.tolist():
+        like_s = np.sort(tofs_s[others[alike[index]]])
+        if like_s.size < FEWEST - 1:
+            continue
+        middle_s, later_s = like_s[like_s.size // 2], like_s[3 * like_s.size // 4]
+        scatter_s = (later_s - middle_s) / UPPER_QUARTER_SD
+        if tofs_s[index] < middle_s - max(LEAST_EARLY_S, EARLY_SD * scatter_s):
+            early.append(index)
+    return early if len(early) <= LARGEST_PART_EARLY * tofs_s.size else []
