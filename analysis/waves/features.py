@@ -484,9 +484,9 @@ def _without_far(table: FloatArray) -> FloatArray:
     """Put NaN in the place of values far from their column's others."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - np.median(known, axis=0))
-    far = distance > FAR_APART * MAD_TO_SD * np.median(distance, axis=0)
+    middle = np.median(distance, axis=0)
     # More than half alike have no scatter to compare with.
-    return np.where(far & (np.median(distance, axis=0) > 0.0), np.nan, table)
+    return np.where((distance > FAR_APART * MAD_TO_SD * middle) & (middle > 0.0), np.nan, table)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

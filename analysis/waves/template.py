@@ -15,6 +15,7 @@ import numpy as np
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures, graded
 from analysis.waves.quality_gate import DISTURBED
+from analysis.waves.record_reduction import median
 
 FEWEST_SHOTS = 3
 """Fewer valid shots have no middle."""
@@ -67,8 +68,8 @@ def learnt(shots: Sequence[ShotFeatures]) -> Template | None:
         return None
     tofs_s = [shot.tof_mf_s for shot in valid]
     return Template(
-        isw_fwhm_s=float(np.median([shot.isw_fwhm_s for shot in valid])),
-        isw_amplitude_v=float(np.median([shot.isw_amplitude_v for shot in valid])),
+        isw_fwhm_s=median(np.array([shot.isw_fwhm_s for shot in valid])),
+        isw_amplitude_v=median(np.array([shot.isw_amplitude_v for shot in valid])),
         amplitude_ratio=float(np.median([shot.amplitude_ratio for shot in valid])),
         # Not the middle: where every second shot is disturbed, the sound ones are the others.
         pull_fraction=float(np.quantile([shot.pull_fraction for shot in valid], SHALLOW_QUARTER)),
@@ -109,4 +110,4 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     usual = template.amplitude_ratio
     if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
         found.add("double")
-    return graded(shot, found)
+    return shot if len(found) == len(shot.flags) else graded(shot, found)
