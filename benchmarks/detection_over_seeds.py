@@ -225,7 +225,9 @@ def by_rule(outcomes: Sequence[Outcome]) -> list[str]:
         }
         for rule, hours in raised.items():
             first = [its[0] for its in hours if its]
-            median = f"median first alarm {np.median(first):.1f} h, " if first else ""
+            # A run without an alarm is later than every other.
+            middle = np.median([*first, *[np.inf] * (len(hours) - len(first))])
+            median = f"median first alarm {middle:.1f} h, " if np.isfinite(middle) else ""
             lines.append(
                 f"{position} by {rule}: {median}raised in {len(first)} of {len(hours)} runs, "
                 f"{sum(map(len, hours))} times"
