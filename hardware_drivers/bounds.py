@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar, dataclass_transform, get_args, get_type_hints
 
@@ -32,14 +32,14 @@ Parameters = TypeVar("Parameters")
 
 _Bound = tuple[str, Any, Callable[[Any, Any], bool]]
 
-_resolved: dict[type, list[tuple[str, list[_Bound]]]] = {}
+_resolved: dict[type, dict[str, list[_Bound]]] = {}
 
 
-def _bounds(parameters: type) -> list[tuple[str, list[_Bound]]]:
+def _bounds(parameters: type) -> dict[str, list[_Bound]]:
     """Resolve the bounds of a class once: every shot with its own scatter checks them."""
     if parameters not in _resolved:
         hints = get_type_hints(parameters, include_extras=True)
-        _resolved[parameters] = [(field.name, _of_hint(hints[field.name])) for field in fields(parameters)]
+        _resolved[parameters] = {field.name: _of_hint(hints[field.name]) for field in fields(parameters)}
     return _resolved[parameters]
 
 
@@ -58,8 +58,17 @@ def _of_hint(hint: Any) -> list[_Bound]:
 
 def check_bounds(parameters: Any) -> None:
     """Raise ValueError naming the field, its value and its limit if a bound is broken."""
-    for name, bounds in _bounds(type(parameters)):
-        value = getattr(parameters, name)
+    _check((name, bounds, getattr(parameters, name)) for name, bounds in _bounds(type(parameters)).items())
+
+
+def check_values(parameters: type, values: Mapping[str, Any]) -> None:
+    """Raise as `check_bounds` does for values by name that could stand in such parameters."""
+    bounds = _bounds(parameters)
+    _check((name, bounds[name], value) for name, value in values.items())
+
+
+def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
+    for name, bounds, value in checked:
         if value is None:
             continue
         if isinstance(value, float) and not math.isfinite(value):

@@ -58,8 +58,8 @@ class CauseDesign:
     weights
         Of each hypothesis with each course in time, beforehand; shape (h, s).
     means, variances, directions
-        The hypotheses in whitened coordinates: shapes (h, 7), (h, 7), (h, 7, 7), the last two an
-        eigendecomposition of their covariances.
+        The hypotheses in whitened coordinates: shapes (h, 7), (h, 7), (h, 7, 7). The last two are an
+        eigendecomposition of their covariances, a direction a row; the means are along these directions.
     """
 
     mean: FloatArray
@@ -152,7 +152,9 @@ def cause_design(history: ArrayLike) -> CauseDesign:
     whitening = whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
     known = hypotheses(covariance)
     in_white = [whitening.T @ one.covariance @ whitening for one in known]
-    variances, directions = np.linalg.eigh(np.array(in_white))
+    variances, columns = np.linalg.eigh(np.array(in_white))
+    directions = np.ascontiguousarray(columns.swapaxes(1, 2))
+    means = np.array([one.mean for one in known]) @ whitening
     return CauseDesign(
         mean=mean,
         whitening=whitening,
@@ -160,7 +162,7 @@ def cause_design(history: ArrayLike) -> CauseDesign:
         slow_variance=_slow_variance((complete - mean) @ whitening, phi),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
-        means=np.array([one.mean for one in known]) @ whitening,
+        means=(directions @ means[:, :, None])[:, :, 0],
         variances=np.maximum(variances, 0.0),
         directions=directions,
     )
@@ -244,10 +246,11 @@ def _posterior(
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
     # Of every hypothesis h and course s: the density along the course, over that of no change at all.
-    off = along[None] - length[None, :, None] * design.means[:, None]
-    parts = np.einsum("hij,hsi->hsj", design.directions, off)
-    spread = 1.0 + length[None, :, None] ** 2 * design.variances[:, None]
-    log = 0.5 * (along**2).sum(axis=1) - 0.5 * (parts**2 / spread + np.log(spread)).sum(axis=2)
+    turned = design.directions.reshape(-1, len(COMPONENTS)) @ along.T
+    parts = turned.reshape(*design.means.shape, len(length)) - design.means[:, :, None] * length
+    spread = 1.0 + design.variances[:, :, None] * length**2
+    # One logarithm of seven factors: none comes near the 1e44 that they could all be.
+    log = 0.5 * (along**2).sum(axis=1) - 0.5 * ((parts**2 / spread).sum(axis=1) + np.log(spread.prod(axis=1)))
     weights = design.weights.copy()
     if memory.n < GROWTHS[0]:
         weights[:, len(STEPS) :] = 0.0

@@ -113,11 +113,17 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
         Memory of the features that is known from elsewhere; a number, or shape (p,).
     """
     x = np.asarray(baseline, dtype=np.float64)
-    complete = x[np.isfinite(x).all(axis=1)]
+    n, p = int(np.isfinite(x).all(axis=1).sum()), x.shape[1]
+    phi = np.maximum(widened_phi(guarded_phi(x), n), least_phi)
+    return with_memory(x, phi, estimated_limit(n, p, run_length))
+
+
+def with_memory(baseline: FloatArray, phi: FloatArray, limit: float) -> Chart:
+    """Make a chart of a baseline, shape (n, p), whose memory, shape (p,), and limit are known."""
+    complete = baseline[np.isfinite(baseline).all(axis=1)]
     n, p = complete.shape
     mean = complete.mean(axis=0)
-    phi = np.maximum(widened_phi(guarded_phi(x), n), least_phi)
-    residuals = prewhitened(x, mean, phi)
+    residuals = prewhitened(baseline, mean, phi)
     covariance = np.atleast_2d(np.cov(residuals[np.isfinite(residuals).all(axis=1)], rowvar=False))
     sd = np.sqrt(np.diag(covariance))
     return Chart(
@@ -125,7 +131,7 @@ def designed(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0)
         phi=phi,
         whitening=whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None],
         cap=math.sqrt(f_predictive_limit(n, p, CAP_RATE)),
-        limit=estimated_limit(n, p, run_length),
+        limit=limit,
     )
 
 

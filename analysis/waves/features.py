@@ -337,11 +337,17 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
     after = record.samples_v[trigger : trigger + front] - record.offset_v
     if before.size == 0 or after.size == 0:
         return False, False
-    height = max(float(np.abs(after).max()), float(np.abs(before).max()))
-    risen = float(np.abs(after[: jump + 1] - before.mean()).max())
+    height = _farthest(after, before)
     stirred = height > STIRRED_SNR * record.noise_rms_v
-    highest = max(height, float(np.abs(record.blocks_v).max()))
-    return stirred and risen >= JUMP_PART * highest, stirred
+    if not stirred:
+        return False, False
+    risen = _farthest(after[: jump + 1] - before.sum() / before.size)
+    return risen >= JUMP_PART * max(height, _farthest(record.blocks_v)), True
+
+
+def _farthest(*values: FloatArray) -> float:
+    """Largest distance from zero."""
+    return max(max(float(part.max()), -float(part.min())) for part in values)
 
 
 def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
@@ -351,12 +357,13 @@ def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSett
     deviations of white noise cannot be noise.
     """
     width = max(1, round(10e-6 / record.step_s))
-    tail = record.blocks_v[-10 * width :].mean()
+    end = record.blocks_v[-10 * width :]
+    tail = end.sum() / end.size
     # Some pulses have long feet (sech^2: 3 % of its height a width before its middle's flank).
     foot_s = FOOT_PER_FWHM * isw.fwhm_s if math.isfinite(isw.fwhm_s) else 0.0
     foot = max(record.quiet_blocks - round(foot_s / record.step_s), min(width, record.quiet_blocks))
     quiet = record.blocks_v[: foot - foot % width]
-    steps = quiet.reshape(-1, width).mean(axis=1)
+    steps = quiet.reshape(-1, width).sum(axis=1) / width
     noise = record.noise_rms_v / math.sqrt(width * record.block_samples)
     limit = max(settings.baseline_drift_fraction * isw.amplitude_v, 6.0 * noise)
     return bool(abs(tail) > limit or (steps.size > 0 and steps.max() - steps.min() > limit))
@@ -494,9 +501,9 @@ def _without_far(table: FloatArray) -> FloatArray:
     """Put NaN in the place of values far from their column's others."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - np.median(known, axis=0))
-    far = distance > FAR_APART * MAD_TO_SD * np.median(distance, axis=0)
+    middle = np.median(distance, axis=0)
     # More than half alike have no scatter to compare with.
-    return np.where(far & (np.median(distance, axis=0) > 0.0), np.nan, table)
+    return np.where((distance > FAR_APART * MAD_TO_SD * middle) & (middle > 0.0), np.nan, table)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

@@ -156,7 +156,7 @@ def compared(shot: ShotFeatures, template: Template | None) -> ShotFeatures:
     usual = template.amplitude_ratio
     if usual is not None and shot.amplitude_ratio > STRONGEST_REFLECTION * usual:
         found.add("double")
-    return graded(shot, found)
+    return shot if len(found) == len(shot.flags) else graded(shot, found)
 
 
 def _arrived_otherwise(shot: ShotFeatures, template: Template) -> bool:

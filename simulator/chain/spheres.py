@@ -159,7 +159,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
         static_force_n=static_force,
         static_overlap_m=overlap,
         gravity_m_per_s2=parameters.gravity_m_per_s2,
-        impact_speed_m_per_s=math.sqrt(2.0 * FREE_FALL_M_PER_S2 * parameters.drop_height_m),
+        impact_speed_m_per_s=impact_speed_m_per_s(parameters.drop_height_m),
         sensor=sensor,
         precompression_n=parameters.precompression_n,
         damping_exponent=DAMPING_EXPONENTS[parameters.damping_law],
@@ -167,39 +167,52 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
     )
 
 
-def struck_again(chain: Chain, parameters: ChainParameters) -> Chain:
-    """Return the same bodies under a striker from another height and with another tilt of the sensor."""
-    damping = chain.damping_n_s_per_m.copy()
-    faces = slice(chain.sensor - 1, min(chain.sensor + 1, len(damping) - 1))
-    damping[faces] = tilted_damping(parameters.damping_n_s_per_m, parameters.tilt_rad)
-    return replace(
-        chain,
-        damping_n_s_per_m=damping,
-        impact_speed_m_per_s=math.sqrt(2.0 * FREE_FALL_M_PER_S2 * parameters.drop_height_m),
-    )
+def struck_again(
+    chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
+) -> Chain:
+    """Return the same bodies under a striker from another height, with another tilt of the sensor.
 
+    On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
 
-def reseated(chain: Chain, contacts: Contacts) -> Chain:
-    """Return the same bodies on other contacts, in static equilibrium again: ``d = (F / A)^(2/3)``.
+    Parameters
+    ----------
+    damping_n_s_per_m
+        Of every contact within the chain, without tilt.
+    contacts
+        None: as they were.
 
     Raises
     ------
     ValueError
         The factors are not one a body, or not positive.
     """
-    for name in ("stiffness_factor", "damping_factor"):
-        factor = getattr(contacts, name)
-        # Also false where one is not a number.
-        if factor.shape != chain.mass_kg.shape or not factor.min() > 0.0:
-            raise ValueError(
-                f"{name} is {factor.tolist()}; it must be {len(chain.mass_kg)} positive numbers, one a body"
-            )
+    damping, stiffness = chain.damping_n_s_per_m.copy(), chain.stiffness_n_per_m15
+    overlap, bodies = chain.static_overlap_m, chain.mass_kg.shape
+    faces = slice(chain.sensor - 1, min(chain.sensor + 1, len(damping) - 1))
+    damping[faces] = tilted_damping(damping_n_s_per_m, tilt_rad)
+    if contacts is not None:
+        for name in ("stiffness_factor", "damping_factor"):
+            factor = getattr(contacts, name)
+            # Also false where one is not a number.
+            if factor.shape != bodies or not factor.min() > 0.0:
+                raise ValueError(
+                    f"{name} is {factor.tolist()}; it must be {bodies[0]} positive numbers, one a body"
+                )
+        stiffness = stiffness * contacts.stiffness_factor
+        damping *= contacts.damping_factor
+        overlap = overlap * contacts.stiffness_factor ** (-2.0 / 3.0)
     return replace(
         chain,
-        stiffness_n_per_m15=chain.stiffness_n_per_m15 * contacts.stiffness_factor,
-        damping_n_s_per_m=chain.damping_n_s_per_m * contacts.damping_factor,
-        static_overlap_m=chain.static_overlap_m * contacts.stiffness_factor ** (-2.0 / 3.0),
+        stiffness_n_per_m15=stiffness,
+        damping_n_s_per_m=damping,
+        static_overlap_m=overlap,
+        impact_speed_m_per_s=impact_speed_m_per_s(drop_height_m),
     )
+
+
+def impact_speed_m_per_s(drop_height_m: float) -> float:
+    """Speed of the striker as it touches."""
+    return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
 
 
 def _surface(body: Body) -> Surface:

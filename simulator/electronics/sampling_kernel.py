@@ -84,14 +84,32 @@ def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -
 
 
 @compiled(error_model="numpy")
-def scaled_noise(
-    white: NDArray[np.float32], white_rms: float, slow: FloatArray, slow_rms: float
-) -> FloatArray:
-    """White and slow noise of unit variance, each at its rms, added; float64, shape (n,) of both."""
-    noise = np.empty(white.shape[0])
-    for i in range(white.shape[0]):
-        noise[i] = white[i] * white_rms + slow_rms * slow[i]
-    return noise
+def add_noise(
+    volts: FloatArray,
+    white: NDArray[np.float32],
+    white_rms: float,
+    coarse: FloatArray,
+    cubic: FloatArray,
+    slow_rms: float,
+) -> None:
+    """Add white noise and slow noise, each of unit variance, to as many volts.
+
+    Parameters
+    ----------
+    volts, white
+        Shape (n,).
+    coarse
+        Slow noise on a coarser grid.
+    cubic
+        Weights of four points of that grid in each sample of a step, shape (4, samples per step).
+    """
+    n, per_step = volts.shape[0], cubic.shape[1]
+    for step in range(-(-n // per_step)):
+        c0, c1, c2, c3 = coarse[step], coarse[step + 1], coarse[step + 2], coarse[step + 3]
+        first = step * per_step
+        for k in range(min(per_step, n - first)):
+            slow = c0 * cubic[0, k] + c1 * cubic[1, k] + c2 * cubic[2, k] + c3 * cubic[3, k]
+            volts[first + k] += white[first + k] * white_rms + slow_rms * slow
 
 
 @compiled(error_model="numpy")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.fft import next_fast_len
@@ -15,13 +16,14 @@ from scipy.fft import next_fast_len
 from hardware_drivers.measurement import Calibration, Counts
 from simulator.electronics.interference import Interference
 from simulator.electronics.sampling_kernel import (
+    add_noise,
     cubic_samples,
     first_crossing_s,
     inverted_codes,
     rising_edge,
-    scaled_noise,
 )
 from simulator.numerics.arrays import FloatArray
+from simulator.numerics.normal_numbers import standard_normals
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 
 EARLY_TRIGGER_S = 30e-6
@@ -65,10 +67,25 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
         int16 up to 16 bits, else int32, of the same shape.
     """
     low, high = calibration.full_scale_counts
+    curved, passes = _inversion(calibration)
+    flat = np.ascontiguousarray(volts, dtype=np.float64).reshape(-1)
+    codes: Counts
+    if calibration.resolution_bits <= 16:
+        codes = np.empty(flat.size, dtype=np.int16)
+    else:
+        codes = np.empty(flat.size, dtype=np.int32)
     offset_v, slope_v = calibration.coefficients_v[:2]
+    inverted_codes(flat, offset_v, slope_v, curved, passes, low, high, codes)
+    return codes.reshape(np.shape(volts))
+
+
+@lru_cache(maxsize=64)
+def _inversion(calibration: Calibration) -> tuple[FloatArray, int]:
+    """Coefficients of a polynomial's bend over its slope, and how often to take it off (`inverted_codes`)."""
     # The polynomial is a line with a slight bend: take the bend at the last answer off the line's,
     # again and again. Each step shrinks the error by `bend`, the largest relative change of slope.
-    curved = calibration.coefficients_v[2:] / slope_v
+    low, _ = calibration.full_scale_counts
+    curved = calibration.coefficients_v[2:] / calibration.coefficients_v[1]
     powers = np.arange(2, curved.size + 2)
     bend = float(np.sum(np.abs(curved) * powers * (-1.1 * low) ** (powers - 1.0)))
     if bend >= 0.5:
@@ -79,14 +96,7 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
     while error_counts > INVERSE_TOLERANCE_COUNTS:
         error_counts *= bend
         passes += 1
-    flat = np.ascontiguousarray(volts, dtype=np.float64).reshape(-1)
-    codes: Counts
-    if calibration.resolution_bits <= 16:
-        codes = np.empty(flat.size, dtype=np.int16)
-    else:
-        codes = np.empty(flat.size, dtype=np.int32)
-    inverted_codes(flat, offset_v, slope_v, curved, passes, low, high, codes)
-    return codes.reshape(np.shape(volts))
+    return curved, passes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,7 +174,7 @@ def triggered_record(
         if stray is not None:
             sampled += stray(start_s, adc.sample_rate_hz, sampled.size)
         if noise.enabled:
-            sampled += noise_volts(sampled.size, adc.sample_rate_hz, noise, random)
+            add_noise_volts(sampled, adc.sample_rate_hz, noise, random)
         trigger: int = rising_edge(sampled, adc.trigger_level_v, adc.pretrigger_samples, 2 * margin + 1)
         if trigger >= 0:
             break
@@ -184,35 +194,43 @@ def triggered_record(
     )
 
 
-def noise_volts(
-    n_samples: int, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
-) -> FloatArray:
-    """White and slow noise in volts, shape (n_samples,)."""
-    # float32 is twice as fast and its grain, 1e-7 of the noise, is far below a code.
-    white = random.standard_normal(n_samples, dtype=np.float32)
+def add_noise_volts(
+    volts: FloatArray, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
+) -> None:
+    """Add white and slow noise to volts, shape (n_samples,)."""
+    # The grain of float32, 1e-7 of the noise, is far below a code.
+    white = standard_normals(random, volts.size)
     if noise.slow_rms_v == 0.0:
-        return white.astype(np.float64) * noise.rms_v
-    slow = _slow_noise(n_samples, sample_rate_hz / noise.slow_bandwidth_hz, random)
-    noise_v: FloatArray = scaled_noise(white, noise.rms_v, slow, noise.slow_rms_v)
-    return noise_v
-
-
-def _slow_noise(n_samples: int, shortest_period: float, random: np.random.Generator) -> FloatArray:
-    """Noise of variance 1 whose spectrum is even up to the shortest period, given in samples.
-
-    Drawn as lines of a spectrum on a grid ten times finer than the shortest period, or as fine as the
-    samples, and brought from there to the samples by a cubic (within 0.4 % at the shortest period).
-    """
-    factor = max(1, int(shortest_period / 10.0))
-    n_coarse = next_fast_len(n_samples // factor + 4, real=True)
-    n_lines = min(max(1, int(n_coarse * factor / shortest_period)), (n_coarse - 1) // 2)
+        volts += white.astype(np.float64) * noise.rms_v
+        return
+    per_step, n_coarse, n_lines = _slow_grid(volts.size, sample_rate_hz / noise.slow_bandwidth_hz)
     spectrum = np.zeros(n_coarse // 2 + 1, dtype=np.complex128)
     parts = random.standard_normal((2, n_lines))
     # A line of real and imaginary variance v adds 4 v / n_coarse^2 to the variance of the noise.
     spectrum[1 : n_lines + 1] = (parts[0] + 1j * parts[1]) * (n_coarse / np.sqrt(4.0 * n_lines))
     coarse = np.fft.irfft(spectrum, n_coarse)
-    x = np.arange(factor) / factor
-    lagrange = np.array(
+    add_noise(volts, white, noise.rms_v, coarse, _cubic_weights(per_step), noise.slow_rms_v)
+
+
+@lru_cache(maxsize=64)
+def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
+    """Find samples per step of the grid that slow noise is drawn on, its length, and lines of its spectrum.
+
+    The spectrum is even up to the shortest period, given in samples; the grid is ten times finer than that,
+    or as fine as the samples, and brought from there to the samples by a cubic (within 0.4 % at the shortest
+    period).
+    """
+    per_step = max(1, int(shortest_period / 10.0))
+    n_coarse = next_fast_len(n_samples // per_step + 4, real=True)
+    n_lines = min(max(1, int(n_coarse * per_step / shortest_period)), (n_coarse - 1) // 2)
+    return per_step, n_coarse, n_lines
+
+
+@lru_cache(maxsize=64)
+def _cubic_weights(per_step: int) -> FloatArray:
+    """Lagrange's cubic through points at -1, 0, 1 and 2, at samples from 0 to 1; shape (4, per_step)."""
+    x = np.arange(per_step) / per_step
+    return np.array(
         [
             -x * (x - 1.0) * (x - 2.0) / 6.0,
             (x + 1.0) * (x - 1.0) * (x - 2.0) / 2.0,
@@ -220,5 +238,3 @@ def _slow_noise(n_samples: int, shortest_period: float, random: np.random.Genera
             (x + 1.0) * x * (x - 1.0) / 6.0,
         ]
     )
-    fine = np.lib.stride_tricks.sliding_window_view(coarse, 4) @ lagrange
-    return np.asarray(fine.reshape(-1)[:n_samples], dtype=np.float64)

@@ -13,6 +13,7 @@ through. The plate is reduced once for its life: each pit's depth is a constant 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import scipy  # `scipy.optimize` comes when asked for
@@ -81,19 +82,7 @@ class WallHistory:
 
     def at(self, hour_h: float) -> Wall:
         """State at an hour of the experiment."""
-        mean = self.mean_at(hour_h)
-        pit, onset_h = mean, self.thinning.onset_h
-        is_pitted = self.pits.size > 0
-        if is_pitted:
-            pit = min(mean / float(self.pits.mean()), DEEPEST_PATCH_FRACTION)
-        if self.thinning.hole_h is not None:
-            # Compared in hours first: rounding of the ratio must not move the hole by an interval.
-            through = hour_h >= self.thinning.hole_h
-            deepest = float(np.nextafter(DEEPEST_PATCH_FRACTION, 0.0))
-            growth = max(hour_h - onset_h, 0.0) / (self.thinning.hole_h - onset_h)
-            grown = min(pit, deepest) if is_pitted else max(mean, deepest * min(growth, 1.0))
-            pit = DEEPEST_PATCH_FRACTION if through else grown
-        return Wall(depth_fraction=mean, pit_depth_fraction=pit, is_pitted=is_pitted)
+        return _wall(self, hour_h)
 
     def mean_at(self, hour_h: float) -> float:
         """Mean depth at an hour of the experiment."""
@@ -109,6 +98,24 @@ class WallHistory:
         k = 2.0 * np.pi * np.arange(1, HARMONICS + 1)
         wobble = self.amplitudes / k * (np.sin(k * u + self.phases_rad) - np.sin(self.phases_rad))
         return u + float(wobble.sum())
+
+
+@lru_cache(maxsize=256)
+def _wall(history: WallHistory, hour_h: float) -> Wall:
+    """State of a wall; all shots of a set ask for it."""
+    mean = history.mean_at(hour_h)
+    pit, onset_h = mean, history.thinning.onset_h
+    is_pitted = history.pits.size > 0
+    if is_pitted:
+        pit = min(mean / float(history.pits.mean()), DEEPEST_PATCH_FRACTION)
+    if history.thinning.hole_h is not None:
+        # Compared in hours first: rounding of the ratio must not move the hole by an interval.
+        through = hour_h >= history.thinning.hole_h
+        deepest = float(np.nextafter(DEEPEST_PATCH_FRACTION, 0.0))
+        growth = max(hour_h - onset_h, 0.0) / (history.thinning.hole_h - onset_h)
+        grown = min(pit, deepest) if is_pitted else max(mean, deepest * min(growth, 1.0))
+        pit = DEEPEST_PATCH_FRACTION if through else grown
+    return Wall(depth_fraction=mean, pit_depth_fraction=pit, is_pitted=is_pitted)
 
 
 def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:

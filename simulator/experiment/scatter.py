@@ -97,7 +97,7 @@ def scattered_strike(
     tilt_rad = min(abs(tilt_rad), STEEPEST_TILT_RAD)
     return Strike(
         drop_height_m=float(
-            np.clip(drop_height_m, LOWEST_DROP_FRACTION * chain.drop_height_m, HIGHEST_DROP_M)
+            min(max(drop_height_m, LOWEST_DROP_FRACTION * chain.drop_height_m), HIGHEST_DROP_M)
         ),
         tilt_rad=tilt_rad,
         sensor_gain_v_per_n=float(

@@ -18,11 +18,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 
-from simulator.chain.spheres import Chain, Contacts, build_chain, reseated, struck_again
+from hardware_drivers.bounds import check_values
+from simulator.chain.spheres import Chain, Contacts, build_chain, impact_speed_m_per_s, struck_again
 from simulator.errors import IntegrationError, SpecimenError
 from simulator.materials import thin_plate_impedance_n_s_per_m
 from simulator.numerics.arrays import FloatArray
@@ -31,6 +33,7 @@ from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.cache import DEFAULT_CACHE_FOLDER
 from simulator.plate.models import ModalPlate, modal_plate
+from simulator.plate.reduced import PlateModes
 from simulator.shot.modal_weights import modal_weights
 from simulator.shot.registers import Propagator
 from simulator.shot.side_by_side import UNMOVED, integrate
@@ -199,6 +202,8 @@ class ShotModel:
         if self._modal_plate is None and corrosion.depth_fraction > 0.0:
             raise SpecimenError(_no_patch(plate.model, corrosion.depth_fraction))
         self._prepared: OrderedDict[tuple[float, float, bool, float], Propagator] = OrderedDict()
+        # The plate warms and cools with every set, also where its depth stays.
+        self._modes = lru_cache(maxsize=DEPTHS_KEPT)(partial(_modes_in_one_thread, self._modal_plate))
         self._checked_depths = {corrosion.depth_fraction}
         self._lock = threading.Lock()
 
@@ -314,24 +319,19 @@ class ShotModel:
 
     def _struck(self, impact: Impact) -> Chain:
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
-        if height_m is not None or tilt_rad is not None:
-            chain = replace(  # checks the bounds
-                chain,
-                drop_height_m=chain.drop_height_m if height_m is None else float(height_m),
-                tilt_rad=chain.tilt_rad if tilt_rad is None else float(tilt_rad),
-            )
-        struck = self._nominal if chain is self._chain else struck_again(self._nominal, chain)
-        if impact.contacts is not None:
-            struck = reseated(struck, impact.contacts)
+        struck = self._nominal
+        if height_m is not None or tilt_rad is not None or impact.contacts is not None:
+            height_m = chain.drop_height_m if height_m is None else float(height_m)
+            tilt_rad = chain.tilt_rad if tilt_rad is None else float(tilt_rad)
+            check_values(ChainParameters, {"drop_height_m": height_m, "tilt_rad": tilt_rad})
+            struck = struck_again(struck, chain.damping_n_s_per_m, height_m, tilt_rad, impact.contacts)
         if impact.second_delay_s is None:
             return struck
+        second_speed = struck.impact_speed_m_per_s
         if impact.second_drop_height_m is not None:
-            chain = replace(chain, drop_height_m=float(impact.second_drop_height_m))
-        return replace(
-            struck,
-            second_delay_s=impact.second_delay_s,
-            second_speed_m_per_s=struck_again(self._nominal, chain).impact_speed_m_per_s,
-        )
+            check_values(ChainParameters, {"drop_height_m": float(impact.second_drop_height_m)})
+            second_speed = impact_speed_m_per_s(float(impact.second_drop_height_m))
+        return replace(struck, second_delay_s=impact.second_delay_s, second_speed_m_per_s=second_speed)
 
     def _over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
@@ -438,8 +438,7 @@ class ShotModel:
         phase, yielding = CUT_PHASE_RAD, CONTACT_PHASE_SQUARED / (self._contact_stiffness_n_per_m * step**2)
         if wide:
             phase, yielding = WIDE_CUT_PHASE_RAD, math.inf
-        with one_blas_thread():
-            every_mode = self._modal_plate.modes(depth)
+        every_mode = self._modes(depth)
         if modulus != 1.0:
             every_mode = every_mode.of_modulus(modulus)
         modes = every_mode.cut_above(phase / step, yielding)
@@ -452,6 +451,12 @@ class ShotModel:
             if len(self._prepared) > DEPTHS_KEPT:
                 self._prepared.popitem(last=False)
         return made
+
+
+def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:
+    assert plate is not None, "an analytic anchor has no modes"
+    with one_blas_thread():
+        return plate.modes(depth)
 
 
 def _specimen_without_modes(plate: PlateParameters) -> Propagator:

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from simulator.errors import NoSolitaryWaveError
-from simulator.numerics.arrays import FloatArray, IntArray
+from simulator.numerics.arrays import FloatArray
+from simulator.numerics.machine_code import compiled
 from simulator.shot.model import ShotForce
 
 LEADING_FRACTION = 0.5
@@ -57,12 +58,15 @@ def summarise(force: ShotForce) -> PulseSummary:
     NoSolitaryWaveError
         No incident wave has passed the sensor within the record.
     """
-    f = np.asarray(force.force_n, dtype=np.float64)
-    maxima = local_maxima(f)
-    isw = _incident(f, maxima, force)
+    turn_s = np.nan if force.reflection_time_s is None else force.reflection_time_s
+    isw, psw = _waves(force.force_n, force.time_s, force.preload_n, turn_s)
+    if isw < 0:
+        raise NoSolitaryWaveError(
+            f"no incident solitary wave passed the sensor within {1e6 * float(force.time_s[-1]):.0f} us; "
+            f"lengthen the record (duration_s)"
+        )
     isw_time, isw_peak = _interpolated(force, isw)
-    psw = _reflected(f, maxima, force, isw)
-    if psw is None:
+    if psw < 0:
         return PulseSummary(
             isw_peak_n=isw_peak,
             isw_time_us=1e6 * isw_time,
@@ -82,38 +86,43 @@ def summarise(force: ShotForce) -> PulseSummary:
     )
 
 
-def local_maxima(values: FloatArray) -> IntArray:
-    """Find samples above the one before and not below the one after; never the ends."""
-    inner = values[1:-1]
-    return np.flatnonzero((inner > values[:-2]) & (inner >= values[2:])) + 1
+@compiled(error_model="numpy")
+def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
+    """Find the samples of ISW and PSW; -1: there is none. ``turn_s`` is not a number where nothing turns."""
+    n = force_n.shape[0]
+    strongest = -np.inf
+    for k in range(n):
+        strongest = max(strongest, force_n[k] - preload_n)
+    isw = -1
+    for k in range(1, n - 1):
+        if _is_maximum(force_n, k) and force_n[k] - preload_n >= LEADING_FRACTION * strongest:
+            isw = k
+            break
+    if isw < 0 or force_n[isw] - preload_n <= 0.0:
+        return -1, -1
+    gate_s = turn_s + RETURN_FRACTION * (turn_s - time_s[isw])
+    strongest = -np.inf
+    for k in range(1, n - 1):
+        if time_s[k] > gate_s and _is_maximum(force_n, k):
+            strongest = max(strongest, force_n[k] - preload_n)
+    if strongest < REFLECTED_FRACTION * (force_n[isw] - preload_n):
+        return isw, -1
+    psw = -1
+    for k in range(1, n - 1):
+        height = force_n[k] - preload_n
+        if psw >= 0 and height < PULSE_EDGE_FRACTION * strongest:
+            break
+        if time_s[k] > gate_s and _is_maximum(force_n, k):
+            leads = psw < 0 and height >= LEADING_FRACTION * strongest
+            if leads or (psw >= 0 and force_n[k] > force_n[psw]):
+                psw = k
+    return isw, psw
 
 
-def _incident(f: FloatArray, maxima: IntArray, force: ShotForce) -> int:
-    dynamic = f - force.preload_n
-    strong = maxima[dynamic[maxima] >= LEADING_FRACTION * dynamic.max()] if maxima.size else maxima
-    if strong.size == 0 or dynamic[strong[0]] <= 0.0:
-        raise NoSolitaryWaveError(
-            f"no incident solitary wave passed the sensor within {1e6 * float(force.time_s[-1]):.0f} us; "
-            f"lengthen the record (duration_s)"
-        )
-    return int(strong[0])
-
-
-def _reflected(f: FloatArray, maxima: IntArray, force: ShotForce, isw: int) -> int | None:
-    turn = force.reflection_time_s
-    if turn is None:
-        return None
-    gate = turn + RETURN_FRACTION * (turn - force.time_s[isw])
-    dynamic = f - force.preload_n
-    late = maxima[force.time_s[maxima] > gate]
-    if late.size == 0 or dynamic[late].max() < REFLECTED_FRACTION * dynamic[isw]:
-        return None
-    strongest = dynamic[late].max()
-    first = late[dynamic[late] >= LEADING_FRACTION * strongest][0]
-    below = np.flatnonzero(dynamic[first:] < PULSE_EDGE_FRACTION * strongest)
-    end = first + below[0] if below.size else len(f)
-    pulse = late[(late >= first) & (late < end)]
-    return int(pulse[np.argmax(f[pulse])])
+@compiled(error_model="numpy")
+def _is_maximum(values: FloatArray, k: int) -> bool:
+    """Whether a sample is above the one before and not below the one after: a plateau counts once."""
+    return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 
 
 def _interpolated(force: ShotForce, index: int) -> tuple[float, float]:

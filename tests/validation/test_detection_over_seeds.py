@@ -29,11 +29,17 @@ def detection() -> ModuleType:
 
 @pytest.mark.parametrize("position", ["B", pytest.param("C", marks=pytest.mark.slow)])
 def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleType, position: str) -> None:
-    outcome = detection.carry_out(detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=60.0))
+    run = detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=60.0, why=True)
+    outcome = detection.carry_out(run)
     assert outcome.n_baseline == 48
     assert outcome.first_alarm_h is not None
     assert outcome.first_alarm_h > 24.0
     assert 0.0 < outcome.depth_at_alarm < 0.30
+    first_h = {name: hours[0] for name, hours in outcome.raised_h.items() if hours}
+    assert first_h["alarm"] == outcome.first_alarm_h
+    # The same chart below a lower limit.
+    assert first_h["chart, limit of a known baseline"] <= first_h["chart"]
+    assert 24.0 < first_h["k_of_n, memory of the chart"] < 60.0
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from hardware_drivers.measurement import Calibration, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import Description
-from simulator.electronics.transduction import noise_volts
+from simulator.electronics.transduction import add_noise_volts
 from simulator.errors import SimulatorError
 from simulator.experiment.corrosion import patch_of
 from simulator.numerics.arrays import FloatArray
@@ -188,7 +188,7 @@ class Strikes:
         volts = np.zeros(adc.record_samples)
         if twin.noise.enabled:
             random = generator(twin.seed, Purpose.NOISE, key=key)
-            volts += noise_volts(volts.size, rate_hz, twin.noise, random)
+            add_noise_volts(volts, rate_hz, twin.noise, random)
         usual = rate_hz / WAVE.sample_rate_hz
         wave_adc = replace(
             adc,

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from hardware_drivers.measurement import Calibration
-from simulator.electronics.transduction import adc_calibration, counts_of, noise_volts, triggered_record
+from simulator.electronics.transduction import adc_calibration, add_noise_volts, counts_of, triggered_record
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
 
 ADC = AdcParameters()
@@ -207,7 +207,9 @@ def test_a_force_that_ends_before_the_record_is_refused():
 
 def test_slow_noise_is_slow_and_of_the_size_asked_for():
     noise = NoiseParameters(rms_v=0.0, slow_rms_v=0.012, slow_bandwidth_hz=20e3)
-    table = np.array([noise_volts(14_200, 10e6, noise, np.random.default_rng(s)) for s in range(200)])
+    table = np.zeros((200, 14_200))
+    for seed, volts in enumerate(table):
+        add_noise_volts(volts, 10e6, noise, np.random.default_rng(seed))
     # 28 lines of two parts each and 200 records: four standard errors of a standard deviation; the
     # interpolation takes up to 1 % off the upper end of the band.
     assert np.sqrt(np.mean(table**2)) == pytest.approx(0.012, rel=4.0 / np.sqrt(2 * 200 * 56) + 0.01)

@@ -1,11 +1,13 @@
 """Which maximum is the ISW, which the PSW, on forces made up for the purpose."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from simulator.errors import NoSolitaryWaveError
 from simulator.shot.model import ShotForce
-from simulator.shot.pulse_summary import local_maxima, summarise
+from simulator.shot.pulse_summary import summarise
 
 STEP_S = 0.5e-6
 PRELOAD_N = 0.97
@@ -84,5 +86,36 @@ def test_a_record_without_isw_is_an_error():
         summarise(force_of(ISW, duration_s=150e-6))  # still rising at the end
 
 
-def test_local_maxima_take_a_plateau_once_and_never_the_ends():
-    assert local_maxima(np.array([3.0, 1.0, 2.0, 2.0, 1.0, 4.0])).tolist() == [2]
+def by_arrays(force):
+    """Samples of ISW and PSW, written with arrays of all maxima."""
+    height = force.force_n - force.preload_n
+    inner = height[1:-1]
+    maxima = np.flatnonzero((inner > height[:-2]) & (inner >= height[2:])) + 1
+    isw = maxima[height[maxima] >= 0.5 * height.max()][0]
+    gate_s = force.reflection_time_s + 0.5 * (force.reflection_time_s - force.time_s[isw])
+    late = maxima[force.time_s[maxima] > gate_s]
+    if not late.size or height[late].max() < 0.05 * height[isw]:
+        return isw, None
+    first = late[height[late] >= 0.5 * height[late].max()][0]
+    ends = np.flatnonzero(height[first:] < 0.2 * height[late].max())
+    pulse = late[(late >= first) & (late < (first + ends[0] if ends.size else len(height)))]
+    return isw, pulse[np.argmax(height[pulse])]
+
+
+def test_one_pass_finds_what_arrays_of_all_maxima_tell():
+    random = np.random.default_rng(5)
+    reflected = 0
+    for _ in range(300):
+        late = [(random.uniform(300e-6, 1380e-6), random.uniform(0.0, 140.0)) for _ in range(4)]
+        force = force_of(ISW, *late, turn_s=random.uniform(200e-6, 900e-6))
+        if random.random() < 0.5:  # plateaus
+            force = replace(force, force_n=PRELOAD_N + np.round(force.force_n - PRELOAD_N))
+        isw, psw = by_arrays(force)
+        found = summarise(force)
+        # A parabola stays within half a sample of its highest point.
+        assert found.isw_time_us == pytest.approx(1e6 * force.time_s[isw], abs=0.501e6 * STEP_S)
+        assert (found.psw_time_us is None) == (psw is None)
+        if psw is not None:
+            reflected += 1
+            assert found.psw_time_us == pytest.approx(1e6 * force.time_s[psw], abs=0.501e6 * STEP_S)
+    assert 100 < reflected < 300
