@@ -11,9 +11,8 @@ models asked for (solid plate, wet face, stronger dashpots). Sets are drawn at t
 judged model, with the noise that ten real records leave (measured from the twin once); its walls are that
 model's own curve. Slopes are straight: what bends is left out, as are rogue and invalid shots and a loose
 contact. `tests/validation/test_verdicts.py` takes real shots. A suspicion gets a confirmation set at once,
-at most two a day; "alone" counts what was called WALL without it,
-"other" what was ever called sensor, coupling or environment. Healthy runs hold the re-seats of their
-level.
+at most two a day; "other" counts what was ever called sensor, coupling or environment. Healthy runs hold the
+re-seats of their level.
 """
 
 from __future__ import annotations
@@ -35,8 +34,9 @@ import numpy as np
 from cause_slopes import MEAN_TILT_RAD, slopes, walls
 
 from analysis.causes.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.causes.memory import Recollection, recollected, with_confirmation
 from analysis.causes.slopes import COMPONENTS, DEPTHS
-from analysis.causes.verdict import Recollection, cause_design, recollected, remembering, verdict_of
+from analysis.causes.verdict import cause_design, remembering, verdict_of
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit
@@ -197,22 +197,20 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
     memory, state = Recollection(), AlarmState()
     calls: Counter[str] = Counter()
-    before: Counter[str] = Counter()
     first: dict[str, float | None] = {"wall": None, "f": None}
-    confirming: list[FloatArray] = []
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
         log, again, depth = drawn[index]
-        memory = recollected(memory, design, log)
+        memory = recollected(memory, design.mean, log, index)
         state = next_alarm_state(state, bool(distance_squared(raw[index], baseline) > limit), RULE)
-        alone = told = verdict_of(memory, design, suspicious=state.active)
-        if alone.cause != OK:
-            if index - confirmed_at >= CONFIRMED_FOR:
-                confirming, confirmed_at = [again], index
-            told = verdict_of(memory, design, suspicious=state.active, confirmation=confirming)
+        told = verdict_of(memory, design, suspicious=state.active)
         memory = remembering(memory, told)
+        if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
+            confirmed_at = index
+            memory = with_confirmation(memory, design.mean, again)
+            told = verdict_of(memory, design, suspicious=True)
+            memory = remembering(memory, told)
         calls[told.cause] += 1
-        before[alone.cause] += 1
         for name, seen in (("wall", told.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
                 first[name] = depth
@@ -222,7 +220,6 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
         "model": model,
         "seed": seed,
         "called": dict(calls),
-        "called_before_confirmation": dict(before),
         "last": told.cause,
         "first_wall_depth": first["wall"],
         "first_f_depth": first["f"],
@@ -241,18 +238,17 @@ def percent(found: Sequence[bool]) -> float:
 
 
 def show(rows: Sequence[dict[str, Any]]) -> None:
-    head = f"{'level':11s}{'case':13s}{'runs':>5s}{'WALL %':>8s}{'(alone)':>8s}{'other %':>8s}{'F %':>7s}"
+    head = f"{'level':11s}{'case':13s}{'runs':>5s}{'WALL %':>8s}{'other %':>8s}{'F %':>7s}"
     print(f"{head}  at the end, %")
     for level in dict.fromkeys(row["level"] for row in rows):
         for case in dict.fromkeys(row["case"] for row in rows):
             own = [row for row in rows if row["level"] == level and row["case"] == case]
             called = percent([bool(row["called"].get(WALL)) for row in own])
-            alone = percent([bool(row["called_before_confirmation"].get(WALL)) for row in own])
             other = percent([bool(OTHERS & row["called"].keys()) for row in own])
             by_f = percent([row["f_alarmed"] for row in own])
             ends = Counter(row["last"] for row in own).most_common()
             told = ", ".join(f"{name} {100 * count / len(own):.0f}" for name, count in ends)
-            shares = f"{called:8.1f}{alone:8.1f}{other:8.1f}{by_f:7.1f}"
+            shares = f"{called:8.1f}{other:8.1f}{by_f:7.1f}"
             print(f"{level:11s}{case:13s}{len(own):5d}{shares}  {told}")
             if case == CORROSION.name:
                 first, f_first = median_depth(own, "first_wall_depth"), median_depth(own, "first_f_depth")

@@ -8,7 +8,7 @@ cause is judged by the likelihood of the three averages together, beside that of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,6 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from analysis.causes.hypotheses import COUPLING, OK, PRIOR, WALL, Hypothesis, hypotheses
+from analysis.causes.memory import (
+    MOST_AVERAGED,
+    SETTLING,
+    Recollection,
+    covariance_of_averages,
+    reseated,
+    weights,
+)
 from analysis.causes.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.statistics.baseline import whitening_matrix
@@ -26,8 +34,6 @@ from analysis.waves.record_reduction import FloatArray
 CANNOT_TELL = "cannot tell"
 STATED = 0.9
 """Least probability of a cause that is named."""
-RATES = (0.5, 0.1, 0.02)
-"""Weights of the averages: the last sets, those of half a day, those of two days at one an hour."""
 STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
 """Sets since a step. Finely, or a gross step between two of them would fit a growth better."""
 GROWTHS = np.round(np.geomspace(16.0, 512.0, 8))
@@ -35,8 +41,8 @@ GROWTHS = np.round(np.geomspace(16.0, 512.0, 8))
 POWERS = (1.0, 2.0)
 """Of a growth in time: even, or ever faster, as the time of flight over an even loss of wall."""
 BLOCKS = 10
-FEWEST_AVERAGED, MOST_AVERAGED = 10, 250
-"""Sets: the three averages of one or two are copies of each other, and further ones change nothing."""
+FEWEST_AVERAGED = 10
+"""Sets: the three averages of one or two are copies of each other."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,25 +80,6 @@ class CauseDesign:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Recollection:
-    """What the next set is judged with beside the design; as it is before the first set after a baseline.
-
-    Attributes
-    ----------
-    n
-        Sets judged so far.
-    changes
-        Averages of the change from the baseline's mean, one for each of `RATES`; shape (3, 7).
-    wall
-        A wall was named, and the transducer was not `OK` since.
-    """
-
-    n: int = 0
-    wall: bool = False
-    changes: tuple[tuple[float, ...], ...] = ((0.0,) * len(COMPONENTS),) * len(RATES)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class CauseVerdict:
     """What a set says.
 
@@ -108,6 +95,10 @@ class CauseVerdict:
         Probability that the change came from one set to the next.
     changes
         Relative change of each component, by its name: the average of some ten sets.
+    confirmed
+        With a set struck beside the plan.
+    reseated
+        It names a re-seat that was not known before.
     """
 
     cause: str
@@ -116,6 +107,7 @@ class CauseVerdict:
     abrupt: float
     changes: Mapping[str, float]
     confirmed: bool
+    reseated: bool
 
 
 def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
@@ -175,40 +167,31 @@ def _slow_variance(whitened: FloatArray, phi: float) -> float:
     return max(float((means**2).mean()), (1.0 + phi) / (1.0 - phi) / n)
 
 
-def recollected(before: Recollection, design: CauseDesign, logs: FloatArray) -> Recollection:
-    """Take in one more complete set."""
-    change = logs - design.mean
-    averages = [
-        rate * change + (1.0 - rate) * np.array(old) for rate, old in zip(RATES, before.changes, strict=True)
-    ]
-    return Recollection(
-        n=before.n + 1, wall=before.wall, changes=tuple(tuple(one.tolist()) for one in averages)
-    )
-
-
-def verdict_of(
-    memory: Recollection,
-    design: CauseDesign,
-    *,
-    suspicious: bool = False,
-    confirmation: Sequence[FloatArray] = (),
-) -> CauseVerdict:
+def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = False) -> CauseVerdict:
     """Say what the sets so far mean.
 
     Parameters
     ----------
     suspicious
         A chart of this transducer alarms, or its k of n.
-    confirmation
-        Logarithms of the sets struck because of the suspicion, which stand outside the averages.
     """
-    probabilities, abrupt = _posterior(memory, design, confirmation)
+    probabilities, abrupt = _posterior(memory, design, from_moved=False)
+    back = memory.n >= FEWEST_AVERAGED and max(probabilities, key=probabilities.__getitem__) == OK
+    moved = bool(memory.moved) and not back
+    if moved:
+        probabilities, abrupt = _posterior(memory, design, from_moved=True)
     likeliest = max(probabilities, key=probabilities.__getitem__)
+    sure = probabilities[likeliest] >= STATED
     # What grows may be a wall after all, and a step alone be gone with the next strike.
-    unsure = likeliest == COUPLING and not (abrupt >= STATED and confirmation)
+    contact = likeliest == COUPLING and sure and abrupt >= STATED and bool(memory.beside)
     # A wall does not heal: nothing but a healthy transducer takes it back.
-    unsure |= memory.wall and likeliest != WALL
-    if likeliest != OK and probabilities[likeliest] >= STATED and not unsure:
+    contact &= not memory.wall
+    unsure = (likeliest == COUPLING and not contact) or (memory.wall and likeliest != WALL)
+    if moved and likeliest == OK:
+        # As it has been since its contact moved, whatever a chart says that knows nothing of that.
+        named = likeliest = COUPLING
+        probabilities = probabilities | {OK: probabilities[COUPLING], COUPLING: probabilities[OK]}
+    elif likeliest != OK and sure and not unsure:
         named = likeliest
     else:
         named = CANNOT_TELL if suspicious or likeliest != OK else OK
@@ -219,39 +202,40 @@ def verdict_of(
         probabilities=probabilities,
         abrupt=abrupt,
         changes={name: math.expm1(change) for name, change in zip(COMPONENTS, changes, strict=True)},
-        confirmed=bool(confirmation),
+        confirmed=bool(memory.beside) or moved,
+        reseated=contact,
     )
 
 
 def remembering(memory: Recollection, verdict: CauseVerdict) -> Recollection:
-    """Keep that a wall was named, until the transducer is healthy again."""
-    return replace(memory, wall=verdict.cause == WALL or (memory.wall and verdict.cause != OK))
+    """Keep what was named: a wall until the transducer is healthy again, and a re-seat."""
+    if verdict.reseated:
+        return reseated(memory)
+    healthy = verdict.cause in (OK, COUPLING)
+    wall = verdict.cause == WALL or (memory.wall and not healthy)
+    return replace(memory, wall=wall, moved=() if verdict.cause == OK else memory.moved)
 
 
 def _posterior(
-    memory: Recollection, design: CauseDesign, confirmation: Sequence[FloatArray]
+    memory: Recollection, design: CauseDesign, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
-    """Probability of each cause, and of a step."""
-    averages, noise = np.array(memory.changes), _noise(memory.n, design, len(confirmation))
-    if confirmation:
-        averages = np.vstack([averages, np.mean(confirmation, axis=0) - design.mean])
+    """Probability of each cause, and of a step, of what changed since the baseline or since a re-seat."""
+    averages, noise = memory.averages(from_moved=from_moved), _noise(memory, design, from_moved=from_moved)
     whole = np.linalg.inv(np.linalg.cholesky(noise))
     seen = whole @ averages @ design.whitening
-    course = _courses(min(max(memory.n, 1), MOST_AVERAGED))
-    if confirmation:
-        course = np.hstack([course, np.ones((len(course), 1))])
-    course = course @ whole.T
+    n, beside_ago = min(max(memory.n, 1), MOST_AVERAGED), memory.beside_ago if memory.beside else None
+    course = _courses(n, memory.gap, memory.gap_ago, beside_ago) @ whole.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
     # Of every hypothesis h and course s: the density along the course, over that of no change at all.
     off = along[None] - length[None, :, None] * design.means[:, None]
-    parts = np.einsum("hij,hsi->hsj", design.directions, off)
+    parts = off @ design.directions
     spread = 1.0 + length[None, :, None] ** 2 * design.variances[:, None]
     log = 0.5 * (along**2).sum(axis=1) - 0.5 * (parts**2 / spread + np.log(spread)).sum(axis=2)
-    weights = design.weights.copy()
-    if memory.n < GROWTHS[0]:
-        weights[:, len(STEPS) :] = 0.0
-    share = np.exp(log - log.max()) * weights
+    beforehand = design.weights.copy()
+    if memory.n + memory.gap < GROWTHS[0]:
+        beforehand[:, len(STEPS) :] = 0.0
+    share = np.exp(log - log.max()) * beforehand
     share /= share.sum()
     of_each = share.sum(axis=1)
     by_cause = {cause: float(of_each[rows].sum()) for cause, rows in design.rows.items()}
@@ -267,40 +251,33 @@ def _weights(one: Hypothesis) -> FloatArray:
     return np.concatenate([step * since / since.sum(), np.full(courses, growth / courses)])
 
 
-@lru_cache(maxsize=256)
-def _courses(n: int) -> FloatArray:
+@lru_cache(maxsize=512)
+def _courses(n: int, gap: int, gap_ago: int, beside_ago: int | None) -> FloatArray:
     """Averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
 
-    The averages begin with the first of n sets after the baseline.
+    The averages begin with the first of n sets after the baseline. A step lies between two sets, however
+    far apart they are; what grows goes on growing while the plan has a gap.
     """
     ago = np.arange(n)
     steps = ago < STEPS[:, None]
-    grown = np.maximum(1.0 - ago / np.minimum(GROWTHS, n)[:, None], 0.0)  # none began in the baseline
+    planned_ago = ago + gap * (ago >= gap_ago)
+    longest = n + gap  # none began in the baseline
+    grown = np.maximum(1.0 - planned_ago / np.minimum(GROWTHS, longest)[:, None], 0.0)
     course = np.vstack([steps, *(grown**power for power in POWERS)])
-    return np.asarray(course @ _memories(n).T)
+    return np.asarray(course @ weights(n, beside_ago).T)
 
 
-def _memories(n: int) -> FloatArray:
-    """Weights of the last n sets in the averages, the newest first; shape (r, n)."""
-    ago = np.arange(n)
-    return np.array([rate * (1.0 - rate) ** ago for rate in RATES])
+def _noise(memory: Recollection, design: CauseDesign, *, from_moved: bool) -> FloatArray:
+    """Covariance of what a healthy transducer's memory holds, in units of a set's; shape (r, r).
 
-
-def _noise(n: int, design: CauseDesign, n_confirming: int) -> FloatArray:
-    """Covariance of the averages of a healthy transducer, in units of a set's covariance; shape (r, r).
-
-    The slow mean adds to all of them, a confirmation's too.
+    The slow mean adds to all, to a confirmation's too, and where it sits since a re-seat is learnt from sets.
     """
-    remembered = _of_averages(min(max(n, FEWEST_AVERAGED), MOST_AVERAGED), design.phi)
-    noise = np.zeros((len(RATES) + bool(n_confirming),) * 2)
-    noise[: len(RATES), : len(RATES)] = remembered
-    if n_confirming:
-        noise[-1, -1] = 1.0 / n_confirming
-    return np.asarray(noise + design.slow_variance)
+    n = min(max(memory.n, FEWEST_AVERAGED), MOST_AVERAGED)
+    noise = _of_averages(n, design.phi, memory.beside_ago if memory.beside else None)
+    slow = design.slow_variance
+    if from_moved:
+        slow += (1.0 + design.phi) / (1.0 - design.phi) / min(max(memory.n, 1), SETTLING)
+    return np.asarray(noise + slow)
 
 
-@lru_cache(maxsize=512)
-def _of_averages(n: int, phi: float) -> FloatArray:
-    """Covariance of the averages of n sets of a first-order autoregression of variance 1."""
-    ago, weights = np.arange(n), _memories(n)
-    return np.asarray(weights @ phi ** np.abs(ago[:, None] - ago) @ weights.T)
+_of_averages = lru_cache(maxsize=512)(covariance_of_averages)

@@ -258,7 +258,9 @@ def _with_cause(verdict: Verdict, found: SetOfShots, state: State, *, suspicious
     if design is None or verdict.memory is None:
         return verdict
     suspicious = suspicious or verdict.memory.alarming
-    recollection, cause = cause_after(state.recollection, design, found.values, suspicious=suspicious)
+    recollection, cause = cause_after(
+        state.recollection, design, found.set_index, found.values, suspicious=suspicious
+    )
     return replace(verdict, cause=cause, recollection=recollection)
 
 
