@@ -22,7 +22,7 @@ import json
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -155,42 +155,46 @@ def reseat_of(level: str, random: np.random.Generator, n: int) -> FloatArray:
     return sd * random.standard_normal(2 * n + 3)
 
 
-def sets_of(case: Case, level: str, model: str, seed: int) -> Iterator[tuple[FloatArray, FloatArray, float]]:
-    """Logarithms of each set, of a confirmation set struck then, shapes (7,), and the wall's depth."""
+def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Logarithms of each set and of a confirmation set struck then, shape (n, 7), and the wall's depth."""
     chain, found, random = MODELS[model][0], judged(model), np.random.default_rng(seed)
     n, drift, scatter = chain.bodies, DriftParameters(), ScatterParameters()
     weather: Climate = climate(level, seed=seed, warmest_hour_h=drift.warmest_hour_h)
     room, reseat = temperature(drift, seed=seed), reseat_of(level, random, n)
-    noise, dof = electronic_sd(), NUISANCE[level].tail_dof
+    places, seats = [], []
     for index in range(BASELINE + AFTER):
-        hour_h, part = float(index), case.part(index)
-        place, fault_k = place_of(case, part, reseat, n)
+        hour_h = float(index)
+        place, fault_k = place_of(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
         seat = seat_of_set(
             level, seed, "B", chain, weather, set_index=index, hour_h=hour_h, warmer_k=warmer_k
         )
-        place = place + seat.place
-        place[2 * n + 1] += drift.sensitivity_per_k * seat.chain_warmer_k
-        growth_m = drift.guide_length_m * drift.guide_expansion_per_k * seat.chain_warmer_k
-        place[2 * n] += growth_m / chain.drop_height_m
-        depth = part * case.depth
-        fixed = math.log(seat.plate_modulus_factor) * found.of_plate_modulus
-        fixed = fixed + [np.interp(depth, [0.0, *DEPTHS], column) for column in found.wall.T]
-        struck = []
-        for _ in range(2):
-            shots = seat.shot_effect @ unit_t(random, dof, (SHOTS, seat.shot_effect.shape[1])).mean(axis=0)
-            own = place + shots
-            own[2 * n] += scatter.set_drop_height_sd_fraction * random.standard_normal()
-            own[2 * n] += scatter.shot_drop_height_sd_fraction * random.standard_normal() / math.sqrt(SHOTS)
-            own[2 * n + 2] += scatter.set_tilt_sd_rad * random.uniform(-math.sqrt(3.0), math.sqrt(3.0))
-            struck.append(own @ found.of_place + fixed + noise * random.standard_normal(len(COMPONENTS)))
-        yield struck[0], struck[1], depth
+        places.append(place + seat.place)
+        seats.append(seat)
+    place, sets = np.array(places), len(seats)
+    chain_k = np.array([seat.chain_warmer_k for seat in seats])
+    place[:, 2 * n + 1] += drift.sensitivity_per_k * chain_k
+    place[:, 2 * n] += drift.guide_length_m * drift.guide_expansion_per_k * chain_k / chain.drop_height_m
+    depth = case.depth * np.array([case.part(index) for index in range(sets)])
+    fixed = np.log([[seat.plate_modulus_factor] for seat in seats]) * found.of_plate_modulus
+    fixed += np.stack([np.interp(depth, [0.0, *DEPTHS], column) for column in found.wall.T], axis=1)
+    effects = np.array([seat.shot_effect for seat in seats])
+    struck = []
+    for _ in range(2):
+        shots = unit_t(random, NUISANCE[level].tail_dof, (sets, SHOTS, effects.shape[2])).mean(axis=1)
+        own = place + (effects @ shots[:, :, None])[:, :, 0]
+        own[:, 2 * n] += scatter.set_drop_height_sd_fraction * random.standard_normal(sets)
+        of_shots = scatter.shot_drop_height_sd_fraction / math.sqrt(SHOTS)
+        own[:, 2 * n] += of_shots * random.standard_normal(sets)
+        own[:, 2 * n + 2] += scatter.set_tilt_sd_rad * random.uniform(-math.sqrt(3.0), math.sqrt(3.0), sets)
+        noise = electronic_sd() * random.standard_normal((sets, len(COMPONENTS)))
+        struck.append(own @ found.of_place + fixed + noise)
+    return struck[0], struck[1], depth
 
 
 def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     """Judge one run; depths and sets are None where it was never called so."""
-    drawn = list(sets_of(case, level, model, seed))
-    logs = np.array([one for one, _, _ in drawn])
+    logs, beside, depths = sets_of(case, level, model, seed)
     design = cause_design(logs[:BASELINE])
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[:BASELINE], range(BASELINE), name="b")
@@ -200,20 +204,19 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
-        log, again, depth = drawn[index]
-        memory = recollected(memory, design.mean, log, index)
+        memory = recollected(memory, design.mean, logs[index], index)
         state = next_alarm_state(state, bool(distance_squared(raw[index], baseline) > limit), RULE)
         told = verdict_of(memory, design, suspicious=state.active)
         memory = remembering(memory, told)
         if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
             confirmed_at = index
-            memory = with_confirmation(memory, design.mean, again)
+            memory = with_confirmation(memory, design.mean, beside[index])
             told = verdict_of(memory, design, suspicious=True)
             memory = remembering(memory, told)
         calls[told.cause] += 1
         for name, seen in (("wall", told.cause == WALL), ("f", state.active)):
             if seen and first[name] is None:
-                first[name] = depth
+                first[name] = float(depths[index])
     return {
         "case": case.name,
         "level": level,

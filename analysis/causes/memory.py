@@ -70,7 +70,7 @@ class Recollection:
             return np.array(rows)
         # The averages began with 0 at the re-seat, and have not forgotten that yet.
         since = [1.0 - (1.0 - rate) ** self.n for rate in RATES] + [1.0] * bool(self.beside)
-        return np.array(rows) - np.outer(since, self.moved)
+        return np.asarray(np.array(rows) - np.outer(since, self.moved))
 
 
 def recollected(before: Recollection, mean: FloatArray, logs: FloatArray, index: int) -> Recollection:
@@ -150,11 +150,14 @@ def weights(n: int, beside_ago: int | None = None) -> FloatArray:
 
 def covariance_of_averages(n: int, phi: float, beside_ago: int | None) -> FloatArray:
     """Covariance of averages (and confirmation) over n sets of an autoregression of variance 1."""
-    remembered = np.asarray(phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n))))
-    of_sets = weights(n)
-    covariance = of_sets @ remembered @ of_sets.T
+    # Of two averages: of sets k ago with themselves, and with the m-th before, in either order.
+    ago, rates = np.arange(n), np.array(RATES)
+    kept = (1.0 - rates)[:, None]
+    with_older = (1.0 - (phi * kept) ** (n - ago)) / (1.0 - phi * kept)
+    pairs = (kept * kept.T)[:, :, None] ** ago * (with_older[:, None] + with_older - 1.0)
+    covariance = np.outer(rates, rates) * pairs.sum(axis=2)
     if beside_ago is None:
         return np.asarray(covariance)
     # Struck right after its planned set, it is no copy of it: it has an innovation of its own.
-    shared = of_sets @ phi ** np.maximum(np.abs(np.arange(n) - beside_ago), 1)
+    shared = weights(n) @ phi ** np.maximum(np.abs(np.arange(n) - beside_ago), 1)
     return np.block([[covariance, shared[:, None]], [shared[None], np.ones((1, 1))]])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from analysis.causes.hypotheses import COUPLING, OK, PRIOR, WALL, Hypothesis, hypotheses
 from analysis.causes.memory import (
@@ -63,9 +63,12 @@ class CauseDesign:
         Which hypotheses stand for a cause.
     weights
         Of each hypothesis with each course in time, beforehand; shape (h, s).
-    means, variances, directions
-        The hypotheses in whitened coordinates: shapes (h, 7), (h, 7), (h, 7, 7), the last two an
-        eigendecomposition of their covariances.
+    abrupt
+        Which hypotheses may come at once.
+    variances, directions
+        Eigendecomposition of the hypotheses' covariances in whitened coordinates: shapes (h, 7), (h, 7, 7).
+    means
+        Along these directions, shape (h, 7).
     """
 
     mean: FloatArray
@@ -74,9 +77,10 @@ class CauseDesign:
     slow_variance: float
     rows: Mapping[str, list[int]]
     weights: FloatArray
-    means: FloatArray
+    abrupt: NDArray[np.intp]
     variances: FloatArray
     directions: FloatArray
+    means: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,9 +156,10 @@ def cause_design(history: ArrayLike) -> CauseDesign:
         slow_variance=_slow_variance((complete - mean) @ whitening, phi),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
-        means=np.array([one.mean for one in known]) @ whitening,
+        abrupt=np.flatnonzero([one.abrupt for one in known]),
         variances=np.maximum(variances, 0.0),
         directions=directions,
+        means=np.einsum("hi,hij->hj", np.array([one.mean for one in known]) @ whitening, directions),
     )
 
 
@@ -227,11 +232,10 @@ def _posterior(
     course = _courses(n, memory.gap, memory.gap_ago, beside_ago) @ whole.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
-    # Of every hypothesis h and course s: the density along the course, over that of no change at all.
-    off = along[None] - length[None, :, None] * design.means[:, None]
-    parts = off @ design.directions
-    spread = 1.0 + length[None, :, None] ** 2 * design.variances[:, None]
-    log = 0.5 * (along**2).sum(axis=1) - 0.5 * (parts**2 / spread + np.log(spread)).sum(axis=2)
+    steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
+    growths = _log_densities(design, slice(None), along[len(STEPS) :], length[len(STEPS) :])
+    log = np.full(design.weights.shape, -np.inf)
+    log[design.abrupt, : len(STEPS)], log[:, len(STEPS) :] = steps, growths
     beforehand = design.weights.copy()
     if memory.n + memory.gap < GROWTHS[0]:
         beforehand[:, len(STEPS) :] = 0.0
@@ -240,6 +244,22 @@ def _posterior(
     of_each = share.sum(axis=1)
     by_cause = {cause: float(of_each[rows].sum()) for cause, rows in design.rows.items()}
     return by_cause, float(share[:, : len(STEPS)].sum())
+
+
+def _log_densities(
+    design: CauseDesign, which: NDArray[np.intp] | slice, along: FloatArray, length: FloatArray
+) -> FloatArray:
+    """Give log densities of hypotheses and courses over that of no change, shape (h, s).
+
+    Parameters
+    ----------
+    along, length
+        What is seen along each course, shape (s, 7), and the course's length, shape (s,).
+    """
+    parts = along[None] @ design.directions[which] - length[None, :, None] * design.means[which][:, None]
+    spread = 1.0 + length[None, :, None] ** 2 * design.variances[which][:, None]
+    explained = (parts**2 / spread).sum(axis=2) + np.log(spread.prod(axis=2))
+    return np.asarray(0.5 * ((along**2).sum(axis=1) - explained))
 
 
 def _weights(one: Hypothesis) -> FloatArray:

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.causes.verdict import CauseDesign, CauseVerdict, Recollection
+from analysis.causes.memory import Recollection
+from analysis.causes.verdict import CauseDesign, CauseVerdict
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory

@@ -12,7 +12,9 @@ from analysis.causes.memory import (
     MOST_AVERAGED,
     SETTLING,
     Recollection,
+    covariance_of_averages,
     recollected,
+    weights,
     with_confirmation,
 )
 from analysis.causes.slopes import (
@@ -215,3 +217,14 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
     for index in range(19, 19 + MOST_AVERAGED):
         memory = recollected(memory, mean, ZERO, index)
     assert (memory.gap, memory.gap_ago) == (0, 0)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
+def test_averages_scatter_as_sets_with_memory_make_them(phi: float) -> None:
+    n, beside_ago = 40, 3
+    sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    found = covariance_of_averages(n, phi, beside_ago)
+    assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
+    # The set beside the plan is no copy of the planned one that it follows.
+    beside = sets[beside_ago] - (1.0 - phi) * (np.arange(n) == beside_ago)
+    assert found[3] == pytest.approx([*(weights(n) @ beside), 1.0])
