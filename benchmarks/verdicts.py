@@ -33,10 +33,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from cause_slopes import MEAN_TILT_RAD, slopes, walls
 
+from analysis.causes.design import cause_design
 from analysis.causes.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.causes.memory import Recollection, recollected, with_confirmation
 from analysis.causes.slopes import COMPONENTS, DEPTHS
-from analysis.causes.verdict import cause_design, remembering, verdict_of
+from analysis.causes.verdict import remembering, verdict_of
 from analysis.statistics.baseline import fit_baseline
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.limits import f_predictive_limit

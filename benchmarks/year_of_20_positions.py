@@ -140,6 +140,7 @@ def _told(index: int, drawn: list[float]) -> dict[str, Any]:
         changes=dict(zip(COMPONENTS, change, strict=True)),
         confirmed=False,
         reseated=False,
+        returned=False,
     )
     memory = Recollection(n=index, index=index, changes=(change,) * len(RATES))
     return {

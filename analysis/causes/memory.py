@@ -119,18 +119,9 @@ def with_confirmation(memory: Recollection, mean: FloatArray, logs: FloatArray) 
     return replace(memory, beside=tuple((logs - mean).tolist()), beside_ago=0)
 
 
-def reseated(memory: Recollection) -> Recollection:
-    """Begin anew from where the transducer sits now; the next sets tell that better."""
-    return replace(
-        memory,
-        n=0,
-        changes=NOTHING,
-        gap=0,
-        gap_ago=0,
-        beside=(),
-        beside_ago=0,
-        moved=memory.beside or memory.changes[0],
-    )
+def begun_anew(memory: Recollection, moved: tuple[float, ...]) -> Recollection:
+    """Begin again from where the transducer sits now; empty: as in its baseline."""
+    return replace(memory, n=0, changes=NOTHING, gap=0, gap_ago=0, beside=(), beside_ago=0, moved=moved)
 
 
 def weights(n: int, beside_ago: int | None = None) -> FloatArray:

@@ -13,74 +13,26 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from analysis.causes.hypotheses import COUPLING, OK, PRIOR, WALL, Hypothesis, hypotheses
+from analysis.causes.design import GROWTHS, POWERS, STEPS, CauseDesign
+from analysis.causes.hypotheses import COUPLING, OK, WALL
 from analysis.causes.memory import (
     MOST_AVERAGED,
     SETTLING,
     Recollection,
+    begun_anew,
     covariance_of_averages,
-    reseated,
     weights,
 )
 from analysis.causes.slopes import COMPONENTS
-from analysis.errors import InvalidInputError, SingularCovarianceError
-from analysis.statistics.baseline import whitening_matrix
-from analysis.statistics.chart import widened_phi
-from analysis.statistics.memory import guarded_phi
 from analysis.waves.record_reduction import FloatArray
 
 CANNOT_TELL = "cannot tell"
 STATED = 0.9
 """Least probability of a cause that is named."""
-STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
-"""Sets since a step. Finely, or a gross step between two of them would fit a growth better."""
-GROWTHS = np.round(np.geomspace(16.0, 512.0, 8))
-"""Sets since a growth began: no wall is lost in half a day of sets."""
-POWERS = (1.0, 2.0)
-"""Of a growth in time: even, or ever faster, as the time of flight over an even loss of wall."""
-BLOCKS = 10
 FEWEST_AVERAGED = 10
 """Sets: the three averages of one or two are copies of each other."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class CauseDesign:
-    """What a frozen baseline gives to tell causes by.
-
-    Attributes
-    ----------
-    mean
-        Of the seven logarithms, shape (7,).
-    whitening
-        Turns a change of the logarithms, shape (7,), into one with covariance 1: row @ whitening.
-    phi
-        Memory from set to set, of all components together.
-    slow_variance
-        Of the difference between the baseline's mean and the transducer's slow mean, in units of a set's.
-    rows
-        Which hypotheses stand for a cause.
-    weights
-        Of each hypothesis with each course in time, beforehand; shape (h, s).
-    abrupt
-        Which hypotheses may come at once.
-    variances, directions
-        Eigendecomposition of the hypotheses' covariances in whitened coordinates: shapes (h, 7), (h, 7, 7).
-    means
-        Along these directions, shape (h, 7).
-    """
-
-    mean: FloatArray
-    whitening: FloatArray
-    phi: float
-    slow_variance: float
-    rows: Mapping[str, list[int]]
-    weights: FloatArray
-    abrupt: NDArray[np.intp]
-    variances: FloatArray
-    directions: FloatArray
-    means: FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,8 +53,8 @@ class CauseVerdict:
         Relative change of each component, by its name: the average of some ten sets.
     confirmed
         With a set struck beside the plan.
-    reseated
-        It names a re-seat that was not known before.
+    reseated, returned
+        It names a re-seat that was not known before; the contact sits as in the baseline again.
     """
 
     cause: str
@@ -112,64 +64,7 @@ class CauseVerdict:
     changes: Mapping[str, float]
     confirmed: bool
     reseated: bool
-
-
-def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
-    """Logarithms of a set's features in the order of `COMPONENTS`; None where one is missing."""
-    found = [values.get(name) for name in COMPONENTS]
-    known = [value for value in found if value is not None and math.isfinite(value) and value > 0.0]
-    return np.log(known) if len(known) == len(found) else None
-
-
-def cause_design(history: ArrayLike) -> CauseDesign:
-    """Design from the baseline's sets.
-
-    Parameters
-    ----------
-    history
-        Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
-
-    Raises
-    ------
-    SingularCovarianceError
-        A feature is constant, or a combination of others.
-    """
-    x = np.asarray(history, dtype=np.float64)
-    if x.ndim != 2 or x.shape[1] != len(COMPONENTS):
-        raise InvalidInputError(f"history has shape {x.shape}; it must be (n, {len(COMPONENTS)})")
-    complete = x[np.isfinite(x).all(axis=1)]
-    n, p = complete.shape
-    mean, phi = complete.mean(axis=0), float(widened_phi(guarded_phi(x), n).mean())
-    # Inverse of a covariance estimated from few sets is too large by this.
-    covariance = np.cov(complete, rowvar=False) * (n - 1.0) / (n - p - 2.0)
-    sd = np.sqrt(np.diag(covariance))
-    if not sd.all():
-        raise SingularCovarianceError(f"{COMPONENTS[int(sd.argmin())]} is constant in all {n} baseline sets")
-    whitening = whitening_matrix(covariance / np.outer(sd, sd)) / sd[:, None]
-    known = hypotheses(covariance)
-    in_white = [whitening.T @ one.covariance @ whitening for one in known]
-    variances, directions = np.linalg.eigh(np.array(in_white))
-    return CauseDesign(
-        mean=mean,
-        whitening=whitening,
-        phi=phi,
-        slow_variance=_slow_variance((complete - mean) @ whitening, phi),
-        rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
-        weights=np.array([_weights(one) for one in known]),
-        abrupt=np.flatnonzero([one.abrupt for one in known]),
-        variances=np.maximum(variances, 0.0),
-        directions=directions,
-        means=np.einsum("hi,hij->hj", np.array([one.mean for one in known]) @ whitening, directions),
-    )
-
-
-def _slow_variance(whitened: FloatArray, phi: float) -> float:
-    """Variance of means of a tenth of the baseline, at least that of the baseline's own mean."""
-    n = len(whitened)
-    length = max(1, n // BLOCKS)
-    blocks = n // length
-    means = whitened[: blocks * length].reshape(blocks, length, -1).mean(axis=1)
-    return max(float((means**2).mean()), (1.0 + phi) / (1.0 - phi) / n)
+    returned: bool
 
 
 def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = False) -> CauseVerdict:
@@ -180,11 +75,8 @@ def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = 
     suspicious
         A chart of this transducer alarms, or its k of n.
     """
-    probabilities, abrupt = _posterior(memory, design, from_moved=False)
-    back = memory.n >= FEWEST_AVERAGED and max(probabilities, key=probabilities.__getitem__) == OK
-    moved = bool(memory.moved) and not back
-    if moved:
-        probabilities, abrupt = _posterior(memory, design, from_moved=True)
+    moved = bool(memory.moved)
+    probabilities, abrupt = _posterior(memory, design, from_moved=moved)
     likeliest = max(probabilities, key=probabilities.__getitem__)
     sure = probabilities[likeliest] >= STATED
     # What grows may be a wall after all, and a step alone be gone with the next strike.
@@ -209,16 +101,23 @@ def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = 
         changes={name: math.expm1(change) for name, change in zip(COMPONENTS, changes, strict=True)},
         confirmed=bool(memory.beside) or moved,
         reseated=contact,
+        returned=moved and _is_nearer_to_its_baseline(memory, design),
     )
 
 
+def _is_nearer_to_its_baseline(memory: Recollection, design: CauseDesign) -> bool:
+    """Compare the average of some ten sets with the two places that are known, once it holds that many."""
+    away, moved = (memory.averages(from_moved=place)[1] @ design.whitening for place in (False, True))
+    return memory.n >= FEWEST_AVERAGED and bool(away @ away < moved @ moved)
+
+
 def remembering(memory: Recollection, verdict: CauseVerdict) -> Recollection:
-    """Keep what was named: a wall until the transducer is healthy again, and a re-seat."""
+    """Keep what was named: a wall until the transducer is healthy again, and where its contacts sit."""
     if verdict.reseated:
-        return reseated(memory)
+        return begun_anew(memory, memory.beside)
     healthy = verdict.cause in (OK, COUPLING)
-    wall = verdict.cause == WALL or (memory.wall and not healthy)
-    return replace(memory, wall=wall, moved=() if verdict.cause == OK else memory.moved)
+    memory = replace(memory, wall=verdict.cause == WALL or (memory.wall and not healthy))
+    return begun_anew(memory, ()) if verdict.returned else memory
 
 
 def _posterior(
@@ -260,15 +159,6 @@ def _log_densities(
     spread = 1.0 + length[None, :, None] ** 2 * design.variances[which][:, None]
     explained = (parts**2 / spread).sum(axis=2) + np.log(spread.prod(axis=2))
     return np.asarray(0.5 * ((along**2).sum(axis=1) - explained))
-
-
-def _weights(one: Hypothesis) -> FloatArray:
-    """Probability beforehand with each course; half of what may be abrupt or gradual is either."""
-    both = 0.5 if one.abrupt and one.gradual else 1.0
-    step, growth = (both * one.weight * may for may in (one.abrupt, one.gradual))
-    since = np.gradient(np.log(STEPS))
-    courses = len(GROWTHS) * len(POWERS)
-    return np.concatenate([step * since / since.sum(), np.full(courses, growth / courses)])
 
 
 @lru_cache(maxsize=512)

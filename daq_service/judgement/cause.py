@@ -7,18 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from analysis.causes.design import CauseDesign, cause_design, logs_of
 from analysis.causes.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.causes.memory import RATES, Recollection, recollected, with_confirmation
 from analysis.causes.slopes import COMPONENTS
-from analysis.causes.verdict import (
-    CANNOT_TELL,
-    CauseDesign,
-    CauseVerdict,
-    cause_design,
-    logs_of,
-    remembering,
-    verdict_of,
-)
+from analysis.causes.verdict import CANNOT_TELL, CauseVerdict, remembering, verdict_of
 from analysis.errors import SingularCovarianceError
 from analysis.statistics.rules import MINIMUM_SETS
 

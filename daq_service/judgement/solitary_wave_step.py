@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from analysis.causes.design import CauseDesign
 from analysis.causes.memory import Recollection
-from analysis.causes.verdict import CauseDesign, CauseVerdict
+from analysis.causes.verdict import CauseVerdict
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from analysis.causes.design import CauseDesign, cause_design, logs_of
 from analysis.causes.hypotheses import COUPLING, OK, SENSOR, WALL
 from analysis.causes.memory import (
     MOST_AVERAGED,
@@ -27,15 +28,7 @@ from analysis.causes.slopes import (
     TILT,
     WALL_B,
 )
-from analysis.causes.verdict import (
-    CANNOT_TELL,
-    CauseDesign,
-    CauseVerdict,
-    cause_design,
-    logs_of,
-    remembering,
-    verdict_of,
-)
+from analysis.causes.verdict import CANNOT_TELL, CauseVerdict, remembering, verdict_of
 from analysis.errors import InvalidInputError
 from analysis.waves.record_reduction import FloatArray
 
