@@ -266,6 +266,7 @@ CASES = {case.name: case for case in (HEALTHY, RESEAT, *SENSOR_FAULTS, WARMER, C
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=99, help="of each case and level, over all models")
+    parser.add_argument("--first-seed", type=int, default=0, help="choose by others than you show")
     parser.add_argument("--levels", default=",".join(NUISANCE))
     parser.add_argument("--models", default=",".join(MODELS))
     parser.add_argument("--only", default=",".join(CASES), help=f"of {', '.join(CASES)}")
@@ -277,7 +278,7 @@ def main() -> None:
         judged(model)
     electronic_sd()
     todo = [
-        (CASES[case], level, models[k % len(models)], k)
+        (CASES[case], level, models[k % len(models)], options.first_seed + k)
         for level in options.levels.split(",")
         for case in options.only.split(",")
         for k in range(options.runs)
