@@ -29,8 +29,11 @@ CAUSES = (WALL, SENSOR, COUPLING, ENVIRONMENT)
 
 PRIOR = {OK: 0.9} | dict.fromkeys(CAUSES, 0.025)
 """Before anything is seen; the causes alike, since nobody has counted them in the field."""
-WANDERING = 0.1
-"""Part of `OK`: a healthy transducer that has moved as far as its baseline's sets scatter."""
+WANDERING = 0.03
+"""Part of `OK`: a healthy transducer that has moved as far as its baseline's sets scatter, beyond the slow
+wander that the baseline shows."""
+RE_SEATS = 0.9
+"""Part of what happens to contacts that comes from one set to the next; the others age, dry or get dirty."""
 
 MISMATCH = 0.2
 """SD of the part by which a real wall or contact changes a feature more or less than the model's: the solid
@@ -61,8 +64,8 @@ class Hypothesis:
     mean, covariance
         Of the change of the logarithms, shapes (7,) and (7, 7); in units of the baseline's own covariance
         where ``of_baseline``.
-    abrupt, gradual
-        It may come from one set to the next; it may grow.
+    abrupt
+        Part of such changes that comes from one set to the next; the others grow.
     weight
         Probability beforehand.
     """
@@ -70,8 +73,7 @@ class Hypothesis:
     cause: str
     mean: FloatArray
     covariance: FloatArray
-    abrupt: bool
-    gradual: bool
+    abrupt: float
     weight: float
 
 
@@ -89,30 +91,28 @@ def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
             cause=OK,
             mean=zero,
             covariance=covariance,
-            abrupt=True,
-            gradual=True,
+            abrupt=0.5,
             weight=PRIOR[OK] * part,
         )
         for covariance, part in ((nothing, 1.0 - WANDERING), (baseline, WANDERING))
     ]
-    found += _weighted(WALL, list(_walls()), abrupt=False)
-    found += _weighted(SENSOR, list(_spread(_sensor())))
-    found += _weighted(COUPLING, list(_spread(_coupling())))
-    found += _weighted(ENVIRONMENT, list(_spread([_environment()])), abrupt=False)
+    found += _weighted(WALL, list(_walls()), abrupt=0.0)
+    found += _weighted(SENSOR, list(_spread(_sensor())), abrupt=0.5)
+    found += _weighted(COUPLING, list(_spread(_coupling())), abrupt=RE_SEATS)
+    found += _weighted(ENVIRONMENT, list(_spread([_environment()])), abrupt=0.0)
     return tuple(found)
 
 
 Signature = tuple[FloatArray, FloatArray]
 
 
-def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: bool = True) -> list[Hypothesis]:
+def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
     return [
         Hypothesis(
             cause=cause,
             mean=mean,
             covariance=covariance,
             abrupt=abrupt,
-            gradual=True,
             weight=PRIOR[cause] / len(signatures),
         )
         for mean, covariance in signatures

@@ -55,7 +55,7 @@ class Assessor(Protocol):
     def judge_beside(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> Assessment:
-        """Judge a set beside the plan by what the planned ones say; nothing is remembered of it."""
+        """Judge a set beside the plan by what the planned ones say; no chart and no baseline sees it."""
         ...
 
     @property

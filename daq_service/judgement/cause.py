@@ -7,20 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from analysis.causes.design import CauseDesign, cause_design, logs_of
 from analysis.causes.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.causes.memory import RATES, Recollection, recollected, with_confirmation
 from analysis.causes.slopes import COMPONENTS
-from analysis.causes.verdict import (
-    CANNOT_TELL,
-    RATES,
-    CauseDesign,
-    CauseVerdict,
-    Recollection,
-    cause_design,
-    logs_of,
-    recollected,
-    remembering,
-    verdict_of,
-)
+from analysis.causes.verdict import CANNOT_TELL, CauseVerdict, remembering, verdict_of
 from analysis.errors import SingularCovarianceError
 from analysis.statistics.rules import MINIMUM_SETS
 
@@ -63,10 +54,18 @@ ABRUPT = (
 def averages_of(memory: Recollection) -> dict[str, list[float]]:
     """Give what is remembered as averages by name, beside those of the charts."""
     changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
-    return {_COUNT: [float(memory.n), float(memory.wall)], **changes}
+    index = -1 if memory.index is None else memory.index
+    found = {
+        _COUNT: [float(memory.n), float(memory.wall)],
+        **changes,
+        _PLACE: [float(number) for number in (index, memory.gap, memory.gap_ago, memory.beside_ago)],
+    }
+    if memory.beside:
+        found[_BESIDE] = list(memory.beside)
+    return found | ({_MOVED: list(memory.moved)} if memory.moved else {})
 
 
-_COUNT = "changes_count"
+_COUNT, _PLACE, _BESIDE, _MOVED = "changes_count", "changes_place", "changes_beside", "changes_moved"
 _NAMES = tuple(f"changes_{rate:g}" for rate in RATES)
 
 
@@ -75,7 +74,18 @@ def recollection_of(averages: Mapping[str, Sequence[float]]) -> Recollection | N
     if _COUNT not in averages:
         return None
     n, wall = averages[_COUNT]
-    return Recollection(n=int(n), wall=bool(wall), changes=tuple(tuple(averages[name]) for name in _NAMES))
+    index, gap, gap_ago, beside_ago = (int(number) for number in averages.get(_PLACE, (-1, 0, 0, 0)))
+    return Recollection(
+        n=int(n),
+        wall=bool(wall),
+        changes=tuple(tuple(averages[name]) for name in _NAMES),
+        index=None if index < 0 else index,
+        gap=gap,
+        gap_ago=gap_ago,
+        beside=tuple(averages.get(_BESIDE, ())),
+        beside_ago=beside_ago,
+        moved=tuple(averages.get(_MOVED, ())),
+    )
 
 
 def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> CauseDesign | None:
@@ -94,33 +104,30 @@ def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> CauseDesign | Non
 
 
 def cause_after(
-    memory: Recollection,
-    design: CauseDesign,
-    values: Values,
-    *,
-    suspicious: bool,
-    confirmation: Sequence[Values] = (),
+    memory: Recollection, design: CauseDesign, index: int, values: Values, *, suspicious: bool
 ) -> tuple[Recollection, CauseVerdict | None]:
-    """Take in one more set and say what the sets so far mean; None: it lacks a feature.
-
-    Parameters
-    ----------
-    confirmation
-        Features of sets struck beside the plan because of the suspicion.
-    """
+    """Take in one more set of the plan and say what the sets so far mean; None: it lacks a feature."""
     logs = logs_of(values)
     if logs is None:
         return memory, None
-    memory = recollected(memory, design, logs)
-    beside = [found for one in confirmation if (found := logs_of(one)) is not None]
-    verdict = verdict_of(memory, design, suspicious=suspicious, confirmation=beside)
-    return remembering(memory, verdict), verdict
+    return _said(recollected(memory, design.mean, logs, index), design, suspicious=suspicious)
 
 
-def cause_confirmed(memory: Recollection, design: CauseDesign, values: Values) -> CauseVerdict | None:
-    """Say what the planned sets mean beside one struck because of them; nothing is remembered of it."""
+def cause_confirmed(
+    memory: Recollection, design: CauseDesign, values: Values
+) -> tuple[Recollection, CauseVerdict | None]:
+    """Take in a set struck beside the plan because of the last planned ones, and say what they mean now."""
     logs = logs_of(values)
-    return None if logs is None else verdict_of(memory, design, suspicious=True, confirmation=[logs])
+    if logs is None:
+        return memory, None
+    return _said(with_confirmation(memory, design.mean, logs), design, suspicious=True)
+
+
+def _said(
+    memory: Recollection, design: CauseDesign, *, suspicious: bool
+) -> tuple[Recollection, CauseVerdict]:
+    verdict = verdict_of(memory, design, suspicious=suspicious)
+    return remembering(memory, verdict), verdict
 
 
 def words_of(cause: str, abrupt: float) -> tuple[str, str]:

@@ -1,7 +1,8 @@
 """Suspicion, and the confirmation set that answers it: pure rules.
 
 A set beside the plan is asked for when a transducer's sets first lie beyond a limit, struck at once, judged
-and shown. It tells what lasts from what one set alone had; chart, alarm rules and baseline never see it.
+and shown. It tells what lasts from what one set alone had. The causes remember it (`analysis.causes.memory`);
+chart, alarm rules and baseline never see it.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 ALARM = "the change of the wall became an alarm with it"
 STEP = "it is the first set beyond the limit"
+ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
+"""Kinds of alarm whose proof says what a confirmation set says: one turns into the other with the cause."""
 BUDGET_H = 24.0
 """Hours of the test over which confirmation sets are counted."""
 CONFIRMATION_ASKED = "confirmation_asked"

@@ -74,6 +74,10 @@ def restored_solitary_wave(
         assessor.reinstate()
         for found in _fed(position, catalogue, part, features, settings.alarms.hole_sets):
             assessor.feed(found, verdicts.get(found.set_index))
+    beside = catalogue.rows(VerdictRow, position=position, purpose="confirmation")
+    if beside:
+        newest = max(beside, key=lambda row: in_order(row.set_index))
+        assessor.feed_beside(in_order(newest.set_index)[0], newest)
     return assessor
 
 

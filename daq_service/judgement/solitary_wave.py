@@ -74,6 +74,12 @@ class SolitaryWaveAssessor:
         """Take in a set that was judged before, and how, as the catalogue tells it."""
         self._state, _ = step(self._state, found, self._rules, _stored(found, verdict))
 
+    def feed_beside(self, after_set: int, verdict: VerdictRow) -> None:
+        """Take in what a set beside the plan left to remember, where no planned one came later."""
+        left, last = recollection_of(verdict.averages or {}), self._state.recollection.index
+        if left is not None and after_set >= (self._rules.last_baseline_set if last is None else last):
+            self._state = replace(self._state, recollection=left)
+
     def reinstate(self) -> None:
         """Forget what retired the transducer: a person says that it may strike again."""
         self._state = reinstated(self._state)
@@ -140,7 +146,7 @@ class SolitaryWaveAssessor:
     def judge_beside(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> Assessment:
-        """Judge a set beside the plan by what the planned ones say; nothing is remembered of it."""
+        """Judge a set beside the plan by what the planned ones say; no chart and no baseline sees it."""
         shots = [shot for shot in record.shots if shot.key.position == self.position]
         own, counting, mean = self._seen(shots, [features[shot.sequence] for shot in shots], record.outcomes)
         told = self._told(due, shots, own, mean)
@@ -148,11 +154,12 @@ class SolitaryWaveAssessor:
             return told
         found = self._set_of_shots(due, len(shots), n_tried(record, self.position), counting, mean)
         verdict, causes = alone(found, self._state.baseline, self._rules), self._state.baseline.causes
-        if causes is not None:
-            cause = cause_confirmed(self._state.recollection, causes, found.values)
-            verdict = replace(verdict, cause=cause)
-        row = self._verdict_row(due.set_index, due.due_h, verdict)
         vector, fitted = found.vector(), self._state.baseline.fitted
+        if causes is not None and vector is not None:
+            recollection, cause = cause_confirmed(self._state.recollection, causes, found.values)
+            self._state = replace(self._state, recollection=recollection)
+            verdict = replace(verdict, cause=cause, recollection=recollection)
+        row = self._verdict_row(due.set_index, due.due_h, verdict)
         if vector is not None and fitted is not None:
             row = replace(row, confirms=confirms(self._state.judged, fitted, vector))
         return replace(told, verdicts=[row])
@@ -375,10 +382,9 @@ def _stored(found: SetOfShots, row: VerdictRow | None) -> Verdict | None:
 
 def _averages(verdict: Verdict) -> dict[str, list[float]] | None:
     """Give everything that is remembered as averages, by name."""
-    if verdict.memory is None:
-        return None
-    charts = {name: list(average) for name, average in verdict.memory.averages.items()}
-    return charts if verdict.recollection is None else charts | averages_of(verdict.recollection)
+    of_charts = {} if verdict.memory is None else verdict.memory.averages
+    kept = {name: list(average) for name, average in of_charts.items()}
+    return kept | ({} if verdict.recollection is None else averages_of(verdict.recollection)) or None
 
 
 def _feature_row(due: DueSet, shot: Shot, found: ShotFeatures) -> FeatureRow:

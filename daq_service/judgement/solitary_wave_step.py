@@ -12,7 +12,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analysis.causes.verdict import CauseDesign, CauseVerdict, Recollection
+from analysis.causes.design import CauseDesign
+from analysis.causes.memory import Recollection
+from analysis.causes.verdict import CauseVerdict
 from analysis.errors import NotEnoughSetsError, SingularCovarianceError
 from analysis.statistics.baseline import Baseline, fit_baseline
 from analysis.statistics.design import Design, Memory, at_the_end_of, design_of, next_memory
@@ -258,7 +260,9 @@ def _with_cause(verdict: Verdict, found: SetOfShots, state: State, *, suspicious
     if design is None or verdict.memory is None:
         return verdict
     suspicious = suspicious or verdict.memory.alarming
-    recollection, cause = cause_after(state.recollection, design, found.values, suspicious=suspicious)
+    recollection, cause = cause_after(
+        state.recollection, design, found.set_index, found.values, suspicious=suspicious
+    )
     return replace(verdict, cause=cause, recollection=recollection)
 
 

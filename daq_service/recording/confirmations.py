@@ -15,6 +15,7 @@ from daq_service.alarms.states import Condition, Moment, retired_positions
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.judgement.confirmation import (
+    ALARMS_OF_CHANGE,
     CONFIRMATION_ASKED,
     Confirmation,
     Confirmed,
@@ -131,8 +132,9 @@ class Confirmations:
         return one
 
     def proof(self, condition: Condition, planned_set: int) -> dict[str, Any]:
-        """Give what a confirmation set among the last sets adds to the proof of a change of the wall."""
+        """Give what a confirmation set among the last sets adds to the proof of a change."""
         said = self._said.get(condition.position or "")
-        if said is None or condition.kind != "wall_change" or planned_set - said.after_set >= self._rules.n:
+        known = said is not None and planned_set - said.after_set < self._rules.n
+        if said is None or not known or condition.kind not in ALARMS_OF_CHANGE:
             return {}
         return {"confirmation": asdict(said)}

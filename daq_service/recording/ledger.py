@@ -19,7 +19,7 @@ from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.judgement.assessment import Assessment, Assessor
-from daq_service.judgement.confirmation import confirmed, no_room
+from daq_service.judgement.confirmation import ALARMS_OF_CHANGE, confirmed, no_room
 from daq_service.judgement.methods import METHODS
 from daq_service.judgement.transaction import Transaction
 from daq_service.recording.confirmations import Confirmations
@@ -191,12 +191,13 @@ class Ledger:
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def _prove(self, position: str, transaction: Transaction, moment: Moment) -> None:
-        """Let the alarm that stands at a position say what its confirmation set says."""
-        row = self.alarms.get((position, "wall_change"))
-        if row is not None and row.state != "normal":
-            verdict = transaction.verdicts[0] if transaction.verdicts else None
-            told = asdict(confirmed(transaction.sets[0], verdict))
-            transaction.add_alarm(proven_by(row, {"confirmation": told}, moment), moment)
+        """Let the alarm of a change that stands at a position say what its confirmation set says."""
+        verdict = transaction.verdicts[0] if transaction.verdicts else None
+        told = asdict(confirmed(transaction.sets[0], verdict))
+        for kind in ALARMS_OF_CHANGE:
+            row = self.alarms.get((position, kind))
+            if row is not None and row.state != "normal":
+                transaction.add_alarm(proven_by(row, {"confirmation": told}, moment), moment)
 
     def order_confirmation(
         self, planned: DueSet, position: str, author: str, note: str, moment: Moment

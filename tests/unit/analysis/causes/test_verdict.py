@@ -2,12 +2,22 @@
 
 import json
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
+from analysis.causes.design import CauseDesign, cause_design, logs_of
 from analysis.causes.hypotheses import COUPLING, OK, SENSOR, WALL
+from analysis.causes.memory import (
+    MOST_AVERAGED,
+    SETTLING,
+    Recollection,
+    covariance_of_averages,
+    recollected,
+    weights,
+    with_confirmation,
+)
 from analysis.causes.slopes import (
     COMPONENTS,
     DAMPING,
@@ -18,17 +28,7 @@ from analysis.causes.slopes import (
     TILT,
     WALL_B,
 )
-from analysis.causes.verdict import (
-    CANNOT_TELL,
-    CauseDesign,
-    CauseVerdict,
-    Recollection,
-    cause_design,
-    logs_of,
-    recollected,
-    remembering,
-    verdict_of,
-)
+from analysis.causes.verdict import CANNOT_TELL, CauseVerdict, remembering, verdict_of
 from analysis.errors import InvalidInputError
 from analysis.waves.record_reduction import FloatArray
 
@@ -62,17 +62,19 @@ def wall(depth: float) -> FloatArray:
 def judged(
     change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
 ) -> Iterator[CauseVerdict]:
-    """Verdicts of every fifth set after the baseline; a confirmation is given from their 30th on."""
+    """Verdicts of every fifth set after the baseline; a confirmation is struck after their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
     design = cause_design(logs[:BASELINE])
     memory = Recollection()
     for index in range(BASELINE, BASELINE + AFTER):
-        memory = recollected(memory, design, logs[index])
-        if index % EVERY:
-            continue
-        known = confirmation is not None and index >= BASELINE + 30
-        yield verdict_of(memory, design, confirmation=[logs[0] + confirmation] if known else ())
+        memory = recollected(memory, design.mean, logs[index], index)
+        if confirmation is not None and index == BASELINE + 30:
+            memory = with_confirmation(memory, design.mean, logs[0] + confirmation)
+        verdict = verdict_of(memory, design)
+        memory = remembering(memory, verdict)
+        if index % EVERY == 0:
+            yield verdict
 
 
 def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
@@ -103,8 +105,10 @@ def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
     assert alone[4].cause == CANNOT_TELL
     assert alone[4].abrupt > 0.9
     confirmed = list(judged(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
-    assert confirmed[8].cause == COUPLING
-    assert confirmed[8].confirmed
+    # It is remembered of all sets to come, though nothing is struck beside the plan any more.
+    assert {one.cause for one in confirmed[6:]} == {COUPLING}
+    assert confirmed[-1].probability > 0.9
+    assert confirmed[-1].confirmed
     assert WALL not in {one.cause for one in alone + confirmed}
 
 
@@ -117,7 +121,7 @@ def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(d
 def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
     logs = healthy(3)
     design = cause_design(logs[:BASELINE])
-    memory = recollected(Recollection(), design, logs[BASELINE])
+    memory = recollected(Recollection(), design.mean, logs[BASELINE], BASELINE)
     assert verdict_of(memory, design).cause == OK
     told = verdict_of(memory, design, suspicious=True)
     assert (told.cause, told.probability) == (CANNOT_TELL, told.probabilities[OK])
@@ -131,9 +135,9 @@ def test_what_is_remembered_survives_a_restart_as_json() -> None:
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
         stored["changes"] = tuple(tuple(one) for one in stored["changes"])
-        told = Recollection(**stored)
+        told = Recollection(**(stored | {name: tuple(stored[name]) for name in ("beside", "moved")}))
         assert told == memory
-        memory = recollected(told, design, logs[index])
+        memory = recollected(told, design.mean, logs[index], index)
     assert memory.n == 20
 
 
@@ -157,9 +161,63 @@ def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
     design = cause_design(logs[:BASELINE])
     memory = Recollection(wall=True)
     for index in range(BASELINE, BASELINE + 60):
-        memory = recollected(memory, design, logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN))
+        sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
+        memory = recollected(memory, design.mean, sick, index)
     told = verdict_of(memory, design)
     assert told.probabilities[SENSOR] > 0.9
     assert told.cause == CANNOT_TELL
     assert remembering(memory, told).wall
     assert not remembering(memory, verdict_of(Recollection(), design)).wall
+
+
+def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
+    onset = np.arange(AFTER)[:, None] >= 60
+    thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
+    causes = [one.cause for one in judged(thinner, confirmation=FOOT)]
+    assert causes[8] == COUPLING
+    assert causes[-1] == WALL
+    back = [one.cause for one in judged(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
+    assert (back[8], back[-1]) == (COUPLING, OK)
+
+
+def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
+    logs, mean = healthy(5), np.zeros(len(COMPONENTS))
+    memory = Recollection(moved=(1.0,) * len(COMPONENTS))
+    for index in range(SETTLING + 5):
+        memory = recollected(memory, mean, logs[index], index)
+    assert memory.moved == pytest.approx(logs[:SETTLING].mean(axis=0))
+    assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
+
+
+def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
+    logs = healthy(7)
+    logs[BASELINE:] += wall(0.4)
+    design = cause_design(logs[:BASELINE])
+    memory = Recollection()
+    for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
+        memory = recollected(memory, design.mean, logs[index], index)
+    assert (memory.gap, memory.gap_ago) == (105, 4)
+    assert verdict_of(memory, design).cause == WALL
+    # Had the plan been without a gap, it would have come at once.
+    assert verdict_of(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
+
+
+def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept() -> None:
+    mean, memory = ZERO, Recollection()
+    for index in (10, 15, 16, 18):
+        memory = recollected(memory, mean, ZERO, index)
+    assert (memory.gap, memory.gap_ago) == (4, 3)
+    for index in range(19, 19 + MOST_AVERAGED):
+        memory = recollected(memory, mean, ZERO, index)
+    assert (memory.gap, memory.gap_ago) == (0, 0)
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
+def test_averages_scatter_as_sets_with_memory_make_them(phi: float) -> None:
+    n, beside_ago = 40, 3
+    sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    found = covariance_of_averages(n, phi, beside_ago)
+    assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
+    # The set beside the plan is no copy of the planned one that it follows.
+    beside = sets[beside_ago] - (1.0 - phi) * (np.arange(n) == beside_ago)
+    assert found[3] == pytest.approx([*(weights(n) @ beside), 1.0])

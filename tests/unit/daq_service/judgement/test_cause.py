@@ -12,7 +12,14 @@ from analysis.causes.verdict import CANNOT_TELL
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.proof import evidence
 from daq_service.catalogue.rows import VerdictRow
-from daq_service.judgement.cause import averages_of, cause_after, recollection_of, said, told_of
+from daq_service.judgement.cause import (
+    averages_of,
+    cause_after,
+    cause_confirmed,
+    recollection_of,
+    said,
+    told_of,
+)
 from daq_service.judgement.solitary_wave_step import Rules, SetOfShots, State, step
 from daq_service.judgement.wall_condition import wall_conditions
 
@@ -127,18 +134,25 @@ def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
 def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
     state, _ = run(CHANGES[OK])
     design = state.baseline.causes
-    memory, cause = cause_after(state.recollection, design, {"isw_fwhm_s": None}, suspicious=True)
+    memory, cause = cause_after(state.recollection, design, SETS, {"isw_fwhm_s": None}, suspicious=True)
     assert (memory, cause) == (state.recollection, None)
+    assert cause_confirmed(memory, design, {"isw_fwhm_s": None}) == (memory, None)
 
 
-def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s():
+def test_a_confirmation_turns_an_abrupt_change_into_a_contact_s_and_planned_sets_keep_that():
     foot = 0.3 * np.array(STIFFNESS[-1])
     change = np.where(np.arange(SETS)[:, None] > LAST + 20, foot, 0.0)
-    found = sets(change)
-    state, _ = run(change, until=SETS - 1)
-    design, last = state.baseline.causes, found[-1].values
-    _, alone = cause_after(state.recollection, design, last, suspicious=True)
-    _, confirmed = cause_after(state.recollection, design, last, suspicious=True, confirmation=[last])
-    assert (alone.cause, confirmed.cause) == (CANNOT_TELL, COUPLING)
-    assert said(alone.cause, alone.probability, told_of(alone)).startswith("CANNOT TELL: something has")
-    assert "abrupt: inspect the contact" in told_of(alone)["action"]
+    struck_after, found = LAST + 25, sets(change)
+    state, alone = run(change, until=struck_after + 1)
+    assert alone.cause.cause == CANNOT_TELL
+    assert "abrupt: inspect the contact" in told_of(alone.cause)["action"]
+    assert said(CANNOT_TELL, 0.8, told_of(alone.cause)).startswith("CANNOT TELL: something has")
+    design, values = state.baseline.causes, found[struck_after].values
+    memory, confirmed = cause_confirmed(state.recollection, design, values)
+    assert (confirmed.cause, confirmed.reseated) == (COUPLING, True)
+    kept = recollection_of(json.loads(json.dumps(averages_of(memory))))
+    assert kept == memory
+    state, verdict = run(change, state=replace(state, recollection=kept), since=struck_after + 1)
+    assert verdict.cause.cause == COUPLING
+    wall, transducer = wall_conditions("B", state, RULES, row_of(verdict))
+    assert (wall.present, transducer.present) == (False, True)

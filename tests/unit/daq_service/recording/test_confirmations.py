@@ -3,6 +3,7 @@
 import threading
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.life_of_a_test import run
 from support.memory_archive import MemoryArchive
@@ -10,6 +11,8 @@ from support.memory_line import Line, healthy, memory_settings
 from support.stored_files import read_set
 from support.table_rows import lose_catalogue, table_rows
 
+from analysis.causes.hypotheses import COUPLING
+from analysis.causes.verdict import CANNOT_TELL
 from daq_service.catalogue.rows import CommandRow, FeatureRow, SetRow, VerdictRow
 from daq_service.cli.keeping.verify import verify_folder
 from daq_service.judgement.confirmation import ALARM, STEP, confirmation_of
@@ -33,6 +36,14 @@ def settings(schedule=None, baseline=None, **alarms):
 def sick(*sets, position="B", shift=1.0):
     """A script in which a transducer is sick in some planned sets and what is struck after them."""
     return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
+
+
+def with_incident_wave(key):
+    """Let causes be told: the same with an incident wave, which stays healthy."""
+    found = sick(*range(FIRST, SETS))(key)
+    noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index, 1]).standard_normal(2)
+    height_v, width_s = 0.5 * (1.0 + 0.01 * noise[0]), 65e-6 * (1.0 + 0.01 * noise[1])
+    return replace(found, isw_amplitude_v=float(height_v), isw_fwhm_s=float(width_s))
 
 
 @pytest.fixture
@@ -128,7 +139,9 @@ def test_planned_sets_are_judged_alike_whether_or_not_anything_is_struck_between
     assert not beside(without)
 
     def planned(one, table):
-        ordinal = {"verdicts": ("id",), "features": ("id", "sequence")}[table]
+        # Causes do remember what a confirmation said.
+        causes = ("averages", "cause", "cause_probability", "cause_told")
+        ordinal = {"verdicts": ("id", *causes), "features": ("id", "sequence")}[table]
         return [replace(row, **dict.fromkeys(ordinal)) for row in one.rows(table)]
 
     for table in ("verdicts", "features"):
@@ -205,8 +218,25 @@ def test_a_restart_in_the_midst_goes_on_and_asks_for_nothing_twice(line, journal
     assert [row.set_index for row in beside(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
-def test_a_lost_catalogue_comes_again_with_its_confirmation_sets(line):
+def test_what_a_confirmation_said_is_remembered_by_planned_sets_a_restart_and_a_rebuild(line):
+    stop = threading.Event()
+
+    def stopping(key):
+        if (key.set_index, key.shot_index) == (AFTER_FIRST, 3):
+            stop.set()
+        return with_incident_wave(key)
+
+    line.script = stopping
+    run(line, stop=stop)
+    line.script = with_incident_wave
     run(line)
+    confirmations = [(row.set_index, row.cause) for row in beside(line, VerdictRow)]
+    assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
+    causes = {row.set_index: row.cause for row in line.rows("verdicts") if row.position == "B"}
+    assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [CANNOT_TELL, COUPLING, COUPLING]
+    (alarm,) = (row for row in line.rows("alarms") if row.position == "B")
+    assert alarm.kind == "transducer_change"
+    assert alarm.proof["confirmation"]["set_index"] == AFTER_THIRD
     before = table_rows(line.folder)
     assert verify_folder(line.folder).damage == []
     files = {read_set(line.folder / row.file).set_index for row in beside(line)}
