@@ -27,12 +27,18 @@ class ToldColumn:
     nullable: bool
 
 
-BESIDE: Mapping[type[Row], ToldColumn] = {
-    BaselineRow: ToldColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
-    VerdictRow: ToldColumn(name="quality", form="text", unit="", nullable=True),
-    AlarmRow: ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),
+BESIDE: Mapping[type[Row], tuple[ToldColumn, ...]] = {
+    BaselineRow: (
+        ToldColumn(name="from_h", form="number", unit="h", nullable=False),
+        ToldColumn(name="from_utc", form="time", unit="", nullable=False),
+        ToldColumn(name="to_h", form="number", unit="h", nullable=False),
+        ToldColumn(name="to_utc", form="time", unit="", nullable=False),
+        ToldColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
+    ),
+    VerdictRow: (ToldColumn(name="quality", form="text", unit="", nullable=True),),
+    AlarmRow: (ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),),
 }
-"""What the service adds: temperatures of a baseline, quality of what was judged, a proof in sentences."""
+"""What the service adds: hours and temperatures of a baseline, a judged quality, a proof in sentences."""
 
 
 def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
@@ -48,7 +54,7 @@ def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
         name = hours.name.removesuffix("_h") + "_utc"
         time = ToldColumn(name=name, form="time", unit="", nullable=hours.nullable)
         found.setdefault(name, time)
-    return (*found.values(), *([BESIDE[kind]] if kind in BESIDE else []))
+    return (*found.values(), *BESIDE.get(kind, ()))
 
 
 def _form(of_type: Any) -> Form:

@@ -102,7 +102,15 @@ def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
     assert here["retired_utc"].tolist() == [pd.Timestamp("2024-01-01T00:00Z"), pd.NaT]
     # Around sets 2 to 47 it was 21.5 degrees, around 400 to 424 nothing was measured.
     assert here["temperature_c"].tolist() == [[21.5, 21.5], None]
-    assert of_folder.baselines()["position"].tolist() == ["B", "B", "C"]
+    # Sets come half-hourly up to hour 75, then hourly, and set 0 is half an hour after the begin.
+    assert here[["from_h", "to_h"]].values.tolist() == [[0.5, 24.0], [326.0, 350.0]]
+    every = of_folder.baselines()
+    assert every["position"].tolist() == ["B", "B", "C", "D"]
+    # Position D has no row before its first baseline is frozen.
+    first = every.iloc[-1]
+    assert (first["name"], first["state"], first["id"]) == ("D-baseline-1", "collecting", 4)
+    assert (first["first_set_index"], first["last_set_index"], first["n_sets"]) == (0, 47, 48)
+    assert first["created_utc"] == pd.Timestamp("2024-01-01T00:00Z")
 
 
 def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):
