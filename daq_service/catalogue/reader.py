@@ -59,8 +59,9 @@ from daq_service.catalogue.tables import (
     sets,
     table_of,
 )
+from daq_service.catalogue.told import Purposes
 from daq_service.clock import boot_name, elapsed_ns
-from hardware_drivers.measurement import PLANNED_SETS, Purpose
+from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -104,7 +105,7 @@ class Filters(TypedDict, total=False):
     first_set: int | None
     last_set: int | None
     after_id: int | None
-    purpose: Purpose | Literal["any"] | None
+    purpose: Purposes | None
 
 
 _HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}

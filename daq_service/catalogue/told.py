@@ -14,6 +14,8 @@ from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, VerdictRow, c
 from hardware_drivers.units import unit_of
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
+Purposes = Literal["planned", "confirmation", "any"]
+"""Which sets are meant: those of the plan, those beside it, or both."""
 _FORMS: dict[Any, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
 
 

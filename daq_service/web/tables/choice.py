@@ -22,7 +22,7 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.catalogue.told import ToldColumn, told_columns
+from daq_service.catalogue.told import Purposes, ToldColumn, told_columns
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.web.answers.json_answer import with_utc
@@ -42,11 +42,12 @@ Columns = Mapping[str, list[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableKind:
-    """A table that can be exported."""
+    """A table that can be exported; ``beside_the_plan``: confirmation sets have rows in it too."""
 
     row: type[Row]
     told: str
     fixed: Filters
+    beside_the_plan: bool = False
 
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
@@ -55,10 +56,18 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(row=SetRow, told="Planned sets and what became of them", fixed={}),
-    "features": TableKind(row=FeatureRow, told="Features of sets", fixed={"scope": "set"}),
-    "shot_features": TableKind(row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}),
-    "verdicts": TableKind(row=VerdictRow, told="Squared distances, limits and outliers", fixed={}),
+    "sets": TableKind(
+        row=SetRow, told="Planned sets and what became of them", fixed={}, beside_the_plan=True
+    ),
+    "features": TableKind(
+        row=FeatureRow, told="Features of sets", fixed={"scope": "set"}, beside_the_plan=True
+    ),
+    "shot_features": TableKind(
+        row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}, beside_the_plan=True
+    ),
+    "verdicts": TableKind(
+        row=VerdictRow, told="Squared distances, limits and outliers", fixed={}, beside_the_plan=True
+    ),
     "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
     "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
@@ -75,6 +84,7 @@ class Choice:
     from_h: float | None = None
     to_h: float | None = None
     fields: tuple[str, ...] | None = None
+    purpose: Purposes = "planned"
 
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
@@ -86,7 +96,8 @@ class Choice:
     @property
     def name(self) -> str:
         """Name of a file of it, without ending."""
-        return self.table if self.position is None else f"{self.table}_{self.position}"
+        of_plan = self.purpose == "planned"
+        return "_".join(filter(None, (self.table, self.position, None if of_plan else self.purpose)))
 
 
 def chosen(
@@ -96,19 +107,26 @@ def chosen(
     from_h: float | None = None,
     to_h: float | None = None,
     fields: str | None = None,
+    purpose: Purposes = "planned",
 ) -> Choice:
     """Check what somebody asks for; ``fields`` are names with commas between.
 
     Raises
     ------
     UsageError
-        There is no such table or field, the table has no positions, or the range is upside down.
+        There is no such table or field, the table has no positions or no sets beside the plan, or the range
+        is upside down.
     """
     if table not in TABLES:
         raise UsageError(f"there is no table {table!r}; choose from {', '.join(TABLES)}")
     known = [column.name for column in TABLES[table].columns]
     if position is not None and "position" not in known:
         raise UsageError(f"the table {table} has no positions; leave the position out")
+    if purpose != "planned" and not TABLES[table].beside_the_plan:
+        beside = ", ".join(name for name, kind in TABLES.items() if kind.beside_the_plan)
+        raise UsageError(
+            f"the table {table} has no sets beside the plan, {beside} have; leave the purpose out"
+        )
     if from_h is not None and to_h is not None and to_h < from_h:
         raise UsageError(f"the range ends at {to_h:g} h, before {from_h:g} h; let it end later")
     names = None if fields is None else tuple(part.strip() for part in fields.split(",") if part.strip())
@@ -117,7 +135,7 @@ def chosen(
             f"the table {table} has no field {', '.join(unknown) if names else '(none named)'}; "
             f"choose from {', '.join(known)}"
         )
-    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names)
+    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names, purpose=purpose)
 
 
 def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
@@ -128,6 +146,8 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
     asked: Filters = {**kind.fixed, "position": choice.position}
+    if kind.beside_the_plan:
+        asked |= {"purpose": choice.purpose}
     by_set = kind.row is not AlarmRow
     if by_set:
         asked |= {"first_h": choice.from_h, "last_h": last_inside(choice.to_h)}

@@ -28,6 +28,9 @@ TABLES = {
     "verdicts?position=B&from_h=5&to_h=20": lambda test: test.verdicts("B", from_h=5, to_h=20),
     "thickness": lambda test: test.thickness(),
     "sets?position=C": lambda test: test.sets("C"),
+    "sets?purpose=any&position=C": lambda test: test.sets("C", purpose="any"),
+    "features?purpose=confirmation": lambda test: test.features(purpose="confirmation"),
+    "verdicts?purpose=confirmation": lambda test: test.verdicts(purpose="confirmation"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
     "annotations": lambda test: test.annotations(),
@@ -42,6 +45,7 @@ def filled(tmp_path_factory):
         if index > 1:
             folder.add_environment(index)
     folder.add_alarm("B", 55)
+    folder.add_confirmation("C", N_SETS - 1)
     retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
     second = {"name": "B-baseline-2", "state": "collecting", "first_set_index": 400, "last_set_index": 424}
     for row in (

@@ -38,6 +38,7 @@ def filled(tmp_path_factory):
     folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
     folder.annotate(4.0, "an instant")
+    folder.add_confirmation("C", 10)
     whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
     folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
     yield folder
@@ -165,6 +166,13 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
     assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
     assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
     assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
+    for table in ("sets", "features", "verdicts"):
+        rows = listed(api, table, purpose="confirmation", position="C")
+        csv = pd.read_csv(io.BytesIO(exported(api, table, "csv", purpose="confirmation")))
+        assert csv["id"].tolist() == [row["id"] for row in rows]
+        assert len(csv) == 1
+        both = pd.read_csv(io.BytesIO(exported(api, table, "csv", purpose="any", position="C")))
+        assert len(both) == 1 + len(listed(api, table, position="C"))
     alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv", from_h=26.0)))
     assert alarms["raised_h"].tolist() == [28.0]
     assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
@@ -211,6 +219,7 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?fields=tof", 422, "has no field tof; choose from"),
         ("features?fields=,", 422, "none named"),
         ("environment?position=B", 422, "has no positions"),
+        ("alarms?purpose=any", 422, "no sets beside the plan, sets, features, shot_features, verdicts have"),
         ("features?from_h=2&to_h=1", 422, "to_h"),
         ("features?format=xlsx", 422, "csv"),
     ],
