@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
+from analysis.causes.hypotheses import CAUSES, OK
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, VerdictRow, columns_of
 from hardware_drivers.units import unit_of
 
@@ -43,6 +44,37 @@ BESIDE: Mapping[type[Row], tuple[ToldColumn, ...]] = {
 """What the service adds: hours and temperatures of a baseline, a judged quality, a proof in sentences."""
 
 
+def _part(name: str, form: Form = "number") -> ToldColumn:
+    return ToldColumn(name=name, form=form, unit="", nullable=True)
+
+
+PARTS: Mapping[type[Row], Mapping[tuple[str, ...], ToldColumn]] = {
+    BaselineRow: {
+        **{("readiness", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("readiness", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
+        ("readiness", "rate_guaranteed"): _part("rate_guaranteed", "truth"),
+        ("readiness", "why_not_guaranteed"): _part("why_not_guaranteed", "text"),
+        **{("limits", name): _part(f"limit_{name}") for name in ("chart", "default")},
+    },
+    VerdictRow: {
+        ("limits", "chart"): _part("limit_chart"),
+        **{("cause_told", "probabilities", name): _part(f"probability_{name}") for name in (OK, *CAUSES)},
+    },
+}
+"""What people look for in nested columns, as columns of tables; the nested ones are JSON text there."""
+
+
+def with_parts(kind: type[Row], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Add the columns of `PARTS` to a row; None where there is nothing."""
+    found = dict(told)
+    for path, column in PARTS.get(kind, {}).items():
+        value: Any = told
+        for name in path:
+            value = None if value is None else value.get(name)
+        found[column.name] = value
+    return found
+
+
 def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
     """Columns of a kind of row in their order, the time of each hour and what is added behind them."""
     found: dict[str, ToldColumn] = {}
@@ -56,7 +88,7 @@ def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
         name = hours.name.removesuffix("_h") + "_utc"
         time = ToldColumn(name=name, form="time", unit="", nullable=hours.nullable)
         found.setdefault(name, time)
-    return (*found.values(), *BESIDE.get(kind, ()))
+    return (*found.values(), *BESIDE.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
 def _form(of_type: Any) -> Form:

@@ -61,7 +61,7 @@ export function chartOffer({ fields, method, positions }, span) {
  */
 export function testOffer(span) {
   const range = hoursOf(span);
-  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", alarms: "Alarms" };
+  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", baselines: "Baselines", alarms: "Alarms" };
   const beside = query({ ...range, purpose: "confirmation" });
   return {
     says: span ? "These hours, every position." : "The whole test, every position.",

@@ -14,6 +14,7 @@ from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    BaselineRow,
     EnvironmentRow,
     FeatureRow,
     Row,
@@ -22,10 +23,12 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.catalogue.told import Purposes, ToldColumn, told_columns
+from daq_service.catalogue.told import Purposes, ToldColumn, told_columns, with_parts
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
+from daq_service.settings.stored import stored_settings
 from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.tables.lives import told_baselines
 from daq_service.web.tables.quality import judged_qualities
 
 PAGE_ROWS = 1000
@@ -70,6 +73,9 @@ TABLES: Mapping[str, TableKind] = {
     ),
     "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
+    "baselines": TableKind(
+        row=BaselineRow, told="Baselines of every position: life, readiness, limits", fixed={}
+    ),
     "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
     "annotations": TableKind(row=AnnotationRow, told="What people noted of hours of the test", fixed={}),
 }
@@ -145,6 +151,15 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     """
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
+    if kind.row is BaselineRow:
+        settings = stored_settings(experiment.configuration)
+        told = [
+            with_parts(BaselineRow, with_utc({**values(row), **beside}, experiment.epoch_utc_ns))
+            for row, beside in told_baselines(catalogue, settings, experiment.epoch_utc_ns, choice.position)
+            if _inside(choice, beside["from_h"], beside["to_h"])
+        ]
+        yield _by_column(told, names)
+        return
     asked: Filters = {**kind.fixed, "position": choice.position}
     if kind.beside_the_plan:
         asked |= {"purpose": choice.purpose}
@@ -155,7 +170,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     while True:
         rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
         if rows or is_first:
-            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row.raised_h, row.raised_h)]
             if not by_set:
                 kept = list(map(fresh.standing, kept))
             told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
@@ -168,7 +183,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
             if kind.row is AlarmRow:
                 for row, alarm in zip(told, kept, strict=True):
                     row["proof_sentences"] = proof_sentences(alarm)
-            yield {name: [_plain(row[name]) for row in told] for name in names}
+            yield _by_column([with_parts(kind.row, row) for row in told], names)
         if len(rows) < PAGE_ROWS:
             return
         asked["after_id"] = rows[-1].id
@@ -180,9 +195,15 @@ def last_inside(to_h: float | None) -> float | None:
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
-def _inside(choice: Choice, row: Any) -> bool:
-    hour = row.raised_h
-    return (choice.from_h is None or hour >= choice.from_h) and (choice.to_h is None or hour < choice.to_h)
+def _inside(choice: Choice, first_h: float, last_h: float) -> bool:
+    """Tell whether any of these hours was chosen."""
+    return (choice.from_h is None or last_h >= choice.from_h) and (
+        choice.to_h is None or first_h < choice.to_h
+    )
+
+
+def _by_column(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Columns:
+    return {name: [_plain(row[name]) for row in rows] for name in names}
 
 
 def _plain(value: Any) -> Any:
