@@ -235,8 +235,8 @@ class Catalogue:
         return self._rows(SetRow, _newest_gaps(count))
 
     def newest_file(self) -> str | None:
-        """Name the file of the newest set that has records; None before it."""
-        row = self._newest_row(SetRow, sets.c.file.is_not(None))
+        """Name the file of the newest planned set that has records; None before it."""
+        row = self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
         return None if row is None else row.file
 
     def newest_files(self, n_rows: int) -> dict[int, str]:
