@@ -245,7 +245,9 @@ class FilledFolder:
             limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
         )
 
-    def add_confirmation(self, position: str, planned_set: int, authors: tuple[str, ...] = ("",)) -> int:
+    def add_confirmation(
+        self, position: str, planned_set: int, authors: tuple[str, ...] = ("",), file: str | None = None
+    ) -> int:
         """A set beside the plan, a minute after a planned one, that confirms it; returns its index.
 
         ``authors`` asked for it, of which "" is suspicion.
@@ -265,6 +267,7 @@ class FilledFolder:
             state="done",
             n_planned=self.shots_per_set,
             purpose="confirmation",
+            file=file,
         )
         transaction.sets.append(row)
         common = {"quality": "good", "extractor_version": "1", "n_valid": self.shots_per_set}
