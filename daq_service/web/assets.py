@@ -51,8 +51,12 @@ def assets() -> dict[str, Asset]:
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
             found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
-    # Named in the page, all its modules are asked for at once, not each after whoever imports it was read.
-    links = (f'<link rel="modulepreload" href="{PLACE}{name}">' for name in modules(found, SCRIPT))
+    # Named in the page, all its modules are asked for at once, not each after whoever imports it was read;
+    # what `first.js` asks for goes before them.
+    links = (
+        f'<link rel="modulepreload" fetchpriority="low" href="{PLACE}{name}">'
+        for name in modules(found, SCRIPT)
+    )
     found[PAGE] = found[PAGE].replace(b"</head>", "".join([*links, "</head>"]).encode())
     return {
         name: Asset(

@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -401,6 +402,24 @@ def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
         expect(page.locator("#notice")).to_be_hidden()
         page.close()
         filled.close()
+
+
+def test_what_is_drawn_first_is_asked_for_before_the_scripts_are_there_and_once(filled, service, open_page):
+    first = ("/api/v1/session", "/healthz", "/api/v1/info", "/api/v1/transducers")
+    page = open_page("about:blank", name=None)
+    asked, held = [], []
+    page.on("request", lambda request: asked.append(urlsplit(request.url).path))
+
+    def hold(route):
+        held.append(route)
+
+    page.route("**/static/main.js", hold)
+    with page.expect_response("**/api/v1/transducers"):
+        page.goto(service.url, wait_until="commit")
+    with page.expect_request("**/api/v1/trends/B*"):
+        held[0].continue_()
+    assert [asked.count(path) for path in first] == [1, 1, 1, 1]
+    assert max(map(asked.index, first)) < asked.index("/api/v1/trends/B")
 
 
 def test_lost_service_is_said_and_found_again(filled, open_page):
