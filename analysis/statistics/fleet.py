@@ -193,6 +193,41 @@ def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int
     )
 
 
+def gain(deviations: FloatArray, shared: FloatArray) -> tuple[float, float]:
+    """Gain of a sensor to what all share (1: it moves as the median), and its standard error for memory 0.
+
+    Parameters
+    ----------
+    deviations, shared
+        Of one sensor and of the fleet, shape (sets, p), after the baselines.
+    """
+    known = np.isfinite(deviations)
+    weight = float((shared[known] ** 2).sum())
+    if weight == 0.0:
+        return np.nan, np.nan
+    return float((shared[known] * deviations[known]).sum() / weight), weight**-0.5
+
+
+def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], phi: float) -> float:
+    """Shift in SD that sensors keep of what all share, three scaled deviations from the median gain.
+
+    Parameters
+    ----------
+    gains
+        Of `gain`, shape (sensors, 2).
+    phi
+        Memory of a sensor from set to set, which widens the standard errors.
+    """
+    found = np.asarray(gains, dtype=np.float64)
+    found = found[np.isfinite(found).all(axis=1)]
+    if not causes or not len(found):
+        return 0.0
+    largest = max(abs(size) for cause in causes for size in cause.largest_sd)
+    scatter = float(scipy.stats.median_abs_deviation(found[:, 0], scale="normal"))
+    by_chance = float(np.median(found[:, 1])) * np.sqrt((1.0 + phi) / (1.0 - phi))
+    return float(3.0 * np.sqrt(max(0.0, scatter**2 - by_chance**2)) * largest)
+
+
 def _largest(average: FloatArray) -> tuple[float, ...]:
     rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
     return tuple(float(average[row, feature]) for feature, row in enumerate(rows))
