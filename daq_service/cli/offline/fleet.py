@@ -18,6 +18,7 @@ from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
     Shared,
+    alike,
     chance_so_far,
     gain,
     kept_of_shared,
@@ -150,8 +151,10 @@ def judge_fleet(
     rows = raised_at(_held([found[k].chances for k in judged], n_rows), rate) if judged else []
     raised = {k: row for k, row in zip(judged, rows, strict=True) if row is not None}
     causes = shared_causes(shared, len(paths), float(usual.phi.max()), after)
-    gains = [gain(table.in_sd[after:], shared[after : len(table.in_sd)]) for table in first]
-    kept = kept_of_shared(gains, causes, float(usual.phi.max()))
+    errors = alike(baselines)
+    gains = [gain(table.in_sd[after:], shared[after : len(table.in_sd)], errors) for table in first]
+    n = int(np.median([table.in_baseline.sum() for table in first]))
+    kept = kept_of_shared(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
     why = _why_not([found[k].why_not for k in judged], len(paths), kept)
     kept_back = [k for k in judged if alone[k] and k not in raised]
     explained = [k for k in kept_back if not found[k].alarms and _within(alone[k], causes)]
