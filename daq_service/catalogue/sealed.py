@@ -40,6 +40,10 @@ _COLUMNS = {kind: [(column.name, _reading_of(column)) for column in columns_of(k
 _BYTES = {kind: [name for name, as_read in told if as_read is zlib.crc32] for kind, told in _COLUMNS.items()}
 
 
+_ROWS_AT_ONCE = 256
+"""Taken from the driver together: one by one costs an eighth more."""
+
+
 class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`connection.translated`)
     """What a table holds is not what was stored."""
 
@@ -136,9 +140,12 @@ def checked_values(
 ) -> Iterator[Sequence[Any]]:
     """Give what `checked_rows` makes rows of: every column of the table, the checksum last."""
     try:
-        for stored in connection.execute(statement):
-            _require_seal(kind, stored)
-            yield stored
+        for some in connection.execute(
+            statement, execution_options={"yield_per": _ROWS_AT_ONCE}
+        ).partitions():
+            for stored in some:
+                _require_seal(kind, stored)
+                yield stored
     except (TypeError, ValueError, OverflowError) as error:  # no JSON, no truth value, no UTF-8
         raise DamagedRow(f"a row of table {table_of(kind).name} is not what was stored: {error}") from error
 

@@ -15,7 +15,7 @@ from daq_service.catalogue.pyramid import QUALITIES, Kind, trend_bins, values_of
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.methods import METHODS
-from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hour
+from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
 from daq_service.web.answers.models import TREND_FIELDS, TREND_VERDICTS, Trend, problems
 from daq_service.web.answers.problem import Problem
 from daq_service.web.context import Context, ContextOf
@@ -125,7 +125,7 @@ def get_trend(
     else:
         bin_sets, bins = binned
         columns, told = columns_of_bins(kind, bins, chosen), bins_told(kind, bins, chosen)
-    columns["due_utc"] = [rfc3339_of_hour(fresh.epoch_utc_ns, hour) for hour in columns["due_h"]]
+    columns["due_utc"] = rfc3339_of_hours(fresh.epoch_utc_ns, columns["due_h"])
     columns["age_h"] = [fresh.age_h(hour) for hour in columns["due_h"]]
     return JsonAnswer(
         {

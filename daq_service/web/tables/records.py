@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import SetRow, ShotRow
 from daq_service.catalogue.told import ToldColumn
 from daq_service.errors import UsageError
 from daq_service.judgement.methods import METHODS
-from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour
+from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hours
 from daq_service.web.tables.choice import Columns, last_inside
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
@@ -148,7 +148,7 @@ def read_slice(
             **{name: [getattr(row, name) for row in shots] for name in ("set_index", "shot_index")},
             "sequence": [row.sequence for row in shots],
             "due_h": hours,
-            "due_utc": [rfc3339_of_hour(epoch_utc_ns, hour) for hour in hours],
+            "due_utc": rfc3339_of_hours(epoch_utc_ns, hours),
             "utc": [rfc3339(row.utc_ns) for row in shots],
             "valid": [row.valid for row in shots],
             "flags": [" ".join(row.flags) for row in shots],

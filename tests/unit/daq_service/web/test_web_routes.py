@@ -22,7 +22,7 @@ from daq_service.processes.data_folder import DRIVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import models
-from daq_service.web.answers.json_answer import rfc3339, with_utc
+from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hour, rfc3339_of_hours, with_utc
 from daq_service.web.routes import trends
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -425,6 +425,15 @@ def test_what_is_not_there_is_404(api, path):
 )
 def test_times_lose_no_nanosecond(utc_ns, text):
     assert rfc3339(utc_ns) == text
+
+
+@pytest.mark.parametrize(
+    "epoch_utc_ns", [0, -1, 1_700_000_000_000_000_000, 1_700_000_000_250_000_000, 1_700_000_000_000_000_250]
+)
+def test_times_of_a_column_are_those_of_each_of_its_hours(epoch_utc_ns):
+    hours = [-0.5, 0.0, 1.0 / 7200.0, 1.00001, 350.1, 8766.0]
+    assert rfc3339_of_hours(epoch_utc_ns, hours) == [rfc3339_of_hour(epoch_utc_ns, hour) for hour in hours]
+    assert rfc3339_of_hours(epoch_utc_ns, []) == []
 
 
 def test_hours_get_their_time_beside_them():
