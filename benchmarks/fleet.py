@@ -84,6 +84,7 @@ def outcome(task: tuple[str, int, int, float, float, int]) -> dict[str, float]:
         "found": len([k for k in raised if k < sick]) / sick if sick else float("nan"),
         "false by each budget": _false(by_budget, sick),
         "shared named": float(bool(told["shared"])),
+        "promised": float(told["fdr_guaranteed"]),
     }
 
 
@@ -100,6 +101,10 @@ def measured(fleets: int, sensors: int, gain_sd: float, mapped: Any) -> dict[str
         found[f"{kind}, n = {n}, {share:.0%} sick"] = {
             key: float(np.mean([one[key] for one in outcomes])) for key in outcomes[0]
         }
+        of_false = [one["false"] for one in outcomes]
+        found[f"{kind}, n = {n}, {share:.0%} sick"]["standard error"] = float(
+            np.std(of_false) / np.sqrt(len(of_false))
+        )
     return found
 
 
@@ -147,11 +152,14 @@ def main() -> None:
     if options.json:
         print(json.dumps(found))
         return
-    print(f"{'fleet':34}  false of raised   sick found   false, each within its budget   weather named")
+    print(
+        f"{'fleet':34}  false of raised   +-      sick found   false, each within its budget   weather named"
+        "   promised"
+    )
     for name, told in found.items():
         print(
-            f"{name:34}{told['false']:17.3f}{told['found']:13.2f}"
-            f"{told['false by each budget']:32.2f}{told['shared named']:16.2f}"
+            f"{name:34}{told['false']:17.3f}   {told['standard error']:5.3f}{told['found']:13.2f}"
+            f"{told['false by each budget']:32.2f}{told['shared named']:16.2f}{told['promised']:11.2f}"
         )
 
 

@@ -193,6 +193,72 @@ def shared_causes(shared: FloatArray, n_sensors: int, phi: float, first_row: int
     )
 
 
+def alike(baselines: Sequence[FloatArray]) -> FloatArray:
+    """Mean squared correlation of the features, shape (p, p): that of the errors of their SD, if normal.
+
+    Parameters
+    ----------
+    baselines
+        As of `usual_memory`.
+    """
+    known = [x[np.isfinite(x).all(axis=1)].astype(np.float64) for x in baselines]
+    found = [np.corrcoef(x, rowvar=False) ** 2 for x in known if len(x) >= MINIMUM_SETS]
+    return np.mean(found, axis=0) if found else np.eye(baselines[0].shape[1])
+
+
+def gain(deviations: FloatArray, shared: FloatArray, alike: FloatArray) -> tuple[float, float, float]:
+    """Gain of a sensor to what all share: 1 where it moves as the median does.
+
+    Parameters
+    ----------
+    deviations, shared
+        Of one sensor and of the fleet, shape (sets, p), after the baselines.
+    alike
+        Of `alike`.
+
+    Returns
+    -------
+    tuple
+        The gain, its variance for sets without memory, and the part of the variance of one feature's SD that
+        goes into it. NaN: nothing is shared.
+    """
+    # Beside their means: what is wrong with the mean of a baseline is no gain.
+    x = np.ma.masked_invalid(deviations)
+    moved = np.ma.masked_array(shared, mask=np.ma.getmaskarray(x))
+    moved = (moved - moved.mean(axis=0)).filled(0.0)
+    of_feature = (moved**2).sum(axis=0)
+    weight = float(of_feature.sum())
+    if weight == 0.0:
+        return np.nan, np.nan, np.nan
+    found = float((moved * x.filled(0.0)).sum() / weight)
+    return found, 1.0 / weight, float(of_feature @ alike @ of_feature) / weight**2
+
+
+def kept_of_shared(gains: ArrayLike, causes: Sequence[Shared], *, phi: float, n: int, tails: float) -> float:
+    """Shift in SD that sensors keep of what all share, three scaled deviations from the median gain.
+
+    What sets and the SD of a baseline scatter by makes healthy sensors of equal gains unlike, too; that is
+    taken off: n sets show an SD to sqrt((kurtosis - 1)/(4 n)), widened by memory.
+
+    Parameters
+    ----------
+    gains
+        Of `gain`, shape (sensors, 3).
+    phi, n, tails
+        Memory from set to set, sets of a baseline, and kurtosis over that of normal sets, all as is usual.
+    """
+    found = np.asarray(gains, dtype=np.float64)
+    found = found[np.isfinite(found).all(axis=1)]
+    if not causes or not len(found):
+        return 0.0
+    largest = max(abs(size) for cause in causes for size in cause.largest_sd)
+    scatter = float(scipy.stats.median_abs_deviation(found[:, 0], scale="normal"))
+    of_sets, of_sd = np.median(found[:, 1:], axis=0).tolist()
+    by_chance = of_sets * (1.0 + phi) / (1.0 - phi)
+    by_chance += of_sd * (3.0 * tails - 1.0) / (4.0 * n) * (1.0 + phi**2) / (1.0 - phi**2)
+    return float(3.0 * np.sqrt(max(0.0, scatter**2 - by_chance)) * largest)
+
+
 def _largest(average: FloatArray) -> tuple[float, ...]:
     rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
     return tuple(float(average[row, feature]) for feature, row in enumerate(rows))

@@ -59,8 +59,9 @@ from daq_service.catalogue.tables import (
     sets,
     table_of,
 )
+from daq_service.catalogue.told import Purposes
 from daq_service.clock import boot_name, elapsed_ns
-from hardware_drivers.measurement import PLANNED_SETS, Purpose
+from hardware_drivers.measurement import PLANNED_SETS
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -104,7 +105,7 @@ class Filters(TypedDict, total=False):
     first_set: int | None
     last_set: int | None
     after_id: int | None
-    purpose: Purpose | Literal["any"] | None
+    purpose: Purposes | None
 
 
 _HOURS: Mapping[Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
@@ -234,8 +235,8 @@ class Catalogue:
         return self._rows(SetRow, _newest_gaps(count))
 
     def newest_file(self) -> str | None:
-        """Name the file of the newest set that has records; None before it."""
-        row = self._newest_row(SetRow, sets.c.file.is_not(None))
+        """Name the file of the newest planned set that has records; None before it."""
+        row = self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
         return None if row is None else row.file
 
     def newest_files(self, n_rows: int) -> dict[int, str]:

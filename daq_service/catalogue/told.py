@@ -10,10 +10,13 @@ from dataclasses import dataclass
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin
 
+from analysis.causes.hypotheses import CAUSES, OK
 from daq_service.catalogue.rows import AlarmRow, BaselineRow, Row, VerdictRow, columns_of
 from hardware_drivers.units import unit_of
 
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
+Purposes = Literal["planned", "confirmation", "any"]
+"""Which sets are meant: those of the plan, those beside it, or both."""
 _FORMS: dict[Any, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
 
 
@@ -27,12 +30,49 @@ class ToldColumn:
     nullable: bool
 
 
-BESIDE: Mapping[type[Row], ToldColumn] = {
-    BaselineRow: ToldColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
-    VerdictRow: ToldColumn(name="quality", form="text", unit="", nullable=True),
-    AlarmRow: ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),
+BESIDE: Mapping[type[Row], tuple[ToldColumn, ...]] = {
+    BaselineRow: (
+        ToldColumn(name="from_h", form="number", unit="h", nullable=False),
+        ToldColumn(name="from_utc", form="time", unit="", nullable=False),
+        ToldColumn(name="to_h", form="number", unit="h", nullable=False),
+        ToldColumn(name="to_utc", form="time", unit="", nullable=False),
+        ToldColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
+    ),
+    VerdictRow: (ToldColumn(name="quality", form="text", unit="", nullable=True),),
+    AlarmRow: (ToldColumn(name="proof_sentences", form="nested", unit="", nullable=False),),
 }
-"""What the service adds: temperatures of a baseline, quality of what was judged, a proof in sentences."""
+"""What the service adds: hours and temperatures of a baseline, a judged quality, a proof in sentences."""
+
+
+def _part(name: str, form: Form = "number") -> ToldColumn:
+    return ToldColumn(name=name, form=form, unit="", nullable=True)
+
+
+PARTS: Mapping[type[Row], Mapping[tuple[str, ...], ToldColumn]] = {
+    BaselineRow: {
+        **{("readiness", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("readiness", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
+        ("readiness", "rate_guaranteed"): _part("rate_guaranteed", "truth"),
+        ("readiness", "why_not_guaranteed"): _part("why_not_guaranteed", "text"),
+        **{("limits", name): _part(f"limit_{name}") for name in ("chart", "default")},
+    },
+    VerdictRow: {
+        ("limits", "chart"): _part("limit_chart"),
+        **{("cause_told", "probabilities", name): _part(f"probability_{name}") for name in (OK, *CAUSES)},
+    },
+}
+"""What people look for in nested columns, as columns of tables; the nested ones are JSON text there."""
+
+
+def with_parts(kind: type[Row], told: Mapping[str, Any]) -> dict[str, Any]:
+    """Add the columns of `PARTS` to a row; None where there is nothing."""
+    found = dict(told)
+    for path, column in PARTS.get(kind, {}).items():
+        value: Any = told
+        for name in path:
+            value = None if value is None else value.get(name)
+        found[column.name] = value
+    return found
 
 
 def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
@@ -48,7 +88,7 @@ def told_columns(kind: type[Row]) -> tuple[ToldColumn, ...]:
         name = hours.name.removesuffix("_h") + "_utc"
         time = ToldColumn(name=name, form="time", unit="", nullable=hours.nullable)
         found.setdefault(name, time)
-    return (*found.values(), *([BESIDE[kind]] if kind in BESIDE else []))
+    return (*found.values(), *BESIDE.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
 def _form(of_type: Any) -> Form:

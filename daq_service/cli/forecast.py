@@ -6,10 +6,12 @@ also where other instruments will strike. Nobody knows theirs before they have.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from daq_service.judgement.confirmation import BUDGET_H
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
@@ -79,6 +81,18 @@ def stored_bytes(settings: Settings, n_sets: int) -> int:
     a_set = built_set_bytes(settings) + CATALOGUE_BYTES_A_RECORD * records
     beside = FOLDER_BYTES + settings.storage.reserve_mb * 10**6
     return round(n_sets * a_set) + tile_bytes(settings, n_sets) + beside
+
+
+def most_confirmation_bytes(settings: Settings, last_h: float) -> int:
+    """Bytes of the sets beside the plan up to an hour, if suspicion asks for as many as it may."""
+    transducers, shots = settings.names_of(SOLITARY_WAVE), settings.schedule.shots_per_set
+    days = math.ceil(max(0.0, last_h - settings.baseline.hours) / BUDGET_H)
+    sets = days * settings.alarms.confirmation_sets_a_day * len(transducers)
+    if sets == 0:
+        return 0
+    alone = {name: settings.positions[name] for name in transducers[:1]}
+    a_set = built_set_bytes(settings.model_copy(update={"positions": alone}))
+    return round(sets * (a_set + CATALOGUE_BYTES_A_RECORD * shots))
 
 
 def tile_bytes(settings: Settings, n_sets: int) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from daq_service.acquisition.schedule import plan
-from daq_service.cli.forecast import record_sizes, stored_bytes
+from daq_service.cli.forecast import most_confirmation_bytes, record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import data_folder
@@ -41,7 +41,8 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
             f"{facts['record_s'] * 1e3:.4g} ms"
         )
     click.echo(
-        f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk"
+        f"raw data   {facts['raw_bytes'] / 1e9:.2f} GB, about {facts['stored_bytes'] / 1e9:.2f} GB on disk, "
+        f"and at most {facts['most_confirmation_bytes'] / 1e9:.2f} GB of confirmation sets"
     )
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
@@ -83,6 +84,7 @@ def describe_plan(settings: Settings, folder: Path) -> dict[str, Any]:
         "record_s": strike.samples / strike.sample_rate_hz if strike.known else None,
         "raw_bytes": raw_bytes,
         "stored_bytes": stored_bytes(settings, len(planned)),
+        "most_confirmation_bytes": most_confirmation_bytes(settings, planned[-1].due_h if planned else 0.0),
         "free_bytes": disk_usage(folder)[0],
         "data_folder": str(folder),
         "last_due_h": planned[-1].due_h if planned else None,

@@ -534,6 +534,11 @@ def backup(**options: Any) -> None:
 @click.option("--to-h", type=float, help="Of table or records: before this hour.")
 @click.option("--first-set", type=click.IntRange(min=0), help="Of the records: from this set on.")
 @click.option("--last-set", type=click.IntRange(min=0), help="Of the records: up to this set.")
+@click.option(
+    "--purpose",
+    type=click.Choice(["planned", "confirmation", "any"]),
+    help="Of the table: sets of the plan (default), confirmation sets beside it, or both.",
+)
 @click.option("--fields", metavar="NAMES", help="Of the table: these columns only, for example tof_pp_s.")
 @click.option("--overwrite", is_flag=True, help="Replace files that exist.")
 @JSON

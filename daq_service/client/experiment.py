@@ -21,6 +21,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     VerdictRow,
 )
+from daq_service.catalogue.told import Purposes
 from daq_service.client.connection import Connection
 from daq_service.client.errors import ClientError, RefusedError
 from daq_service.client.frames import frame
@@ -50,9 +51,10 @@ class Event:
 class Experiment:
     """A test that runs or has ended, here or elsewhere (`daq_service.client.open`); it is only read.
 
-    Hours count from the begin of the test: ``from_h`` is included, ``to_h`` is not, None is open. Every table
-    has its quality and age beside the values and their units in ``attrs["units"]``. Methods raise
-    `RefusedError` where the service does, with its reason, and `UnreachableError` where nobody answers.
+    Hours count from the begin of the test: ``from_h`` is included, ``to_h`` is not, None is open. Sets are
+    those of the plan, unless ``purpose`` is ``confirmation`` (beside it) or ``any``. Every table has its
+    quality and age beside the values and their units in ``attrs["units"]``. Methods raise `RefusedError`
+    where the service does, with its reason, and `UnreachableError` where nobody answers.
     """
 
     def __init__(self, connection: Connection) -> None:
@@ -84,9 +86,11 @@ class Experiment:
         from_h: float | None = None,
         to_h: float | None = None,
         state: str | None = None,
+        purpose: Purposes = "planned",
     ) -> pd.DataFrame:
-        """Read planned sets and what became of them."""
-        return self._table(SetRow, "sets", position=position, from_h=from_h, to_h=to_h, state=state)
+        """Read sets and what became of them."""
+        asked = {"position": position, "from_h": from_h, "to_h": to_h, "state": state, "purpose": purpose}
+        return self._table(SetRow, "sets", **asked)
 
     def features(
         self,
@@ -95,16 +99,22 @@ class Experiment:
         from_h: float | None = None,
         to_h: float | None = None,
         scope: Literal["set", "shot"] = "set",
+        purpose: Purposes = "planned",
     ) -> pd.DataFrame:
         """Read features of the solitary waves: means of sets, or of single shots."""
-        asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope}
+        asked = {"position": position, "from_h": from_h, "to_h": to_h, "scope": scope, "purpose": purpose}
         return self._table(FeatureRow, "features", **asked)
 
     def verdicts(
-        self, position: str | None = None, *, from_h: float | None = None, to_h: float | None = None
+        self,
+        position: str | None = None,
+        *,
+        from_h: float | None = None,
+        to_h: float | None = None,
+        purpose: Purposes = "planned",
     ) -> pd.DataFrame:
         """Read squared distances, limits and outliers, with the quality of what was judged."""
-        asked = {"position": position, "from_h": from_h, "to_h": to_h}
+        asked = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
         return self._table(VerdictRow, "verdicts", **asked)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.told import Form, ToldColumn, told_columns
+from daq_service.catalogue.told import Form, ToldColumn, told_columns, with_parts
 
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
@@ -25,6 +25,7 @@ def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any
     columns = list(told_columns(kind))
     if any(column.name in ("due_h", "raised_h") for column in columns):
         columns.append(ToldColumn(name="age_h", form="number", unit="h", nullable=False))
+    items = [with_parts(kind, item) for item in items]
     table = pd.DataFrame({column.name: _series(column, items) for column in columns})
     table.attrs["units"] = {column.name: column.unit for column in columns if column.unit}
     table.attrs["as_of"] = as_of

@@ -16,7 +16,7 @@ import numpy as np
 from analysis.statistics.distance import distance_squared
 from daq_service.acquisition.schedule import DueSet
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import SetRow, VerdictRow
+from daq_service.catalogue.rows import EventRow, SetRow, VerdictRow
 from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.measurement import MOST_BESIDE, in_order
@@ -106,12 +106,16 @@ def why_not(
     room_ns, set_ns
         Time until the next planned set, and how long the set takes.
     """
-    since_h = at_h - BUDGET_H
-    own = [one for one in asked if one.due.position == position and not one.author]
-    n_recent = sum(one.due.due_h > since_h for one in own)
+    n_recent = n_today(position, asked, at_h)
     if n_recent >= most_a_day:
         return f"{n_recent} of {most_a_day} confirmation sets a day are used (alarms.confirmation_sets_a_day)"
     return no_room(room_ns, set_ns)
+
+
+def n_today(position: str, asked: Iterable[Confirmation], at_h: float) -> int:
+    """Count the sets that suspicion has asked for at a transducer over the last `BUDGET_H`."""
+    own = [one for one in asked if one.due.position == position and not one.author]
+    return sum(one.due.due_h > at_h - BUDGET_H for one in own)
 
 
 def no_room(room_ns: float, set_ns: int) -> str:
@@ -196,6 +200,12 @@ def confirmed(its_set: SetRow, verdict: VerdictRow | None) -> Confirmed:
         return Confirmed(**facts, why_not=its_set.cause)
     limit = limits_by_name(verdict).get(verdict.limit_name)
     return Confirmed(**facts, distance_squared=verdict.distance_squared, limit=limit, why_not=verdict.reason)
+
+
+def asked_so_far(catalogue: Catalogue) -> list[Confirmation]:
+    """Read everything that was asked for, in that order."""
+    events = catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED)
+    return [asked_by(event.position, event.payload) for event in events if event.position is not None]
 
 
 def confirmation_of(catalogue: Catalogue, position: str, set_index: int | None = None) -> Confirmed | None:

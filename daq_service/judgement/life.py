@@ -60,6 +60,12 @@ def planned(position: str, settings: Settings, present: BaselineRow | None) -> P
     return Planned(number=1, first_set=0, last_set=n_sets - 1, row_id=row_id)
 
 
+def first_one(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
+    """Tell the first baseline of a position while it collects: it has no row until it is frozen."""
+    row = _collecting(position, settings, planned(position, settings, None))
+    return replace(row, created_utc_ns=epoch_utc_ns)
+
+
 def name_of(position: str, number: int) -> str:
     """Name of a position's baseline by its number."""
     return f"{position}-baseline-{number}"

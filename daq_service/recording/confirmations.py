@@ -20,6 +20,7 @@ from daq_service.judgement.confirmation import (
     Confirmation,
     Confirmed,
     asked_by,
+    asked_so_far,
     confirmation_of,
     confirmed,
     longest_ns,
@@ -55,8 +56,8 @@ class Confirmations:
         self.asked: dict[int, Confirmation] = {}
         self.waiting: dict[int, Confirmation] = {}
         self._said: dict[str, Confirmed] = {}
-        for event in catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED):
-            self.take_event(event)
+        for one in asked_so_far(catalogue):
+            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
         for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
             del self.waiting[index]
         for position in {one.due.position for one in self.asked.values()} - {None}:

@@ -8,13 +8,15 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE, at_hour, dashboard, expect, query
-from support.filled_folder import FilledFolder
+from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 from support.waiting import until
 
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.kept import kept_now, write_kept
+from daq_service.judgement.life import renewed
 from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
@@ -24,6 +26,7 @@ STORED = {0, N_SETS - 2, N_SETS - 1}
 SETTINGS = Settings(clock={"pace_h_per_s": 5.0}, ultrasound={"delay_s": 1e-6})
 LAST = N_SETS - 1
 OUTLIER = 49
+RENEWED = 50
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +37,8 @@ def filled(tmp_path_factory):
 
     def with_an_outlier(position, index, hour):
         row = judged(position, index, hour)
+        if position == "D" and index >= RENEWED:
+            return replace(row, in_baseline=True, chart=None)
         if (position, index) != ("B", OUTLIER):
             return row
         return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
@@ -314,6 +319,36 @@ def test_nobody_is_shut_out_while_the_first_answer_is_awaited(filled, service, b
     found = Axe().run(page)
     assert found.violations_count == 0, found.generate_report()
     context.close()
+
+
+def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, service, open_page):
+    """Position D was coupled anew before set 50: its second baseline collects from there on."""
+    asked = {"author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
+    first = frozen_baseline("D", id=4)
+    rows = renewed("D", filled.settings, first, first_set=RENEWED, **asked)
+    filled.catalogue.commit_set(SetCommit(baselines=[first]))
+    filled.catalogue.commit_set(SetCommit(baselines=rows))
+    page = open_page(f"{service.url}?position=D&relative=1")
+    count = len(filled.catalogue.rows(SetRow, position="D"))
+    wait_for(page, count)
+    hours = [filled.due[index].due_h for index in (RENEWED, RENEWED + 47)]
+    bands = [one for one in dashboard(page, "charts.tof.ranges") if one["tone"] == "good"]
+    assert [(one["word"], one["from_h"], one["to_h"]) for one in bands] == [
+        ("baseline 1", 0, 24.0),
+        ("baseline 2", *hours),
+    ]
+    shown = np.array(dashboard(page, "charts.tof.y")["tof_pp_us"])
+    values = np.array([filled.features("D", k, filled.due[k].due_h)["tof_pp_s"] for k in range(count)])
+    # Each set by the mean of the baseline that it belongs to or is judged by, up to rounding.
+    old, new = values[:48].mean(), values[RENEWED:].mean()
+    np.testing.assert_allclose(shown[:RENEWED], 100.0 * (values[:RENEWED] / old - 1.0), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(shown[RENEWED:], 100.0 * (values[RENEWED:] / new - 1.0), rtol=0, atol=1e-9)
+    limit = dashboard(page, "charts.chart.y")["limit_chart"]
+    assert limit == [LIMIT_CHART] * RENEWED + [None] * (count - RENEWED)
+    card = page.locator("#baseline")
+    card.locator("summary").press("Enter")
+    expect(card).to_contain_text(f"{count - RENEWED} of 48 so far ({RENEWED} to {RENEWED + 47})")
+    expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
 
 
 def test_retirements_and_holds_are_marks(filled, service, open_page):

@@ -147,7 +147,9 @@ def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(fil
     expect(card.get_by_role("button", name="Sent, expires")).to_be_visible()
     assert answered(filled) == ("renew_baseline", {"position": "B", "note": "a new sensor"})
     page.locator('#tiles [data-position="C"]').click()
-    expect(card).to_contain_text("The first one is being recorded.")
+    expect(card).to_contain_text("C-baseline-1")
+    expect(card).to_contain_text("3 of 48 so far (0 to 47)")
+    expect(card).to_contain_text("with the set of hour 24.0")
 
 
 def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, service, open_page):

@@ -21,16 +21,17 @@ from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError
-from hardware_drivers.measurement import PulseEchoRecord
+from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord
 
-END_H, SHORT_H = 8.0, 1.5
+END_H, SHORT_H, LAST = 8.0, 1.5, 15
 """Beyond the baseline of 7.5 h there are verdicts; what concerns single shots is seen in less."""
 FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines", "alarms")
 
 
 def small_settings(**tables: Any) -> Settings:
-    """Settings of a probe and two transducers."""
-    settings = half_a_day(baseline={"hours": 7.5}, **tables)
+    """Settings of a probe and two transducers; no confirmation set is asked for but where a test says so."""
+    alarms = {"hole_shots": 2, "confirmation_sets_a_day": 0} | tables.pop("alarms", {})
+    settings = half_a_day(baseline={"hours": 7.5}, alarms=alarms, **tables)
     kept = {name: place for name, place in settings.positions.items() if name != "D"}
     return settings.model_copy(update={"positions": kept})
 
@@ -43,9 +44,16 @@ def played_back(source: Path, end_h: float = END_H, **tables: Any):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A short test on the twin."""
+    """A short test on the twin, whose last set lies beyond the limit at B."""
+
+    def disturb(key, acquired):
+        if (key.position, key.set_index) != ("B", LAST):
+            return acquired
+        wave = acquired.waveform
+        return replace(acquired, waveform=replace(wave, counts=wave.counts // 2))
+
     folder = tmp_path_factory.mktemp("recorded")
-    assert run(small_settings(schedule={"end_h": END_H}), folder)
+    assert run(small_settings(schedule={"end_h": END_H}), folder, rig=disturbed_rig(disturb))
     return folder
 
 
@@ -97,10 +105,18 @@ def test_the_recorded_times_come_back_to_the_nanosecond(tmp_path):
 
 
 def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
-    assert run(played_back(recording, SHORT_H), tmp_path)
-    assert run(played_back(recording), tmp_path)
+    asking = {"alarms": {"confirmation_sets_a_day": 2}}
+    assert run(played_back(recording, SHORT_H, **asking), tmp_path)
+    assert run(played_back(recording, **asking), tmp_path)
     assert_same_sets(tmp_path, recording)
-    assert rows_of(tmp_path) == rows_of(recording)
+    rows, recorded = rows_of(tmp_path), rows_of(recording)
+    # The recording has no set beside the plan: it is told as that, and nothing else comes of it.
+    (beside,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
+    assert (beside.position, beside.set_index, beside.state) == ("B", PLANNED_SETS + LAST, "missed")
+    assert "the recording has no attempt 0 at shot 0" in beside.cause
+    assert rows | {"sets": [row for row in rows["sets"] if row is not beside]} == recorded
+    assert [row.outlier for row in recorded["verdicts"] if row.set_index == LAST] == [True, False]
+    assert recorded["alarms"] == []
 
 
 def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path):

@@ -12,6 +12,8 @@ from random import Random
 
 import pytest
 from support.crashed_recorders import (
+    SETS,
+    SHOTS_PER_SET,
     crash_settings,
     lost_of_kept_open,
     lost_of_replaced,
@@ -35,6 +37,7 @@ from support.traced_files import (
 
 from daq_service.archive import FolderSetReader
 from daq_service.archive.journal.reader import read_journal
+from hardware_drivers.measurement import PLANNED_SETS
 
 pytestmark = needs_a_preload
 
@@ -85,7 +88,11 @@ def test_the_calls_written_down_make_the_folder_again(trace_of):
     assert disk.left("kill", Random(1)) == state_of(folder)
     assert len(disk.marks) >= 100, "each shot is acknowledged by itself"
     assert any(call.kind == "u" and call.path.startswith("journal/") for call in calls), "segments go"
-    assert sum(call.kind == "r" and call.content.endswith(b".h5") for call in calls) == 8, "files come"
+    files = [call.content for call in calls if call.kind == "r" and call.content.endswith(b".h5")]
+    assert len(files) == SETS + 1, "files come, the last one of a set beside the plan"
+    assert f"set_{PLANNED_SETS + SETS - 1}" in files[-1].decode()
+    struck = 3 * SETS * SHOTS_PER_SET + SETS + SHOTS_PER_SET
+    assert len(set(disk.marks)) == struck
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,17 @@ from daq_service.archive import FolderSetReader, SetReference
 from daq_service.archive.journal.writer import Journal
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
-from daq_service.catalogue.rows import EventRow, values
+from daq_service.catalogue.reader import Filters
+from daq_service.catalogue.rows import (
+    EventRow,
+    FeatureRow,
+    Row,
+    SetRow,
+    ShotRow,
+    ThicknessRow,
+    VerdictRow,
+    values,
+)
 from daq_service.clock import Before, SimulatedClock, parse_utc
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.worker import one_worker
@@ -33,7 +43,7 @@ from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
-from hardware_drivers.measurement import Shot, ShotKey, Waveform
+from hardware_drivers.measurement import Shot, ShotKey, Waveform, in_order
 from support.memory_line import TABLES, ScriptedInstruments, healthy, memory_settings
 from support.small_experiment import AtOnce
 from support.traced_files import State, mark, set_tracing, state_of, write_state
@@ -41,12 +51,12 @@ from support.traced_files import State, mark, set_tracing, state_of, write_state
 SEGMENT_BYTES = 96 * 1024
 """Some sets in each segment, so that segments begin and go while a test runs."""
 SAMPLES = 1000
-SETS, SHOTS_PER_SET = 8, 5
-"""With three transducers 120 shots, and 8 pulse-echo records."""
+SETS, SHOTS_PER_SET = 16, 3
+"""With three transducers 144 shots, and 16 pulse-echo records; then 3 shots of a confirmation set."""
 
 
 def crash_settings(kind: str, **tables: Any) -> Settings:
-    """Settings of a test of 120 shots, the last set judged by the ones before.
+    """Settings of a test of 144 shots, the last set judged by the ones before; suspicion asks for 3 more.
 
     Shots are acknowledged a set at a time where ``kind`` is ``simulated``, and one by one on ``wall``.
     """
@@ -55,7 +65,7 @@ def crash_settings(kind: str, **tables: Any) -> Settings:
             "phases": [{"until_h": SETS * 0.5, "interval_h": 0.5}],
             "shots_per_set": SHOTS_PER_SET,
         },
-        baseline={"hours": 3.5},
+        baseline={"hours": (SETS - 1) * 0.5, "minimum_sets": SETS - 1},
         clock={"kind": kind},
         **tables,
     )
@@ -72,7 +82,9 @@ class LongerRecords(ScriptedInstruments):
 
 
 def features_by_key(shot: Shot) -> Any:
-    return healthy(shot.key)
+    """Features of a healthy wall, but at B in the last set and what is struck after it."""
+    planned, _ = in_order(shot.key.set_index)
+    return healthy(shot.key, 1.0 if (shot.key.position, planned) == ("B", SETS - 1) else 0.0)
 
 
 def _clock_after(before: Before) -> Clock:
@@ -159,7 +171,7 @@ def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
                 masked.add("id")  # they are numbered among those of the service and its machine, which differ
             rows[name] = [
                 replace(row, **dict.fromkeys(masked, 0))
-                for row in catalogue.rows(table)
+                for row in catalogue.rows(table, **purpose_of_all(table))
                 if not (isinstance(row, EventRow) and row.topic in ("service", "machine"))
             ]
     return rows
@@ -175,6 +187,11 @@ def outcome(folder: Path, kind: str) -> Outcome:
     }
     keys = {row.sequence: (row.position, row.set_index, row.shot_index, row.attempt) for row in rows["shots"]}
     return Outcome(rows=rows, counts=counts, keys=keys)
+
+
+def purpose_of_all(table: type[Row]) -> Filters:
+    """Ask for sets of the plan and beside it, where the table has sets."""
+    return {"purpose": "any"} if table in (SetRow, ShotRow, FeatureRow, ThicknessRow, VerdictRow) else {}
 
 
 _READ: dict[bytes, dict[int, bytes]] = {}

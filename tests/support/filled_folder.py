@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from analysis.waves.features import FEATURE_NAMES, extract_features
-from daq_service.acquisition.schedule import plan
+from daq_service.acquisition.schedule import beside_the_plan, plan
 from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -28,13 +28,14 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.clock import TimeLine, parse_utc
+from daq_service.judgement.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
 from daq_service.judgement.transaction import Transaction, payload_of, shot_row
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording.live_picture import LivePicture
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
-from hardware_drivers.nanoseconds import NS_PER_H
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.empty_catalogue import empty_catalogue
 from support.synthetic_records import Scene
 
@@ -243,6 +244,39 @@ class FilledFolder:
             chart_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
             limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
         )
+
+    def add_confirmation(
+        self, position: str, planned_set: int, authors: tuple[str, ...] = ("",), file: str | None = None
+    ) -> int:
+        """A set beside the plan, a minute after a planned one, that confirms it; returns its index.
+
+        ``authors`` asked for it, of which "" is suspicion.
+        """
+        planned = self.due[planned_set]
+        due = beside_the_plan(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
+        transaction = Transaction()
+        for author in authors:
+            asked = Confirmation(due=due, because=STEP, author=author).payload()
+            moment = Moment(utc_ns=due.due_utc_ns, due_h=due.due_h, set_index=planned_set)
+            transaction.tell(CONFIRMATION_ASKED, asked, moment, position=position)
+        its = {"set_index": due.set_index, "position": position, "due_h": due.due_h}
+        row = SetRow(
+            **its,
+            method=self.settings.positions[position].method,
+            due_utc_ns=due.due_utc_ns,
+            state="done",
+            n_planned=self.shots_per_set,
+            purpose="confirmation",
+            file=file,
+        )
+        transaction.sets.append(row)
+        common = {"quality": "good", "extractor_version": "1", "n_valid": self.shots_per_set}
+        found = self.features(position, planned_set, due.due_h)
+        transaction.features.append(FeatureRow(**its, **common, **found, shot_index=None, sequence=None))
+        judged = self.verdict(position, planned_set, due.due_h)
+        transaction.verdicts.append(replace(judged, **its, distance_squared=400.0, confirms=True))
+        self.catalogue.commit_set(transaction)
+        return due.set_index
 
     def add_alarm(
         self,

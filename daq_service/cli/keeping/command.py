@@ -137,7 +137,7 @@ def run_export(
 
 
 _OF_HDF5: Collection[str] = ()
-_OF_TABLE = ("position", "from_h", "to_h", "fields")
+_OF_TABLE = ("position", "from_h", "to_h", "fields", "purpose")
 _OF_WAVEFORMS = ("from_h", "to_h", "first_set", "last_set")
 
 

@@ -14,8 +14,9 @@ from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, CommandRow, values
+from daq_service.catalogue.rows import AlarmRow, CommandRow, SetRow, VerdictRow, values
 from daq_service.corrosion_drive.kept import described, look_at_drive
+from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
 from daq_service.judgement.restored import thickness_interval_m
 from daq_service.judgement.standing import data_hour, is_stale, limit_of, state_word
 from daq_service.orders.deadline import as_it_stands, left_now_s
@@ -25,6 +26,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import look_at_recorder
 from daq_service.settings.tree import Settings
+from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -56,6 +58,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
+                "confirmations": _confirmations(catalogue, settings, fresh),
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
                     name: {**_last_told(word), **_standing(folder, settings, catalogue, fresh, word)}
@@ -72,7 +75,9 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
     except NoDataYetError:
         recorder = look_at_recorder(folder, [])
         told_ns = time_now_ns(recorder.beat)
-        nothing = dict.fromkeys(("now_h", "wall_age_s", "held", "counts", "next_due_h", "disk"))
+        nothing = dict.fromkeys(
+            ("now_h", "wall_age_s", "held", "counts", "next_due_h", "disk", "confirmations")
+        )
         return {
             "recorder": recorder.description,
             "recorder_state": recorder.word,
@@ -132,6 +137,27 @@ def _baseline(catalogue: Catalogue, position: str) -> dict[str, Any] | None:
         "name": row.name,
         "n_sets": row.n_sets,
         **{name: (row.readiness or {}).get(name) for name in names},
+    }
+
+
+def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
+    """Tell of sets beside the plan: how many, what the newest says, how many suspicion may still ask for."""
+    rows = catalogue.rows(SetRow, purpose="confirmation")
+    newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
+    last = None
+    if newest is not None:
+        verdicts = catalogue.rows(VerdictRow, position=newest.position, set_index=newest.set_index)
+        said = asdict(confirmed(newest, verdicts[0] if verdicts else None))
+        last = {"position": newest.position, **said, "age_h": fresh.age_h(newest.due_h)}
+    asked, most = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
+    return {
+        "sets": len(rows),
+        "last": last,
+        "left_today": {
+            name: max(0, most - n_today(name, asked, fresh.now_h))
+            for name, place in settings.positions.items()
+            if place.method == SOLITARY_WAVE
+        },
     }
 
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daq_service.alarms.guidance import GUIDANCE, in_order
+from daq_service.alarms.proof import confirmation_sentence
 from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
@@ -86,6 +87,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     missed = counts["missed_sets"]
     partial = f", {counts['partial_sets']} partial" if counts["partial_sets"] else ""
     yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
+    yield "confirm", _confirmations(facts["confirmations"]), ""
     for told in _gaps(facts["gaps"]):
         yield "gap", told, "yellow"
     for file, what in facts["lost"].items():
@@ -109,6 +111,14 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         budget = baseline["false_alarms_per_sensor_year"]
         alike.setdefault(f"{budget:g} false alarms a sensor and year, {promised}", []).append(name)
     yield from (f"{', '.join(names)}: {told}" for told, names in alike.items())
+
+
+def _confirmations(facts: Mapping[str, Any]) -> str:
+    """Tell how many sets were beside the plan, what the newest says, and how many may still come today."""
+    left = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
+    last = facts["last"]
+    told = "" if last is None else f", the last at {last['position']}. {confirmation_sentence(last)}"
+    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {left}{told}"
 
 
 def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:

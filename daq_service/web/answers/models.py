@@ -124,8 +124,13 @@ class VerdictRow(Answer):
 
 @_of_row(rows.BaselineRow)
 class BaselineRow(Answer):
-    """A baseline."""
+    """A baseline; the first one of a position that still collects is told with the id that it will have."""
 
+    n_sets: int = Field(description="Usable sets in it; of one that collects those so far")
+    from_h: float = Field(description="When its first set was due, or will be")
+    from_utc: str = Field(description="The same as RFC 3339 UTC")
+    to_h: float = Field(description="The same of its last set: with it one that collects is complete")
+    to_utc: str = Field(description="The same as RFC 3339 UTC")
     temperature_c: list[float] | None = Field(
         description="Least and greatest temperature around its sets; null: none was measured"
     )
@@ -362,7 +367,7 @@ class TableList(Answer):
 
 
 class BaselineList(Answer):
-    """Every baseline ever frozen, oldest first."""
+    """Every baseline, retired and collecting ones too, oldest first."""
 
     as_of: AsOf
     items: list[BaselineRow]

@@ -1,6 +1,5 @@
 // The baseline of the charted position: its life, how far it can be trusted, and a person's orders about it.
 
-import { get } from "./api.js";
 import { confirmed } from "./control/confirm.js";
 import { may } from "./control/who.js";
 import { el } from "./dom.js";
@@ -40,6 +39,7 @@ function promise({ false_alarms_per_sensor_year, rate_guaranteed, why_not_guaran
 function facts(row) {
   const { readiness, temperature_c } = row;
   const range = `${row.first_set_index} to ${row.last_set_index}`;
+  if (row.state === "collecting") return [["Sets", `${row.n_sets} of ${1 + row.last_set_index - row.first_set_index} so far (${range})`], ["Complete", `with the set of hour ${fixed(row.to_h, 1)}, ${utc(row.to_utc)}`]];
   if (readiness === null) return [["Sets", `${row.n_sets}, of ${range}`], ["Limit", row.limit_reason ?? NONE]];
   const named = readiness.named.map((/** @type {any} */ one) => FOUND[one.kind]?.(one.set_indices) ?? one.kind);
   return [
@@ -59,60 +59,39 @@ export class BaselineCard {
     this.root = root;
     this.onTrouble = onTrouble;
     this.position = "";
-    this.listens = false;
-    /** @type {any[]} of the position, the present one last */
-    this.rows = [];
+    this.shown = this.offered = "";
     this.head = el("h2");
     this.state = el("span", { class: "bare" });
     this.body = el("div");
-    this.root.replaceChildren(el("summary", {}, this.head, " ", this.state), this.body);
+    this.orders = el("p", { class: "chips" });
+    this.root.replaceChildren(el("summary", {}, this.head, " ", this.state), this.body, this.orders);
   }
 
-  /** @param {string} position that the charts show @param {boolean} listens somebody carries orders out */
-  update(position, listens) {
-    const other = position !== this.position;
-    if (!other && listens === this.listens) return;
-    Object.assign(this, { position, listens });
-    if (other) void this.read();
-    else this.render();
-  }
-
-  /** A baseline was frozen, or a person did something with one. @param {any} event */
-  hear(event) {
-    if (event.position === this.position && String(event.kind).includes("baseline")) void this.read();
-  }
-
-  async read() {
-    const { position } = this;
-    try {
-      const { items } = await get(`/baselines?position=${position}`);
-      if (position !== this.position) return; // another one was chosen meanwhile
-      this.rows = items;
-      this.render();
-    } catch (error) {
-      this.onTrouble(/** @type {Error} */ (error).message);
-    }
-  }
-
-  render() {
-    const row = this.rows.at(-1);
-    this.root.hidden = this.position === "";
-    this.head.textContent = `Baseline of ${this.position}`;
-    this.state.replaceChildren(chip(LOOKS[row?.state ?? "collecting"]));
-    if (row === undefined) return this.body.replaceChildren(el("p", { class: "quiet", text: "The first one is being recorded." }));
+  /** @param {string} position that the charts show @param {any[]} rows its baselines of the API, the present one last @param {boolean} listens somebody carries orders out */
+  update(position, rows, listens) {
+    const row = rows.at(-1);
+    this.position = position;
+    this.root.hidden = row === undefined;
+    const shown = JSON.stringify(rows);
+    if (row === undefined || shown + listens === this.shown) return;
+    this.shown = shown + listens;
+    this.head.textContent = `Baseline of ${position}`;
+    this.state.replaceChildren(chip(LOOKS[row.state]));
     const readouts = facts(row).map(([term, value]) => el("div", {}, el("dt", { text: term }), el("dd", { text: value })));
-    const earlier = this.rows.slice(0, -1).map((one) => el("li", { text: `${one.name}, ${whose(one)}` }));
+    const earlier = rows.slice(0, -1).map((one) => el("li", { text: `${one.name}, ${whose(one)}` }));
     this.body.replaceChildren(
       el("p", { class: "quiet", text: [row.name, whose(row)].filter(Boolean).join(", ") }),
       el("dl", { class: "readouts long" }, ...readouts),
       ...(earlier.length ? [el("p", { class: "quiet small", text: "Before it:" }), el("ul", { class: "small" }, ...earlier)] : []),
-      el("p", { class: "chips" }, ...this.buttons(row)),
     );
+    // Another set is no reason to take a button away from under a finger.
+    const offered = JSON.stringify([row.name, row.state, listens]);
+    if (offered !== this.offered) this.orders.replaceChildren(...(listens ? this.buttons(row) : []));
+    this.offered = offered;
   }
 
   /** @param {any} row the present baseline */
   buttons(row) {
-    if (!this.listens) return [];
     const { position } = this;
     const approve = {
       title: `Sign the baseline of ${position}`,

@@ -61,12 +61,15 @@ export function chartOffer({ fields, method, positions }, span) {
  */
 export function testOffer(span) {
   const range = hoursOf(span);
-  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", alarms: "Alarms" };
+  const tables = { verdicts: "Verdicts", features: "Features", thickness: "Thickness", sets: "Sets", baselines: "Baselines", alarms: "Alarms" };
+  const beside = query({ ...range, purpose: "confirmation" });
   return {
     says: span ? "These hours, every position." : "The whole test, every position.",
     files: [
       { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
       ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
+      { title: "Verdicts on confirmation sets", path: `/tables/verdicts?${beside}` },
+      { title: "Features of confirmation sets", path: `/tables/features?${beside}` },
     ],
     python: [`verdicts = test.verdicts(${keywords(range).join(", ")})`, `features = test.features(${keywords(range).join(", ")})`],
   };

@@ -89,7 +89,7 @@ const events = new EventStream({ onEvent, onGap: () => reading.everything(), onS
 /** @type {import("./set/panel.js").Host} */
 const panelHost = {
   info: () => reading.info,
-  units: (position) => reading.baselines.get(position)?.units ?? reading.trends.get(position)?.units ?? {},
+  units: (position) => reading.baseline(position)?.units ?? reading.trends.get(position)?.units ?? {},
   ghost: ghostOf,
   last: (position) => Math.max(reading.trends.get(position)?.columns.set_index.at(-1) ?? 0, reading.gaps.get(position)?.at(-1)?.set_index ?? 0),
   view: () => address.view,
@@ -106,7 +106,7 @@ const waterfallHost = {
   open: openSet,
   over: (position) => {
     const { ranges, alarms, opened } = board.about(address.view, [position]);
-    return { gaps: ranges.filter((range) => range.word !== "baseline"), alarms, opened };
+    return { gaps: ranges.filter((range) => range.tone !== "good"), alarms, opened };
   },
   trend,
   hasBaseline: () => reading.hasBaseline(address.view.position),
@@ -176,7 +176,7 @@ function openSet(position, set) {
 
 /** The baseline's set that lies nearest to its middle. @param {string} position */
 function ghostOf(position) {
-  const { columns, method } = reading.baselines.get(position) ?? { columns: { set_index: [] }, method: "" };
+  const { columns, method } = reading.baseline(position) ?? { columns: { set_index: [] }, method: "" };
   // A probe refers to its first good record.
   if (method === "pulse_echo") return columns.set_index[columns.quality.indexOf("good")] ?? null;
   let best = -1;
@@ -213,7 +213,8 @@ function become(view, before) {
 }
 
 function showBaseline() {
-  baselineCard.update(charted(), state.recorder !== "finished" && state.recorder !== "stopped");
+  const rows = (reading.lives.get(charted()) ?? []).map((life) => life.row);
+  baselineCard.update(charted(), rows, state.recorder !== "finished" && state.recorder !== "stopped");
 }
 
 function showAll() {
@@ -232,6 +233,7 @@ function onBegin() {
 function onColumns() {
   failing.end();
   showColumns();
+  showBaseline();
   toolbar.update(address.view, charted(), reading.info, timeline());
   compared.update(address.view);
   waterfall.renew(String([reading.trends.get(address.view.position)?.columns.set_index.at(-1), reading.gaps.get(address.view.position)?.length]));
@@ -273,7 +275,6 @@ function onRead({ alarms, notes: noted, transducers, environment, info }) {
 function onEvent(topic, event) {
   if (topic === "service") asked.hear(event);
   reading.hear(topic, event);
-  baselineCard.hear(event);
   const { position, set } = address.view;
   const concerns = event.position === position && (event.set_index === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();

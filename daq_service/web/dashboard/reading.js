@@ -2,6 +2,7 @@
 // what is drawn; an event only says what to read again.
 
 import { all, get, hasData, trend } from "./api.js";
+import { livesOf } from "./charts/lives.js";
 import { PLANNED_SETS } from "./format.js";
 
 const REFRESH_MS = 200;
@@ -37,8 +38,8 @@ export class Reading {
     this.info = null;
     /** @type {Map<string, any>} columns by position */
     this.trends = new Map();
-    /** @type {Map<string, any>} all columns of the hours of the baseline, by position */
-    this.baselines = new Map();
+    /** Baselines by position, the present one last. @type {Map<string, import("./charts/lives.js").Life[]>} */
+    this.lives = new Map();
     /** @type {Map<string, any>} fits by position and field */
     this.fits = new Map();
     /** @type {Map<string, any[]>} sets without a record, by position */
@@ -47,8 +48,6 @@ export class Reading {
     this.beside = new Map();
     /** @type {any[]} */
     this.alarms = [];
-    /** @type {Map<string, any>} newest verdict by position; it holds every limit by its name */
-    this.verdicts = new Map();
     /** @type {any[]} notes that are not withdrawn */
     this.notes = [];
     this.feature = "";
@@ -74,10 +73,15 @@ export class Reading {
     return this.info?.positions.find((/** @type {any} */ place) => place.position === position);
   }
 
+  /** All columns of the hours of its present baseline. @param {string} position */
+  baseline(position) {
+    return this.lives.get(position)?.at(-1)?.trend;
+  }
+
   /** Whether a position has something to differ from: a probe its first reading, whenever that came. @param {string} position */
   hasBaseline(position) {
     const probe = this.place(position)?.method === "pulse_echo";
-    const values = probe ? this.trends.get(position)?.columns.travel_time_s : this.baselines.get(position)?.columns.in_baseline;
+    const values = probe ? this.trends.get(position)?.columns.travel_time_s : this.baseline(position)?.columns.in_baseline;
     return Boolean(values?.some((/** @type {number | boolean | null} */ value) => value !== null && value !== false));
   }
 
@@ -220,7 +224,6 @@ export class Reading {
     // First of all: what the tiles say is the first thing to be seen.
     const standing = async () => {
       const transducers = await get("/transducers");
-      this.verdicts = new Map(transducers.items.map((/** @type {any} */ one) => [one.position, one.last_verdict]));
       onRead({ transducers });
     };
     const readings = [standing()];
@@ -259,8 +262,8 @@ export class Reading {
     // Bins are not gone on with: another set may change the last one, and in time their width.
     const before = known && known.bin_sets === 1 && known.columns.due_h.length < LONGEST ? known : undefined;
     const from_h = before?.columns.due_h.at(-1);
-    const inBaseline = { to_h: this.info.schedule.baseline_h + 1e-6 };
-    if (whole || (from_h ?? 0) <= inBaseline.to_h) this.baselines.set(position, await trend(position, undefined, inBaseline));
+    const lives = this.lives.get(position);
+    if (whole || !lives || (from_h ?? 0) <= (lives.at(-1)?.row.to_h ?? 0)) this.lives.set(position, await livesOf(position, place.method, this.info.schedule.baseline_h, whole ? [] : lives));
     const fields = this.fieldsOf(position);
     const answer = await trend(position, fields, { from_h });
     if (answer.bin_sets > 1 && this.drawn.includes(position)) await this.readDetail(position);
@@ -278,7 +281,7 @@ export class Reading {
   /** @param {string} position whose baseline's hours were read */
   fieldsOf(position) {
     const always = FIELDS[this.place(position).method];
-    const also = this.feature in this.baselines.get(position).columns && !always.includes(this.feature);
+    const also = this.feature in this.baseline(position).columns && !always.includes(this.feature);
     return also ? [...always, this.feature] : always;
   }
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, Signature
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Any, cast
 
 from fastapi import APIRouter, Query
 
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import Row
+from daq_service.catalogue.told import Purposes
 from daq_service.web.answers import cursors
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
@@ -37,7 +38,7 @@ POSITION = {"position": (PositionFilter, None)}
 SET_INDEX = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
 
 PurposeFilter = Annotated[
-    Literal["planned", "confirmation", "any"],
+    Purposes,
     Query(description="Sets of the plan, those beside it, or both"),
 ]
 PURPOSE = {"purpose": (PurposeFilter, "planned")}

@@ -15,7 +15,7 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import TableList, problems
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import FromHour, PositionFilter, ToHour, last_hour
+from daq_service.web.routes.listing import FromHour, PositionFilter, PurposeFilter, ToHour, last_hour
 from daq_service.web.tables.choice import TABLES, chosen
 from daq_service.web.tables.export import exported
 from daq_service.web.tables.formats import FORMATS, available
@@ -64,6 +64,7 @@ def get_table(
     fields: Annotated[
         str | None, Query(max_length=1000, description="Comma-separated columns; absent: all of the table")
     ] = None,
+    purpose: PurposeFilter = "planned",
     form: Form = None,
 ) -> Response:
     """Export a table or a range of it; hour, quality and what tells rows apart are always in it."""
@@ -76,7 +77,7 @@ def get_table(
     catalogue, fresh = context.catalogue(), context.freshness()
     headers = {"Vary": "Accept"}
     try:
-        choice = chosen(table, position=position, from_h=from_h, to_h=to_h, fields=fields)
+        choice = chosen(table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose)
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
         parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)
         if FORMATS[name].whole:

@@ -7,12 +7,12 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, VerdictRow
+from daq_service.catalogue.rows import VerdictRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import BaselineList, VerdictPage, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, PositionFilter, add_listing
+from daq_service.web.tables.lives import told_baselines
 from daq_service.web.tables.quality import judged_qualities
 
 router = APIRouter(tags=["verdicts"])
@@ -47,17 +47,5 @@ def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonA
     if position is not None:
         context.known(position)
     fresh = context.freshness()
-    catalogue = context.catalogue()
-    items = [
-        fresh.row(row, temperature_c=temperatures_c(catalogue, row))
-        for row in catalogue.rows(BaselineRow, position=position)
-    ]
-    return JsonAnswer({"as_of": fresh.as_of(), "items": items})
-
-
-def temperatures_c(catalogue: Catalogue, row: BaselineRow) -> list[float] | None:
-    """Least and greatest temperature around the sets of a baseline; None: none was measured."""
-    first, last = row.first_set_index, row.last_set_index
-    around = catalogue.rows(EnvironmentRow, first_set=first, last_set=last)
-    found = [one.temperature_c for one in around if one.temperature_c is not None]
-    return [min(found), max(found)] if found else None
+    told = told_baselines(context.catalogue(), context.settings, fresh.epoch_utc_ns, position)
+    return JsonAnswer({"as_of": fresh.as_of(), "items": [fresh.row(row, **beside) for row, beside in told]})

@@ -19,6 +19,7 @@ from daq_service.archive.waterfall.picture import Picture, Wanted
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow, VerdictRow
+from daq_service.judgement.life import planned
 from daq_service.judgement.results import results_in
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Waterfall, problems
@@ -213,7 +214,7 @@ def _check(method: str, align: str, from_s: float | None, to_s: float | None, js
 
 
 def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int]:
-    """Choose the sets of the baseline; of a probe its first reading.
+    """Choose the sets of the present baseline; of a probe its first reading.
 
     Raises
     ------
@@ -224,7 +225,10 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
         reading = catalogue.first_reading(position)
         found = [] if reading is None else [reading.set_index]
     else:
-        verdicts = catalogue.rows(VerdictRow, position=position, last_h=context.settings.baseline.hours)
+        its = planned(position, context.settings, catalogue.baseline(position))
+        verdicts = catalogue.rows(
+            VerdictRow, position=position, first_set=its.first_set, last_set=its.last_set
+        )
         found = [row.set_index for row in verdicts if row.in_baseline]
     if not found:
         raise not_found(

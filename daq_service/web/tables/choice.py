@@ -14,6 +14,7 @@ from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
+    BaselineRow,
     EnvironmentRow,
     FeatureRow,
     Row,
@@ -22,10 +23,12 @@ from daq_service.catalogue.rows import (
     VerdictRow,
     values,
 )
-from daq_service.catalogue.told import ToldColumn, told_columns
+from daq_service.catalogue.told import Purposes, ToldColumn, told_columns, with_parts
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
+from daq_service.settings.stored import stored_settings
 from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.tables.lives import told_baselines
 from daq_service.web.tables.quality import judged_qualities
 
 PAGE_ROWS = 1000
@@ -42,11 +45,12 @@ Columns = Mapping[str, list[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TableKind:
-    """A table that can be exported."""
+    """A table that can be exported; ``beside_the_plan``: confirmation sets have rows in it too."""
 
     row: type[Row]
     told: str
     fixed: Filters
+    beside_the_plan: bool = False
 
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
@@ -55,12 +59,23 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(row=SetRow, told="Planned sets and what became of them", fixed={}),
-    "features": TableKind(row=FeatureRow, told="Features of sets", fixed={"scope": "set"}),
-    "shot_features": TableKind(row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}),
-    "verdicts": TableKind(row=VerdictRow, told="Squared distances, limits and outliers", fixed={}),
+    "sets": TableKind(
+        row=SetRow, told="Planned sets and what became of them", fixed={}, beside_the_plan=True
+    ),
+    "features": TableKind(
+        row=FeatureRow, told="Features of sets", fixed={"scope": "set"}, beside_the_plan=True
+    ),
+    "shot_features": TableKind(
+        row=FeatureRow, told="Features of single shots", fixed={"scope": "shot"}, beside_the_plan=True
+    ),
+    "verdicts": TableKind(
+        row=VerdictRow, told="Squared distances, limits and outliers", fixed={}, beside_the_plan=True
+    ),
     "thickness": TableKind(row=ThicknessRow, told="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, told="Supply and climate around each set", fixed={}),
+    "baselines": TableKind(
+        row=BaselineRow, told="Baselines of every position: life, readiness, limits", fixed={}
+    ),
     "alarms": TableKind(row=AlarmRow, told="Alarms with their proofs", fixed={}),
     "annotations": TableKind(row=AnnotationRow, told="What people noted of hours of the test", fixed={}),
 }
@@ -75,6 +90,7 @@ class Choice:
     from_h: float | None = None
     to_h: float | None = None
     fields: tuple[str, ...] | None = None
+    purpose: Purposes = "planned"
 
     @property
     def columns(self) -> tuple[ToldColumn, ...]:
@@ -86,7 +102,8 @@ class Choice:
     @property
     def name(self) -> str:
         """Name of a file of it, without ending."""
-        return self.table if self.position is None else f"{self.table}_{self.position}"
+        of_plan = self.purpose == "planned"
+        return "_".join(filter(None, (self.table, self.position, None if of_plan else self.purpose)))
 
 
 def chosen(
@@ -96,19 +113,26 @@ def chosen(
     from_h: float | None = None,
     to_h: float | None = None,
     fields: str | None = None,
+    purpose: Purposes = "planned",
 ) -> Choice:
     """Check what somebody asks for; ``fields`` are names with commas between.
 
     Raises
     ------
     UsageError
-        There is no such table or field, the table has no positions, or the range is upside down.
+        There is no such table or field, the table has no positions or no sets beside the plan, or the range
+        is upside down.
     """
     if table not in TABLES:
         raise UsageError(f"there is no table {table!r}; choose from {', '.join(TABLES)}")
     known = [column.name for column in TABLES[table].columns]
     if position is not None and "position" not in known:
         raise UsageError(f"the table {table} has no positions; leave the position out")
+    if purpose != "planned" and not TABLES[table].beside_the_plan:
+        beside = ", ".join(name for name, kind in TABLES.items() if kind.beside_the_plan)
+        raise UsageError(
+            f"the table {table} has no sets beside the plan, {beside} have; leave the purpose out"
+        )
     if from_h is not None and to_h is not None and to_h < from_h:
         raise UsageError(f"the range ends at {to_h:g} h, before {from_h:g} h; let it end later")
     names = None if fields is None else tuple(part.strip() for part in fields.split(",") if part.strip())
@@ -117,7 +141,7 @@ def chosen(
             f"the table {table} has no field {', '.join(unknown) if names else '(none named)'}; "
             f"choose from {', '.join(known)}"
         )
-    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names)
+    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names, purpose=purpose)
 
 
 def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:
@@ -127,7 +151,18 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     """
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
+    if kind.row is BaselineRow:
+        settings = stored_settings(experiment.configuration)
+        told = [
+            with_parts(BaselineRow, with_utc({**values(row), **beside}, experiment.epoch_utc_ns))
+            for row, beside in told_baselines(catalogue, settings, experiment.epoch_utc_ns, choice.position)
+            if _inside(choice, beside["from_h"], beside["to_h"])
+        ]
+        yield _by_column(told, names)
+        return
     asked: Filters = {**kind.fixed, "position": choice.position}
+    if kind.beside_the_plan:
+        asked |= {"purpose": choice.purpose}
     by_set = kind.row is not AlarmRow
     if by_set:
         asked |= {"first_h": choice.from_h, "last_h": last_inside(choice.to_h)}
@@ -135,7 +170,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     while True:
         rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **asked)
         if rows or is_first:
-            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row)]
+            kept: list[Any] = [row for row in rows if by_set or _inside(choice, row.raised_h, row.raised_h)]
             if not by_set:
                 kept = list(map(fresh.standing, kept))
             told = [with_utc(values(row), experiment.epoch_utc_ns) for row in kept]
@@ -148,7 +183,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
             if kind.row is AlarmRow:
                 for row, alarm in zip(told, kept, strict=True):
                     row["proof_sentences"] = proof_sentences(alarm)
-            yield {name: [_plain(row[name]) for row in told] for name in names}
+            yield _by_column([with_parts(kind.row, row) for row in told], names)
         if len(rows) < PAGE_ROWS:
             return
         asked["after_id"] = rows[-1].id
@@ -160,9 +195,15 @@ def last_inside(to_h: float | None) -> float | None:
     return None if to_h is None else math.nextafter(to_h, -math.inf)
 
 
-def _inside(choice: Choice, row: Any) -> bool:
-    hour = row.raised_h
-    return (choice.from_h is None or hour >= choice.from_h) and (choice.to_h is None or hour < choice.to_h)
+def _inside(choice: Choice, first_h: float, last_h: float) -> bool:
+    """Tell whether any of these hours was chosen."""
+    return (choice.from_h is None or last_h >= choice.from_h) and (
+        choice.to_h is None or first_h < choice.to_h
+    )
+
+
+def _by_column(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Columns:
+    return {name: [_plain(row[name]) for row in rows] for name in names}
 
 
 def _plain(value: Any) -> Any:

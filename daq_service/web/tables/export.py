@@ -40,6 +40,7 @@ def exported(
         "position": choice.position,
         "from_h": choice.from_h,
         "to_h": choice.to_h,
+        "purpose": choice.purpose,
         "units": {column.name: column.unit for column in choice.columns if column.unit},
     }
     return kind.write(choice, facts_of(catalogue.experiment_row(), fresh, about), read)

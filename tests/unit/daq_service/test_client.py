@@ -16,6 +16,8 @@ from support.served_web import served
 
 from daq_service import client
 from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import VerdictRow
+from daq_service.catalogue.told import with_parts
 from daq_service.client.connection import Connection, parsed
 from daq_service.errors import StorageError
 from daq_service.settings.tree import Settings
@@ -28,6 +30,9 @@ TABLES = {
     "verdicts?position=B&from_h=5&to_h=20": lambda test: test.verdicts("B", from_h=5, to_h=20),
     "thickness": lambda test: test.thickness(),
     "sets?position=C": lambda test: test.sets("C"),
+    "sets?purpose=any&position=C": lambda test: test.sets("C", purpose="any"),
+    "features?purpose=confirmation": lambda test: test.features(purpose="confirmation"),
+    "verdicts?purpose=confirmation": lambda test: test.verdicts(purpose="confirmation"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
     "annotations": lambda test: test.annotations(),
@@ -42,6 +47,7 @@ def filled(tmp_path_factory):
         if index > 1:
             folder.add_environment(index)
     folder.add_alarm("B", 55)
+    folder.add_confirmation("C", N_SETS - 1)
     retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
     second = {"name": "B-baseline-2", "state": "collecting", "first_set_index": 400, "last_set_index": 424}
     for row in (
@@ -81,16 +87,17 @@ def test_folder_service_and_page_say_the_same(resource, of_folder, of_service, s
     with service.client() as http:
         path, _, asked = resource.partition("?")
         page = http.get(f"/api/v1/{path}?limit=1000&{asked}").json()
-    assert len(here) == len(page["items"]) > 0
+    items = [with_parts(VerdictRow, item) if path == "verdicts" else item for item in page["items"]]
+    assert len(here) == len(items) > 0
     for column in here:
-        for value, told in zip(here[column], [item[column] for item in page["items"]], strict=True):
+        for value, told in zip(here[column], [item[column] for item in items], strict=True):
             if told is None:
                 assert value is None or pd.isna(value), column
             elif column.endswith("_utc"):
                 assert value == pd.Timestamp(told), column
             else:
                 assert value == told, column
-    assert set(here) == set(page["items"][0]), "nothing that the page has is missing"
+    assert set(here) == set(items[0]), "nothing that the page has is missing"
 
 
 def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
@@ -102,7 +109,15 @@ def test_the_baselines_of_a_position_tell_their_life(of_folder, of_service):
     assert here["retired_utc"].tolist() == [pd.Timestamp("2024-01-01T00:00Z"), pd.NaT]
     # Around sets 2 to 47 it was 21.5 degrees, around 400 to 424 nothing was measured.
     assert here["temperature_c"].tolist() == [[21.5, 21.5], None]
-    assert of_folder.baselines()["position"].tolist() == ["B", "B", "C"]
+    # Sets come half-hourly up to hour 75, then hourly, and set 0 is half an hour after the begin.
+    assert here[["from_h", "to_h"]].values.tolist() == [[0.5, 24.0], [326.0, 350.0]]
+    every = of_folder.baselines()
+    assert every["position"].tolist() == ["B", "B", "C", "D"]
+    # Position D has no row before its first baseline is frozen.
+    first = every.iloc[-1]
+    assert (first["name"], first["state"], first["id"]) == ("D-baseline-1", "collecting", 4)
+    assert (first["first_set_index"], first["last_set_index"], first["n_sets"]) == (0, 47, 48)
+    assert first["created_utc"] == pd.Timestamp("2024-01-01T00:00Z")
 
 
 def test_numbers_have_units_and_types_also_where_none_is_known(of_folder):

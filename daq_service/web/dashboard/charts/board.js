@@ -4,8 +4,9 @@ import { byId, el, setText } from "../dom.js";
 import { fixed, scientific, significant } from "../format.js";
 import { notesOn } from "../notes.js";
 import { isFeature, wordOf } from "./features.js";
+import { bandsOf, inForce } from "./lives.js";
 import { isOther, nameOf } from "./others.js";
-import { baselineMean, colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
+import { colorOf, fitLine, joined, onAxis, relativeTo, scaled, shownUnit } from "./series.js";
 
 /** @typedef {import("./chart.js").SolimonChart} SolimonChart @typedef {import("../view.js").View} View @typedef {import("./series.js").Line} Line */
 
@@ -66,9 +67,9 @@ export class Board {
     return isOther(position) ? this.others.trends.get(position) : this.reading.trend(position);
   }
 
-  /** @param {string} position as of `trend` */
-  baseline(position) {
-    return isOther(position) ? this.others.baselines.get(position) : this.reading.baselines.get(position);
+  /** Baselines of a position. @param {string} position as of `trend` @returns {import("./lives.js").Life[]} */
+  lives(position) {
+    return (isOther(position) ? this.others.lives.get(position) : this.reading.lives.get(position)) ?? [];
   }
 
   redraw() {
@@ -98,7 +99,7 @@ export class Board {
       this.draw(this.charts.amplitudeRatio, view, waves, "amplitude_ratio", "amplitude_ratio", "amplitude ratio");
     }
     if (probe && this.reading.trends.has(probe)) this.draw(this.charts.thickness, view, [probe, ...others("pulse_echo")], "thickness_m", "thickness_mm", "thickness");
-    const ofProbe = probe && view.feature in (this.reading.baselines.get(probe)?.units ?? {});
+    const ofProbe = probe && view.feature in (this.reading.baseline(probe)?.units ?? {});
     const shown = ofProbe ? [probe, ...others("pulse_echo")] : waves;
     if (this.trend(shown[0])?.columns[view.feature]) {
       this.charts.feature.entitle(wordOf(view.feature));
@@ -111,7 +112,7 @@ export class Board {
   offer(feature) {
     const groups = new Map();
     for (const place of this.reading.info.positions) {
-      const units = this.reading.baselines.get(place.position)?.units;
+      const units = this.reading.baseline(place.position)?.units;
       if (units) groups.set(place.method, Object.keys(units).filter(isFeature));
     }
     const offered = JSON.stringify([...groups]);
@@ -138,11 +139,9 @@ export class Board {
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
-      const reference = relative ? baselineMean(this.baseline(position), field) : null;
-      const scale = reference ? relativeTo(reference) : (/** @type {number} */ value) => value * factor;
+      const scale = relative ? relativeTo(this.lives(position), field) : (/** @type {number} */ value) => value * factor;
       scales.set(position, scale);
-      // Without a baseline nothing is relative to it.
-      const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(relative && !reference ? values.map(() => null) : scaled(values, scale), rows[k]);
+      const inUnit = (/** @type {(number | null)[]} */ values) => onAxis(scaled(values, columns[k].due_h, scale), rows[k]);
       const of = positions.length > 1 ? ` ${nameOf(position)}` : "";
       return /** @type {Line} */ ({
         key: k ? `${key} ${position}` : key,
@@ -169,11 +168,10 @@ export class Board {
   about(view, positions) {
     const { info } = this.reading;
     const [position] = positions;
-    const baseline = { from_h: 0, to_h: info.schedule.baseline_h, word: "baseline", tone: "good" };
     const alarms = this.reading.alarms.filter((alarm) => positions.includes(alarm.position)).map((alarm) => alarm.raised_h);
     const opened = view.set === null ? null : this.hourOf(view.position, view.set);
     const of = { method: this.reading.place(position).method, positions: positions.filter((one) => !isOther(one)) };
-    return { of, ranges: [baseline, ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => [...rangesOf(this.reading.gaps.get(one) ?? []), ...besideOf(this.reading.beside.get(one) ?? [])])], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
+    return { of, ranges: [...bandsOf(this.lives(position)), ...notesOn(this.reading.notes, positions), ...positions.flatMap((one) => [...rangesOf(this.reading.gaps.get(one) ?? []), ...besideOf(this.reading.beside.get(one) ?? [])])], alarms, opened, endHour: info.schedule.end_h, at: `Position ${position}${positions.length > 1 ? ` with ${positions.slice(1).map(nameOf).join(", ")}` : ""}${positions.some(isOther) ? ", each from its own hour 0" : ""}` };
   }
 
   /** Hour of a set; null: it is not among what was read. @param {string} position @param {number} index */
@@ -195,7 +193,7 @@ export class Board {
     const name = relative ? `${word}, change (%)` : unit ? `${word} (${unit})` : word;
     const [{ step }] = lines;
     const bins = step && step > 1 ? `means, least and greatest of ${step} sets each` : "";
-    const says = relative ? "relative to each position's own baseline" : fit ? equation(fit, factor, unit) : "";
+    const says = relative ? `relative to each position's own baseline${this.lives(positions[0]).length > 1 ? ", from each one's first set on to that one" : ""}` : fit ? equation(fit, factor, unit) : "";
     chart.update({ x, lines, name, unit, digits, subtitle: [at, bins, says].filter(Boolean).join(" · "), taken: { fields: [field], ...of }, ...about });
   }
 
@@ -221,9 +219,9 @@ export class Board {
     const { lines, x, unit } = this.lines(view, positions, "chart", "chart", "chart");
     const { at, of: places, ...about } = this.about(view, positions);
     const { limits } = this.reading.info;
-    const limit = this.reading.verdicts.get(positions[0])?.limits?.chart ?? null;
+    const limit = x.map((hour) => inForce(this.lives(positions[0]), hour)?.row.limits?.chart ?? null);
     const values = this.trend(positions[0]).columns.chart ?? [];
-    if (limit !== null && values.some((/** @type {number | null} */ value) => value !== null)) lines.push({ key: "limit_chart", label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`, short: "limit", color: "--limit", points: false, y: x.map(() => limit) });
+    if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null)) lines.push({ key: "limit_chart", label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`, short: "limit", color: "--limit", points: false, y: limit });
     const rule = limits.decides_by === "chart" ? "it decides" : `a view: alarm at ${limits.k} of ${limits.n} sets`;
     this.charts.chart.update({ x, lines, name: "Chart", unit, digits: 2, subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`, taken: { fields: ["chart"], ...places }, ...about });
   }

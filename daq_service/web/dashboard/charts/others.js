@@ -2,6 +2,7 @@
 
 import { BASE, get, trend } from "../api.js";
 import { FIELDS } from "../reading.js";
+import { livesOf } from "./lives.js";
 
 const REFRESH_MS = 5000;
 
@@ -32,8 +33,8 @@ export class Others {
     this.readAt = 0;
     /** @type {Map<string, any>} columns by entry */
     this.trends = new Map();
-    /** @type {Map<string, any>} all columns of the hours of its baseline, by entry */
-    this.baselines = new Map();
+    /** Baselines by entry, the present one last. @type {Map<string, import("./lives.js").Life[]>} */
+    this.lives = new Map();
     /** @type {Map<string, string>} why an entry is not drawn */
     this.troubles = new Map();
     /** @type {string[]} */
@@ -62,7 +63,7 @@ export class Others {
 
   /** @param {string} entry */
   forget(entry) {
-    for (const kept of [this.trends, this.baselines, this.troubles]) kept.delete(entry);
+    for (const kept of [this.trends, this.lives, this.troubles]) kept.delete(entry);
   }
 
   /** @param {string} entry @returns {any} how the service lists its test */
@@ -109,12 +110,11 @@ export class Others {
     }
     try {
       const base = baseOf(test);
-      if (!this.baselines.has(entry)) {
-        const { schedule } = await get("/info", base);
-        this.baselines.set(entry, await trend(position, undefined, { to_h: schedule.baseline_h + 1e-6 }, base));
-      }
+      const { schedule } = await get("/info", base);
+      const lives = await livesOf(position, place.method, schedule.baseline_h, this.lives.get(entry), base);
+      this.lives.set(entry, lives);
       const fields = [...FIELDS[place.method]];
-      if (this.feature in this.baselines.get(entry).columns && !fields.includes(this.feature)) fields.push(this.feature);
+      if (this.feature in lives[lives.length - 1].trend.columns && !fields.includes(this.feature)) fields.push(this.feature);
       const { span } = this;
       const wide = span ? { from_h: Math.max(0, span[0] - (span[1] - span[0]) / 2), to_h: span[1] + (span[1] - span[0]) / 2 } : {};
       const found = await trend(position, fields, wide, base);

@@ -1,5 +1,7 @@
 // From the columns of the API to what a chart draws: scaled, relative to the baseline, one position over another.
 
+import { inForce } from "./lives.js";
+
 /**
  * @typedef {object} Line
  * @property {string} key name in the read-only state
@@ -20,7 +22,7 @@
  * @property {(string | null)[]} [quality]
  * @property {(boolean | null)[]} [outlier]
  *
- * @typedef {(value: number) => number} Scale
+ * @typedef {(value: number, hour: number) => number | null} Scale
  */
 
 /** Colours and shapes of positions drawn over the chosen one; beyond these shapes tell them apart. */
@@ -38,9 +40,9 @@ export function shownUnit(unit) {
   return { factor, unit: name, digits };
 }
 
-/** @param {(number | null)[]} values @param {Scale} scale */
-export function scaled(values, scale) {
-  return values.map((value) => (value === null ? null : scale(value)));
+/** @param {(number | null)[]} values @param {number[]} hours of each @param {Scale} scale */
+export function scaled(values, hours, scale) {
+  return values.map((value, k) => (value === null ? null : scale(value, hours[k])));
 }
 
 /**
@@ -57,8 +59,14 @@ export function baselineMean(trend, field) {
   return values.length ? values.reduce((/** @type {number} */ sum, /** @type {number} */ value) => sum + value, 0) / values.length : null;
 }
 
-/** Percent above or below a reference. @param {number} reference @returns {Scale} */
-export const relativeTo = (reference) => (value) => 100 * (value / reference - 1);
+/** Percent above or below the baseline in force; without one nothing is relative to it. @param {import("./lives.js").Life[]} lives @param {string} field @returns {Scale} */
+export function relativeTo(lives, field) {
+  const means = lives.map((life) => ({ from_h: life.from_h, mean: baselineMean(life.trend, field) }));
+  return (value, hour) => {
+    const mean = inForce(means, hour)?.mean;
+    return mean ? 100 * (value / mean - 1) : null;
+  };
+}
 
 /**
  * One axis for sets of several positions, which need not have the same ones.
@@ -94,5 +102,5 @@ export function missing({ firsts, step }, a, b) {
 export function fitLine(fit, x, scale) {
   if (!fit?.coefficients) return x.map(() => null);
   const [c0, c1, c2] = fit.coefficients;
-  return x.map((t) => (t >= fit.from_h && t <= fit.to_h ? scale(c0 + (c1 + c2 * t) * t) : null));
+  return x.map((t) => (t >= fit.from_h && t <= fit.to_h ? scale(c0 + (c1 + c2 * t) * t, t) : null));
 }

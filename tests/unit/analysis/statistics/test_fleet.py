@@ -9,7 +9,12 @@ from analysis.errors import InvalidInputError
 from analysis.statistics.design import Budget
 from analysis.statistics.fleet import (
     FEWEST_SENSORS,
+    SHARED_SD,
+    Shared,
+    alike,
     chance_so_far,
+    gain,
+    kept_of_shared,
     raised_at,
     shared_causes,
     shared_deviation,
@@ -115,3 +120,34 @@ def test_the_unbroken_chart_is_the_chart_until_its_first_alarm():
     first = found.onsets[0]
     assert np.array_equal(found.unbroken[: first + 1], found.chart[: first + 1], equal_nan=True)
     assert found.unbroken[-1] > found.chart_limit > found.chart[first + 1]
+
+
+def test_features_that_move_together_err_together():
+    one = np.random.default_rng(2).standard_normal((500, 1))
+    both = np.hstack([one, -one, np.random.default_rng(3).standard_normal((500, 1))])
+    # An unrelated feature: squared correlations of 1/500 on average, five standard errors.
+    np.testing.assert_allclose(alike([both, both]), [[1, 1, 0], [1, 1, 0], [0, 0, 1]], rtol=0, atol=0.02)
+    short = alike([both[:5]])
+    np.testing.assert_array_equal(short, np.eye(3))
+
+
+def test_what_unlike_sensors_keep_of_the_weather_is_found():
+    """A season of 2 SD; gains that scatter by a fifth leave three fifths of 2 SD with some sensors."""
+    random = np.random.default_rng(5)
+    shared = 2.0 * np.sin(np.arange(500) / 80.0)[:, None] * np.linspace(1.0, 0.2, P)
+    causes = (Shared(first_row=0, last_row=499, largest_sd=(2.0, 0.4)),)
+    usual = {"phi": 0.0, "n": 100, "tails": 1.0}
+
+    def kept(scatter):
+        gains = []
+        for g in 1.0 + scatter * random.standard_normal(200):
+            sd = random.standard_normal((usual["n"], P)).std(axis=0, ddof=1)  # as a baseline shows it
+            gains.append(gain((g * shared + random.standard_normal(shared.shape)) / sd, shared, np.eye(P)))
+        return kept_of_shared(gains, causes, **usual)
+
+    # The scatter of 200 gains is known to 6 %, by their median deviation to about twice that.
+    assert kept(0.2) == pytest.approx(3 * 0.2 * 2.0, rel=0.25)
+    # Without taking off what chance makes: 3 x 2 SD x .045, which is .27.
+    assert kept(0.0) < SHARED_SD / 2
+    assert kept_of_shared([gain(shared, 0.0 * shared, np.eye(P))], causes, **usual) == 0.0
+    assert kept_of_shared([(1.0, 0.1, 0.3), (3.0, 0.1, 0.3)], (), **usual) == 0.0

@@ -164,6 +164,22 @@ def test_the_forecast_of_the_disk_is_told(filled: FilledFolder, level: str, word
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
 
 
+def test_confirmation_sets_are_told_with_what_the_last_one_says(filled: FilledFolder) -> None:
+    facts = describe_status(filled.folder, filled.settings)["confirmations"]
+    assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
+    index = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
+    facts = describe_status(filled.folder, filled.settings)
+    told_of = facts["confirmations"]
+    assert told_of["left_today"] == {"B": 2, "C": 1, "D": 2}, "a person's are not counted"
+    assert (told_of["sets"], told_of["last"]["position"], told_of["last"]["confirms"]) == (1, "C", True)
+    assert (told_of["last"]["set_index"], told_of["last"]["age_h"]) == (index, 0.0)
+    assert line_of(told(facts), "confirm") == (
+        "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2, the last at C. "
+        "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
+        "24.3, lies where the planned sets before it do."
+    )
+
+
 def test_the_promise_of_each_baseline_is_told(filled: FilledFolder) -> None:
     promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
     short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}

@@ -1,5 +1,6 @@
 """Levels of a volume that fills and is freed, the reserve, and how long the rest lasts."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -105,6 +106,11 @@ def test_the_outlook_is_by_the_newest_file_and_says_when_it_is_full(tmp_path):
         (newest,) = (tmp_path / "sets").glob("set_000004_*.h5")
         catalogue = (tmp_path / "catalogue.sqlite").stat().st_size
         assert a_set == pytest.approx(newest.stat().st_size + catalogue / 5, abs=1.0)
+        (tmp_path / "small.h5").write_bytes(b"one transducer")
+        filled.add_confirmation("B", 4, file="small.h5")
+        assert outlook(tmp_path, settings, filled.catalogue, usage) == replace(
+            found, needed_bytes=pytest.approx(found.needed_bytes, rel=0.01)
+        ), "by a planned set; its rows are in the catalogue"
         # Room for ten more sets and a half above the five percent: set 15 is the first without.
         tight = lambda folder: (5 * GB + round(10.5 * a_set), 100 * GB)  # noqa: E731
         assert outlook(tmp_path, settings, filled.catalogue, tight).full_at_h == filled.due[15].due_h

@@ -5,6 +5,7 @@ import json
 import math
 import sys
 import threading
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -15,10 +16,12 @@ import silx.io
 import silx.io.nxdata
 from pyarrow import parquet
 from scipy.io import loadmat
-from support.filled_folder import FilledFolder
+from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow
+from daq_service.catalogue.told import with_parts
 from daq_service.settings.tree import Settings
 from daq_service.web.routes import tables
 from daq_service.web.tables import choice
@@ -26,18 +29,30 @@ from daq_service.web.tables.choice import TABLES
 from daq_service.web.tables.formats import FORMATS, MATLAB_NAME
 
 N_SETS = 60
+CAUSE_TOLD = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
+READINESS = {"n_eff": 34.0, "phi_pooled": 0.17, "tail": 1.5, "why_not_guaranteed": "48 sets are few"}
 LISTED = {"shot_features": ("features", {"scope": "shot"})}
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
+    judged = folder.verdict
+
+    def with_a_cause(position, index, hour):
+        row = judged(position, index, hour)
+        return replace(row, cause_told=CAUSE_TOLD) if (position, index) == ("B", 55) else row
+
+    folder.verdict = with_a_cause
     for index in range(N_SETS):
         folder.add_set(index, stored=index == 0, judged=index != 7)
         folder.add_environment(index)
     folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
     folder.annotate(4.0, "an instant")
+    folder.add_confirmation("C", 10)
+    frozen = frozen_baseline("B", id=2, readiness=READINESS)
+    folder.catalogue.commit_set(SetCommit(baselines=[frozen]))
     whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
     folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
     yield folder
@@ -59,12 +74,13 @@ def small_pages(monkeypatch):
 def listed(api, table, **asked):
     """Rows as the page gets them, without their age, what is nested as JSON text."""
     resource, fixed = LISTED.get(table, (table, {}))
-    rows = api.get(f"/api/v1/{resource}", params={"limit": 1000, **fixed, **asked}).raise_for_status().json()
+    most = {} if table == "baselines" else {"limit": 1000}  # there are few: they come without pages
+    rows = api.get(f"/api/v1/{resource}", params={**most, **fixed, **asked}).raise_for_status().json()
     nested = (dict, list)
     return [
         {
             name: json.dumps(value) if isinstance(value, nested) else value
-            for name, value in row.items()
+            for name, value in with_parts(TABLES[table].row, row).items()
             if name != "age_h"
         }
         for row in rows["items"]
@@ -96,7 +112,7 @@ def check_arrays(read, rows, table):
 def test_every_table_is_the_listing_in_every_format(api, table):
     rows = listed(api, table)
     assert rows
-    if table not in ("alarms", "annotations"):
+    if table not in ("alarms", "annotations", "baselines"):
         assert len(rows) > choice.PAGE_ROWS, "several pages"
     names = [column.name for column in TABLES[table].columns]
     assert set(names) == set(rows[0])
@@ -165,9 +181,37 @@ def test_a_part_is_what_was_chosen_with_what_its_numbers_need(api):
     assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
     assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
     assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
+    for table in ("sets", "features", "verdicts"):
+        rows = listed(api, table, purpose="confirmation", position="C")
+        csv = pd.read_csv(io.BytesIO(exported(api, table, "csv", purpose="confirmation")))
+        assert csv["id"].tolist() == [row["id"] for row in rows]
+        assert len(csv) == 1
+        both = pd.read_csv(io.BytesIO(exported(api, table, "csv", purpose="any", position="C")))
+        assert len(both) == 1 + len(listed(api, table, position="C"))
     alarms = pd.read_csv(io.BytesIO(exported(api, "alarms", "csv", from_h=26.0)))
     assert alarms["raised_h"].tolist() == [28.0]
     assert len(pd.read_csv(io.BytesIO(exported(api, "features", "csv", from_h=1e6)))) == 0
+
+
+def test_what_people_look_for_in_nested_columns_has_columns_of_its_own(api):
+    verdicts = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
+    assert verdicts["limit_chart"].tolist() == [LIMIT_CHART] * len(verdicts)
+    assert verdicts["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
+    assert verdicts["probability_ok"].dropna().tolist() == [0.1]
+    assert json.loads(verdicts["limits"][0])["chart"] == LIMIT_CHART
+    baselines = pd.read_csv(io.BytesIO(exported(api, "baselines", "csv"))).set_index("name")
+    assert baselines["state"].to_dict() == {
+        "B-baseline-1": "approved",
+        "C-baseline-1": "collecting",
+        "D-baseline-1": "collecting",
+    }
+    first = baselines.loc["B-baseline-1"]
+    assert (first["from_h"], first["to_h"], first["n_sets"]) == (0.5, 24.0, 48)
+    assert (first["n_eff"], first["phi_pooled"], first["tail"]) == (34.0, 0.17, 1.5)
+    assert (first["limit_chart"], first["why_not_guaranteed"]) == (LIMIT_CHART, "48 sets are few")
+    assert baselines.loc["C-baseline-1", "limit_chart"] != LIMIT_CHART
+    later = pd.read_csv(io.BytesIO(exported(api, "baselines", "csv", from_h=24.5, position="B")))
+    assert len(later) == 0
 
 
 def test_a_shelf_that_has_expired_is_none_in_a_file(filled, api):
@@ -211,6 +255,7 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?fields=tof", 422, "has no field tof; choose from"),
         ("features?fields=,", 422, "none named"),
         ("environment?position=B", 422, "has no positions"),
+        ("alarms?purpose=any", 422, "no sets beside the plan, sets, features, shot_features, verdicts have"),
         ("features?from_h=2&to_h=1", 422, "to_h"),
         ("features?format=xlsx", 422, "csv"),
     ],

@@ -12,7 +12,9 @@ from support.stored_files import read_set, set_files
 
 from daq_service.archive.waterfall.cells import accepted, anchors_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.owner import experiment_identity
+from daq_service.judgement.life import renewed
 from daq_service.judgement.results import results_in
 from daq_service.recording.tiling import tiles_again
 from daq_service.settings.tree import Settings
@@ -138,6 +140,15 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
     echo, planes = read(api.get("/api/v1/waterfall/A?as=difference&rows=50"))
     assert echo["baseline_sets"] == 1
     np.testing.assert_array_equal(planes[:, 0], 0.0)
+    filled.catalogue.commit_set(SetCommit(baselines=[renewed_at(filled, "C", N_SETS)]))
+    refused = api.get("/api/v1/waterfall/C?as=difference")
+    assert refused.status_code == 404, "the present baseline has no set yet"
+
+
+def renewed_at(filled, position, first_set):
+    """Row of a successor that begins to collect."""
+    asked = {"first_set": first_set, "author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
+    return renewed(position, filled.settings, None, **asked)[1]
 
 
 def test_json_says_the_same(api):

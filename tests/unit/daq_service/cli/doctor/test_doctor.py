@@ -21,7 +21,12 @@ from daq_service.cli.doctor.software import software_checks
 from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
 from daq_service.cli.doctor.trial import Trial
 from daq_service.cli.doctor.unattended import ask_system
-from daq_service.cli.forecast import stored_bytes
+from daq_service.cli.forecast import (
+    CATALOGUE_BYTES_A_RECORD,
+    built_set_bytes,
+    most_confirmation_bytes,
+    stored_bytes,
+)
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import config_file
@@ -346,6 +351,17 @@ def test_the_disk_is_compared_with_the_plan(
     found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
     assert found.state == state
     assert found.values["needed_bytes"] == stored_bytes(Settings(), 425)
+
+
+def test_confirmation_sets_are_forecast_as_an_upper_bound():
+    """Two a day at each of three transducers, over the fourteen days that begin after a baseline of 24 h."""
+    a_set = most_confirmation_bytes(Settings(), 350.0) / (2 * 3 * 14)
+    rows = CATALOGUE_BYTES_A_RECORD * Settings().schedule.shots_per_set
+    # Ten records of one transducer: a third of the set's strikes, and what each file has of its own.
+    whole = built_set_bytes(Settings())
+    assert whole / 3.0 < a_set - rows < whole / 2.0
+    assert most_confirmation_bytes(Settings(), 24.0) == 0
+    assert most_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
 
 
 @pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])

@@ -190,6 +190,7 @@ def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
     answer = run(*paths, "--baseline-rows", 150, "--fleet", "--json", "--no-rows")
     fleet = json.loads(answer.stdout)["fleet"]
     assert (fleet["sensors"], fleet["judged"], fleet["beside_the_median"]) == (24, 23, True)
+    assert (fleet["fdr_guaranteed"], fleet["why"]) == (True, "")
     (raised,) = fleet["raised"]
     assert raised["file"].endswith("03.npy")
     assert 250 <= raised["row"] < 265
