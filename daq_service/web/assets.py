@@ -30,7 +30,7 @@ MEDIA_TYPES = {
     "": "text/plain; charset=utf-8",
 }
 PLACE = "/static/"
-PAGE, SCRIPT = "index.html", "main.js"
+PAGE, FIRST, SCRIPT = "index.html", "first.js", "main.js"
 IMPORTED = re.compile(rb'^(?:import|export)\b[^;"]*"(\.[^"]+)";', re.MULTILINE)
 
 
@@ -52,10 +52,12 @@ def assets() -> dict[str, Asset]:
         if path.is_file() and path.suffix in MEDIA_TYPES:
             found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
     # Named in the page, all its modules are asked for at once, not each after whoever imports it was read;
-    # what `first.js` asks for goes before them.
+    # those of the first picture and what these ask for go before the others.
+    soon, needed = [FIRST, *modules(found, FIRST)], modules(found, SCRIPT)
     links = (
-        f'<link rel="modulepreload" fetchpriority="low" href="{PLACE}{name}">'
-        for name in modules(found, SCRIPT)
+        f'<link rel="modulepreload" fetchpriority="{priority}" href="{PLACE}{name}">'
+        for priority, names in (("high", soon), ("low", [name for name in needed if name not in soon]))
+        for name in names
     )
     found[PAGE] = found[PAGE].replace(b"</head>", "".join([*links, "</head>"]).encode())
     return {

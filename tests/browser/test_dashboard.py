@@ -7,7 +7,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from support.browser_pages import PHONE, expect
-from support.filled_folder import LIMIT_CHART, FilledFolder
+from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served, served_app
 from support.waiting import until
 
@@ -32,6 +32,8 @@ def history(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("history"), SETTINGS)
     for index in range(N_SETS):
         folder.add_set(index, stored=False, shown=index == N_SETS - 1)
+    # The limit of the chart is the baseline's.
+    folder.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(position) for position in "BCD"]))
     folder.close()
     return folder.folder
 

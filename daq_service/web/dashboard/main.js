@@ -18,6 +18,7 @@ import { byId, setText } from "./dom.js";
 import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
 import { Failing } from "./failing.js";
+import { tiles } from "./first.js";
 import { hour, significant, utc } from "./format.js";
 import { Hold } from "./hold.js";
 import { RECORDER, chip } from "./icons.js";
@@ -30,7 +31,6 @@ import { Retired } from "./retired.js";
 import { SolimonSet } from "./set/panel.js";
 import { WaveformStream } from "./streams.js";
 import { Theme } from "./theme.js";
-import { Tiles } from "./tiles.js";
 import { Timeline } from "./time.js";
 import { Address } from "./view.js";
 import { SolimonWaterfall } from "./waterfall/panel.js";
@@ -78,7 +78,7 @@ const board = new Board(
 );
 const compared = new Compared(others, (part) => address.go(part));
 const toolbar = new Toolbar((part) => address.go(part), nowH);
-const tiles = new Tiles(byId("tiles"), select);
+tiles.onSelect = select;
 const asked = new Asked();
 const hold = new Hold((text) => notice(text, "alarm"));
 const control = new Control((text) => notice(text, "alarm"));
@@ -365,7 +365,6 @@ alarmList.addEventListener("show-hour", (event) => {
   showHours(at, at, position === null ? {} : chosen(position));
   waterfall.scrollIntoView({ block: "nearest" });
 });
-setInterval(() => tiles.tick(), 1000);
 // A shelf ends in real time, too: where nobody records, no event says so.
 setInterval(() => alarmList.items.some((alarm) => alarm.suppressed === "shelved") && reading.readAlarms(), SHELF_MS);
 // Where no recorder runs no event comes, and the supply's own process may switch off.

@@ -40,13 +40,11 @@ function list(values) {
 }
 
 export class Tiles {
-  /**
-   * @param {HTMLElement} root
-   * @param {(position: string) => void} onSelect
-   */
-  constructor(root, onSelect) {
+  /** @param {HTMLElement} root */
+  constructor(root) {
     this.root = root;
-    this.onSelect = onSelect;
+    /** What a click or an arrow key does. @type {(position: string) => void} */
+    this.onSelect = () => {};
     this.selected = "";
     /** @type {any[]} */
     this.states = [];

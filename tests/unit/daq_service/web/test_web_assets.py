@@ -9,8 +9,8 @@ from support.served_web import served
 from daq_service.settings.tree import Settings
 from daq_service.web.assets import FOLDER, assets
 
-PRELOADED = re.compile(rb'<link rel="modulepreload" fetchpriority="low" href="/static/([^"]+)">')
-OF_OTHER_PAGES = {"first.js", "main.js", "setup.js", "tests.js", "events/worker.js"}
+PRELOADED = re.compile(rb'<link rel="modulepreload" fetchpriority="(?:high|low)" href="/static/([^"]+)">')
+OF_OTHER_PAGES = {"main.js", "setup.js", "tests.js", "events/worker.js"}
 """Begun by a page itself, or by a worker."""
 TEXT = {name: asset.content.decode() for name, asset in assets().items()}
 OURS = [name for name in TEXT if not name.startswith("vendor/") and name != "LICENSE"]
