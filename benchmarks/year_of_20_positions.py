@@ -72,8 +72,11 @@ SETS = 17_500
 SETS_A_COMMIT = 25
 FEWEST_A_ROUND = 10
 """A round asks each route so often, that 20 of them make a 99th percentile of 200 answers."""
-LEFT_OUT = ("/api/v1/trends/", "/api/v1/fits/", "/api/v1/tables/{table}", "/api/v1/stream")
-"""Trends, fits and tables read a whole test by their nature; the stream is measured by its catch-up."""
+LEFT_OUT = (
+    "/api/v1/trends/", "/api/v1/fits/", "/api/v1/tables/{table}", "/api/v1/report", "/api/v1/waterfall/",
+    "/api/v1/files/", "/api/v1/stream",
+)  # fmt: skip
+"""What reads a whole test by its nature, or a file as it is; the stream is measured by its catch-up."""
 CATCH_UP_EVENTS, STREAM, PAGES = 5000, "/api/v1/stream: catch-up on 5,000 events", 3
 CALIBRATION = Calibration(coefficients_v=np.array([0.0, 1e-3]), resolution_bits=16, range_v=5.0)
 NO_PSW_EVERY, MISSED_EVERY, ALARM_EVERY, COMMANDS = 997, 1499, 29, 200
@@ -370,6 +373,8 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         "alarms": ["active=true", "active=false", named[0]],
         "baselines": [named[0]],
     }  # fmt: skip
+    if path.endswith("/waveforms/{position}"):
+        path += f"?first_set={n_sets - 1}&last_set={n_sets - 1}"
     path = path.replace("{set_index}", str(n_sets - 1)).replace("{shot_index}", "0")
     path = path.replace("{alarm_id}", str(chance.randint(1, 1 + (n_sets - 1) // ALARM_EVERY)))
     path = path.replace("{command_id}", str(chance.randrange(1, COMMANDS)))
