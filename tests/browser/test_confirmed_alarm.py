@@ -8,7 +8,7 @@ from support.served_web import served
 from support.waiting import until
 
 pytestmark = pytest.mark.browser
-SET = RAISED["B", "wall_change"]
+SET = RAISED["B", "transducer_change"]
 NAME = f"confirmation set 1 after set {SET}"
 
 

@@ -5,13 +5,14 @@ The mesh is coarse (32 elements an edge): the pulses' shapes matter here, not th
 
 import numpy as np
 import pytest
+from scipy.signal import argrelmax
 from support.synthetic_records import waveform_of
 
 from analysis.waves.features import extract_features
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import local_maxima, summarise
+from simulator.shot.pulse_summary import summarise
 
 GAIN_V_PER_N = 2.5 / 150.0
 ISW_AFTER_TRIGGER_S = 40e-6
@@ -92,7 +93,7 @@ def test_secondary_wave_is_the_forces_next_maximum(model):
     force = model.shot(depth_fraction=0.0)
     shot = extract_features(record_of(force))
     psw_s = summarise(force).psw_time_us * 1e-6
-    later = [k for k in local_maxima(force.force_n) if force.time_s[k] > psw_s + 90e-6]
+    later = [k for k in argrelmax(force.force_n)[0] if force.time_s[k] > psw_s + 90e-6]
     ssw = max(later, key=lambda k: force.force_n[k])
     expected_s = force.time_s[ssw] - psw_s
     assert shot.ssw_time_s - shot.psw_time_s == pytest.approx(expected_s, abs=1e-6)  # it is small and skewed

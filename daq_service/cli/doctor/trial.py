@@ -68,10 +68,14 @@ class Trial:
         told = self.features
         return {
             "position": self.position,
-            "features": None if told is None else asdict(told),
+            "features": None if told is None else _without_outline(told),
             "settings": dict(self.settings),
             "spike": None if self.spike is None else asdict(self.spike),
         }
+
+
+def _without_outline(shot: ShotFeatures) -> dict[str, Any]:
+    return {name: value for name, value in asdict(shot).items() if name != "outline"}
 
 
 def require_position(settings: Settings, position: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache, partial
 from typing import Any
 
 from analysis.waves.features import FEATURE_NAMES
@@ -26,13 +27,15 @@ def told_baselines(
         if place.method == SOLITARY_WAVE and name not in begun and position in (None, name)
     ]
     hours = due_hours(settings.schedule.phases)
+    # Baselines of many positions have the same sets: their environment is read once.
+    temperatures_c = cache(partial(_temperatures_c, catalogue))
     return [
         (
             replace(row, n_sets=_usable_sets(catalogue, row)) if row.state == "collecting" else row,
             {
                 "from_h": hours[row.first_set_index],
                 "to_h": hours[min(row.last_set_index, len(hours) - 1)],
-                "temperature_c": _temperatures_c(catalogue, row),
+                "temperature_c": temperatures_c(row.first_set_index, row.last_set_index),
             },
         )
         for row in rows
@@ -41,16 +44,22 @@ def told_baselines(
 
 def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
     first, last = row.first_set_index, row.last_set_index
-    of_sets = catalogue.rows(FeatureRow, position=row.position, scope="set", first_set=first, last_set=last)
+    told = catalogue.columns(
+        FeatureRow,
+        ["quality", *FEATURE_NAMES],
+        position=row.position,
+        scope="set",
+        first_set=first,
+        last_set=last,
+    )
     return sum(
-        one.quality != "bad" and all(getattr(one, name) is not None for name in FEATURE_NAMES)
-        for one in of_sets
+        quality != "bad" and None not in values
+        for quality, *values in zip(*(told[name] for name in ("quality", *FEATURE_NAMES)), strict=True)
     )
 
 
-def _temperatures_c(catalogue: Catalogue, row: BaselineRow) -> list[float] | None:
-    """Least and greatest temperature around the sets of a baseline; None: none was measured."""
-    first, last = row.first_set_index, row.last_set_index
-    around = catalogue.rows(EnvironmentRow, first_set=first, last_set=last)
-    found = [one.temperature_c for one in around if one.temperature_c is not None]
+def _temperatures_c(catalogue: Catalogue, first: int, last: int) -> list[float] | None:
+    """Least and greatest temperature around some sets; None: none was measured."""
+    around = catalogue.columns(EnvironmentRow, ["temperature_c"], first_set=first, last_set=last)
+    found = [temperature_c for temperature_c in around["temperature_c"] if temperature_c is not None]
     return [min(found), max(found)] if found else None

@@ -87,6 +87,11 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
         answer["age_h"] = 0.0
     if kind is rows.BaselineRow:
         answer["temperature_c"] = [18.5, 22.0]
+        answer |= {
+            f"{end}_{unit}": 0.5 if unit == "h" else "1970-01-01T00:30:00Z"
+            for end in ("from", "to")
+            for unit in ("h", "utc")
+        }
     if kind is rows.VerdictRow:
         answer["quality"] = "good"
     if kind is rows.AlarmRow:
