@@ -29,6 +29,8 @@ const waits = (alarm) => WAITING.has(alarm.state) && !alarm.suppressed;
 export class SolimonAlarms extends HTMLElement {
   constructor() {
     super();
+    /** What has become of the order to trust the clock. @type {string | undefined} */
+    this.trusting = undefined;
     /** @type {any[]} */
     this.items = [];
     /** @type {Map<number, string>} what became of our orders, by alarm */
@@ -109,7 +111,7 @@ export class SolimonAlarms extends HTMLElement {
     else if (alarm.suppressed) offer("tell", "return_to_service", "Return to service", again, { class: "button small" });
     else if (alarm.state !== "normal") offer("shelve", "shelve_alarm", "Shelve", () => this.shelf.ask(alarm), { "aria-label": `Shelve: ${alarm.message}` });
     foot.append(this.history(alarm.id), this.whatNow(alarm));
-    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) offer("trust", "trust_clock", "The clock is right", (pressed) => this.trustClock(pressed), { class: "button small" });
+    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged")) offer("trust", "trust_clock", this.trusting ?? "The clock is right", () => this.trustClock(), { class: "button small", disabled: this.trusting !== undefined });
     if (alarm.position !== null && alarm.raised_set_index !== null) {
       foot.append(setLink(alarm.position, alarm.raised_set_index, "Open set", { "data-focus": `set-${alarm.id}`, "aria-label": `Open set ${alarm.raised_set_index} of position ${alarm.position}` }, this.host.open));
     }
@@ -217,16 +219,18 @@ export class SolimonAlarms extends HTMLElement {
     await giveBy(button, "confirm", { position: alarm.position }, (detail) => this.dispatchEvent(new CustomEvent("trouble", { detail })));
   }
 
-  /** @param {HTMLButtonElement} button */
-  async trustClock(button) {
-    button.disabled = true;
+  async trustClock() {
+    // Not said by the button itself: the list may be drawn anew meanwhile.
+    const say = (/** @type {string | undefined} */ text) => {
+      this.trusting = text;
+      this.render();
+    };
     try {
-      await order("trust_clock", {}, (text) => setText(button, text));
+      await order("trust_clock", {}, say);
     } catch (error) {
-      button.disabled = false;
-      setText(button, "The clock is right");
       this.dispatchEvent(new CustomEvent("trouble", { detail: String(/** @type {Error} */ (error).message) }));
     }
+    say(undefined);
   }
 
   /** @param {any} alarm */
