@@ -23,7 +23,7 @@ FROM_ISW, FROM_PSW = -5, -10
 """First points, from the matched time of each, in steps."""
 LENGTHS = np.array([16, 21, 20])
 """Points around the ISW, around the PSW and after it: parts that are compared each by itself."""
-N_ISW, N_POINTS, PSW = 16, 57, 1
+N_ISW, N_POINTS, PSW = int(LENGTHS[0]), int(LENGTHS.sum()), 1
 BEGINS = np.cumsum(LENGTHS) - LENGTHS
 FEWEST = 7
 """Shots that can tell what is usual."""

@@ -38,7 +38,7 @@ def rfc3339_of_hour(epoch_utc_ns: int, hour: float) -> str | None:
 
 
 def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
-    """Give what `rfc3339_of_hour` gives, of a column: a tenth of the time."""
+    """Give what `rfc3339_of_hour` gives, of a whole column in one step."""
     if not hours:
         return []
     whole, rest = divmod(epoch_utc_ns, NS_PER_S)
