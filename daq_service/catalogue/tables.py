@@ -162,8 +162,9 @@ _index(alarms, "position", "raised_set_index")
 annotated = _table("annotations", rows.AnnotationRow)  # the other word is a feature of Python's
 _index(annotated, "from_h")
 events = _table("events", rows.EventRow, autoincrement=True)
-# The service's own words and the alarms are few among the news of sets.
-for _topic in ("service", "alarms"):
+RARE_TOPICS = ("service", "alarms")
+"""The service's own words and the alarms are few among the news of sets."""
+for _topic in RARE_TOPICS:
     _few = events.c.topic == literal(_topic, literal_execute=True)
     Index(f"ix_events_{_topic}", events.c.kind, events.c.position, sqlite_where=_few)
 commands = _table("commands", rows.CommandRow, autoincrement=True)

@@ -47,7 +47,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
 
 def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     """Return the wall time by stage of the recorder's last run, None if it has not ended by itself."""
-    told = [row for row in catalogue.rows(EventRow, topics={"service"}) if "cost" in row.payload]
+    told = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
     return told[-1].payload["cost"] if told else None
 
 

@@ -290,7 +290,7 @@ def _stood(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: float)
 
 def _history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
     found: dict[int, list[EventRow]] = {}
-    for event in catalogue.rows(EventRow, topics=("alarms",)):
+    for event in catalogue.rows(EventRow, topic="alarms"):
         alarm_id = event.payload.get("alarm_id")
         if isinstance(alarm_id, int) and alarm_id in ids:
             found.setdefault(alarm_id, []).append(event)

@@ -144,6 +144,7 @@ def test_counts_and_last_words_are_those_that_reading_all_rows_gives(tmp_path, s
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
         said = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
         held = [row for row in said if row.kind in ("hold", "release")]
+        assert catalogue.rows(EventRow, topic="service") == said
         assert catalogue.last_told("hold", "release") == (held[-1] if held else None)
         assert catalogue.last_told("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
@@ -184,6 +185,8 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.events_after(7, ["alarms", "sets"])
         catalogue.events_after(7)
         catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position="B")
+        catalogue.rows(EventRow, topic="alarms", position="B")
+        catalogue.rows(EventRow, topic="service")
         catalogue.open_commands()
         catalogue.command(1)
         catalogue.alarm(1)
@@ -205,6 +208,8 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.commit_set(SetCommit(sets=[planned]))
     for sql, values, steps in plans:
         for step in steps:
+            if step.startswith("SCAN events USING INDEX ix_events_"):
+                continue  # which holds the few of one topic
             scanned = re.match(r"SCAN (\w+)( USING)?", step)
             if scanned is not None and scanned[1] in GROWING:
                 # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11,
