@@ -14,7 +14,7 @@ among them.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -220,6 +220,27 @@ def reference_echo(
         carrier_hz=centre_of_gravity_hz(template, rate_hz),
         thinnest_fraction=thinnest_fraction,
         thickest_fraction=thickest_fraction,
+    )
+
+
+def standing_in(
+    later: EchoReference, *, travel_time_s: float, reference_travel_time_s: float
+) -> EchoReference:
+    """Let the echo of a later record stand in for a reference whose record is lost.
+
+    Parameters
+    ----------
+    later
+        Taken from the later record (`reference_echo`).
+    travel_time_s, reference_travel_time_s
+        UT of the later record and UT_0, as they were read with the lost reference: the same times are read
+        with the new one. Amplitudes are compared with the later echo's.
+    """
+    moved = (travel_time_s - later.travel_time_s) * later.sample_rate_hz
+    return replace(
+        later,
+        travel_time_s=reference_travel_time_s,
+        template_peak_samples=later.template_peak_samples + moved,
     )
 
 

@@ -14,6 +14,7 @@ from analysis.ultrasound.thickness import (
     ThicknessInterval,
     TravelTime,
     reference_echo,
+    standing_in,
     thickness,
     thickness_interval,
     travel_time,
@@ -42,7 +43,24 @@ class PulseEchoAssessor:
 
     def refer_to(self, waveform: Waveform) -> None:
         """Take the first good record of the test as the reference again."""
-        self._reference = self._take_reference(waveform)
+        self._reference = self._take_reference(waveform, self._settings.ultrasound.initial_thickness_m)
+
+    def refer_to_later(self, waveform: Waveform, *, reading: ThicknessRow, first: ThicknessRow) -> None:
+        """Let a later record stand in for the lost one of the first reading.
+
+        Raises
+        ------
+        EchoNotFoundError
+            No back wall stands out.
+        """
+        assert reading.travel_time_s is not None
+        assert reading.thickness_m is not None
+        assert first.travel_time_s is not None
+        self._reference = standing_in(
+            self._take_reference(waveform, reading.thickness_m),
+            travel_time_s=reading.travel_time_s,
+            reference_travel_time_s=first.travel_time_s,
+        )
 
     def feed(self, row: ThicknessRow) -> None:
         """Take in a reading: a new one, or one that was judged before."""
@@ -88,7 +106,8 @@ class PulseEchoAssessor:
         interval: ThicknessInterval | None = None
         try:
             if self._reference is None:
-                self._reference = self._take_reference(echo.waveform)
+                self.refer_to(echo.waveform)
+                assert self._reference is not None
             found = travel_time(echo.waveform, self._reference)
             wall = thickness(
                 found.travel_time_s,
@@ -145,12 +164,12 @@ class PulseEchoAssessor:
             found, reference, settings.initial_thickness_m, settings.element_separation_m
         )
 
-    def _take_reference(self, waveform: Waveform) -> EchoReference:
+    def _take_reference(self, waveform: Waveform, thickness_m: float) -> EchoReference:
         settings = self._settings.ultrasound
         return reference_echo(
             waveform,
             delay_s=settings.delay_s,
-            initial_thickness_m=settings.initial_thickness_m,
+            initial_thickness_m=thickness_m,
             velocity_m_per_s=settings.velocity_m_per_s,
         )
 

@@ -6,13 +6,15 @@ there are.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from analysis.statistics.rules import AlarmRule, decides
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
-from daq_service.archive import SetNotFoundError, SetReader, SetReference
+from daq_service.archive import CorruptArchiveError, SetNotFoundError, SetReader, SetReference
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
     EventRow,
@@ -27,6 +29,8 @@ from daq_service.judgement.life import planned
 from daq_service.judgement.stored_limits import limits_by_name
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import in_order
+
+log = logging.getLogger(__name__)
 
 LOOK_BACK_SETS = (64, 1024, None)
 """How many sets a restart reads; as a rule the first look tells all that a recorder would remember."""
@@ -155,7 +159,7 @@ def restored_pulse_echo(
     first = catalogue.first_reading(position)
     if first is None:
         return assessor
-    assessor.refer_to(_echo_of(first, catalogue, archive))
+    _refer(assessor, first, catalogue, archive)
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(ThicknessRow, position, count)
@@ -184,10 +188,38 @@ def thickness_interval_m(
         return None
     assessor = PulseEchoAssessor(last.position, settings)
     try:
-        assessor.refer_to(_echo_of(first, catalogue, archive))
+        _refer(assessor, first, catalogue, archive)
         return assessor.interval_m(_echo_of(last, catalogue, archive))
     except AnalysisError:  # judged by other settings than these: then it had one, and has none here
         return None
+
+
+def _refer(
+    assessor: PulseEchoAssessor, first: ThicknessRow, catalogue: Catalogue, archive: SetReader
+) -> None:
+    """Take the first reading's record as the reference; where it is lost, the next that can be read.
+
+    Raises
+    ------
+    ArchiveError
+        No record of any good reading is left, or the archive cannot be read now.
+    """
+    from analysis.errors import EchoNotFoundError
+
+    try:
+        return assessor.refer_to(_echo_of(first, catalogue, archive))
+    except (CorruptArchiveError, SetNotFoundError) as error:
+        lost = error
+    for reading in catalogue.rows(ThicknessRow, position=first.position, first_set=first.set_index + 1):
+        if reading.quality != "good" or reading.thickness_m is None:
+            continue
+        # What else is damaged is told by those who look for it.
+        with suppress(CorruptArchiveError, SetNotFoundError, EchoNotFoundError):
+            assessor.refer_to_later(_echo_of(reading, catalogue, archive), reading=reading, first=first)
+            told = "set %d stands in for the reference of %s: %s"
+            log.warning(told, reading.set_index, first.position, lost)
+            return None
+    raise lost
 
 
 def _echo_of(reading: ThicknessRow, catalogue: Catalogue, archive: SetReader) -> Waveform:

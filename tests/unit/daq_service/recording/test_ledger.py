@@ -11,6 +11,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.acquisition.taken_set import due_of as due_of_record
+from daq_service.archive.errors import ArchiveReadError
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
@@ -315,6 +316,32 @@ def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
     lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
     # 1e-6 m: a hundredth of a sample of the echo's carrier, twenty times below the loss of a set.
     assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
+
+
+def test_a_later_echo_stands_in_where_the_first_record_is_lost(line, caplog):
+    stop = threading.Event()
+    line.script = ended_after("D", 5, stop, healthy)
+    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    line.script = healthy
+    for index in (0, 1):
+        (file,) = (file for file, record in line.shelf.sets.items() if record.set_index == index)
+        del line.shelf.sets[file]
+    line.run(pulse_echo=ThinningWall())
+    lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
+    # As without the loss: the times of the third set are those that the lost record gave it.
+    assert lost_m == pytest.approx([0.2e-3 * index for index in range(SETS)], abs=1e-6)
+    assert "set 2 stands in for the reference of A" in caplog.text
+
+
+def test_a_start_that_cannot_read_the_first_record_now_takes_no_other(line, monkeypatch):
+    line.run(pulse_echo=ThinningWall())
+
+    def refused(archive, *_):
+        raise ArchiveReadError("too many open files")
+
+    monkeypatch.setattr(MemoryArchive, "read_waveform", refused)
+    with pytest.raises(ArchiveReadError, match="too many open files"):
+        line.run(pulse_echo=ThinningWall())
 
 
 def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):
