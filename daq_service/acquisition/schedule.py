@@ -9,6 +9,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -67,14 +68,21 @@ def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> lis
 
     Each hour is counted from its phase's start, so no rounding error piles up.
     """
+    hours = _hours_of(tuple((phase.until_h, phase.interval_h) for phase in phases))
+    return list(hours if end_h is None else hours[: bisect_right(hours, end_h)])
+
+
+@lru_cache(maxsize=16)
+def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
+    # Of a year they are many, and each answer of the service asks for them.
     hours: list[float] = []
     start_h = 0.0
-    for phase in phases:
+    for until_h, interval_h in phases:
         # Half a millionth of an interval forgives decimal fractions such as 0.1 h.
-        count = int((phase.until_h - start_h) / phase.interval_h + 5e-7)
-        hours += (start_h + np.arange(1, count + 1) * phase.interval_h).tolist()
-        start_h = phase.until_h
-    return hours if end_h is None else hours[: bisect_right(hours, end_h)]
+        count = int((until_h - start_h) / interval_h + 5e-7)
+        hours += (start_h + np.arange(1, count + 1) * interval_h).tolist()
+        start_h = until_h
+    return tuple(hours)
 
 
 def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:

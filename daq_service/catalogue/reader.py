@@ -510,7 +510,8 @@ def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any
         condition = in_hours.get(name) or _CONDITIONS.get(name)
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
     # Indices begin with what is asked for and go on with the set: so a page needs no sorting.
-    by_set = "set_index" in table.c and table is not events and not given.keys() <= {"scope", "purpose"}
+    of_a_test = given.keys() <= {"scope", "purpose"} and given.get("purpose") != "confirmation"
+    by_set = "set_index" in table.c and table is not events and not of_a_test
     order = (*([table.c.set_index] if by_set else []), *table.primary_key.columns)
     if after_id is not None:
         statement = statement.where(_behind(table, order, after_id))

@@ -46,8 +46,7 @@ def planned(position: str, settings: Settings, present: BaselineRow | None) -> P
         The newest row of the position; None: the first baseline is being recorded.
     """
     # The whole schedule, not one cut by end_h: a test that is carried on later has the same baseline.
-    hours = due_hours(settings.schedule.phases)
-    n_sets = sum(hour <= settings.baseline.hours for hour in hours)
+    n_sets = len(due_hours(settings.schedule.phases, end_h=settings.baseline.hours))
     names = list(settings.positions)
     row_id = 1 + names.index(position)
     if present is not None and present.id is not None and present.id > len(names):

@@ -186,6 +186,8 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
         catalogue.events_after(7)
         catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position="B")
         catalogue.rows(EventRow, topic="alarms", position="B")
+        for kind in (SetRow, FeatureRow, VerdictRow):
+            catalogue.rows(kind, purpose="confirmation")
         catalogue.rows(EventRow, topic="service")
         catalogue.open_commands()
         catalogue.command(1)
