@@ -14,7 +14,7 @@ from daq_service.archive.errors import ArchiveError
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.reader import LastWord
-from daq_service.catalogue.rows import AlarmRow, CommandRow, SetRow, VerdictRow, values
+from daq_service.catalogue.rows import AlarmRow, BaselineRow, CommandRow, SetRow, VerdictRow, values
 from daq_service.corrosion_drive.kept import described, look_at_drive
 from daq_service.judgement.confirmation import asked_so_far, confirmed, n_today
 from daq_service.judgement.restored import thickness_interval_m
@@ -45,6 +45,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
             counts = catalogue.counts()
+            baselines = {row.position: row for row in catalogue.rows(BaselineRow)}  # the newest stands last
             return {
                 "recorder": fresh.recorder.description,
                 "recorder_state": fresh.recorder.word,
@@ -61,7 +62,11 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
                 "confirmations": _confirmations(catalogue, settings, fresh),
                 "disk": asdict(outlook(folder, settings, catalogue)),
                 "positions": {
-                    name: {**_last_told(word), **_standing(folder, settings, catalogue, fresh, word)}
+                    name: {
+                        **_last_told(word),
+                        **_standing(folder, settings, catalogue, fresh, word),
+                        "baseline": _rate_of(baselines.get(name)),
+                    }
                     for name, word in (
                         (name, fresh.standing_word(found))
                         for name, found in catalogue.positions_state().items()
@@ -123,13 +128,11 @@ def _standing(
         "stale": is_stale(settings.schedule, fresh, age_h),
         "limit": limit_of(last, settings),
         "thickness_interval_m": interval_m,
-        "baseline": _baseline(catalogue, last.position),
     }
 
 
-def _baseline(catalogue: Catalogue, position: str) -> dict[str, Any] | None:
+def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
     """Tell whether the chart keeps its rate of false alarms with a baseline; None: there is none."""
-    row = catalogue.baseline(position)
     if row is None:
         return None
     names = ("false_alarms_per_sensor_year", "rate_guaranteed", "why_not_guaranteed")
