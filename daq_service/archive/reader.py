@@ -96,6 +96,15 @@ class FolderSetReader:
             raise _damaged(self.folder / reference, damages)
         return journaled.record()
 
+    def read_position(self, reference: SetReference, position: str) -> list[Shot | PulseEchoRecord]:
+        """Read the records of one position, without their settings; damaged ones are left out."""
+        journaled = self._journaled(reference)
+        if journaled is None:
+            with opened_set(self.folder / reference) as entry:
+                return _read_records(entry, facts=False, position=position)[0]
+        shots = [record_of(frame) for _, frame in sorted(journaled.shots.items())]
+        return [record for record in shots if record.key.position == position]
+
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
         """Read one record of a set; of attempts the accepted one."""
         journaled, path = self._journaled(reference), self.folder / reference
@@ -319,18 +328,24 @@ class RecordGroup:
 
 
 def _read_records(
-    entry: h5py.Group, *, facts: bool = True
+    entry: h5py.Group, *, facts: bool = True, position: str | None = None
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
-    """Every readable record in order, and the damaged ones."""
+    """Every readable record in order, and the damaged ones; of one position only, where it is given."""
     table = _read_table(entry)
     set_index = int(read_field(entry.id, "set_index"))
     truths = _read_facts(entry, "truth") if facts else {}
     settings = _read_facts(entry, "settings") if facts else {}
-    row_of = {sequence: row for row, sequence in enumerate(table["shot_id"])}
+    row_of = {
+        sequence: row
+        for row, sequence in enumerate(table["shot_id"])
+        if position in (None, table["position"][row])
+    }
     trouble = dict.fromkeys(row_of, "no readable array holds it")
     found: dict[int, Shot | PulseEchoRecord] = {}
     for name in group_names(entry):
         try:
+            if position not in (None, _text(entry[name].attrs["position"])):
+                continue
             group = RecordGroup(entry, name)
         except HDF5_ERRORS as error:
             trouble = {sequence: f"{text} ({name}: {error})" for sequence, text in trouble.items()}

@@ -22,7 +22,6 @@ from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX
 from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
-from hardware_drivers.measurement import PulseEchoRecord, Shot
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["waveforms"])
@@ -67,11 +66,9 @@ def get_set_waveforms(
         if known is not None:
             return known
     try:
-        # A damaged record of another position must not hide these; one of these is absent.
-        stored = context.archive.read_set(SetReference(its_set.file), skip_damaged=True)
+        taken = context.archive.read_position(SetReference(its_set.file), position)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
-    taken: list[Shot | PulseEchoRecord] = [*stored.shots, *stored.echoes]
     records = [record for record in taken if record.sequence in accepted]
     header = {
         "position": position,

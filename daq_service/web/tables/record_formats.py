@@ -65,8 +65,9 @@ def _csv(records: RecordSlice, facts: Facts) -> bytes:
     told = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
     names = [f"set_{index}_shot_{shot}_{quality or 'unknown'}_v" for index, shot, quality in told]
     writer.writerow(["time_s", *names])
-    rows = np.column_stack([records.time_s, records.voltage_v.T])
-    writer.writerows(["" if value != value else repr(value) for value in row.tolist()] for row in rows)
+    rows = np.column_stack([records.time_s, records.voltage_v.T]).astype(object)
+    rows[rows != rows] = None  # NaN is an empty cell
+    writer.writerows(rows.tolist())
     return text.getvalue().encode()
 
 

@@ -19,7 +19,7 @@ from daq_service.errors import UsageError
 from daq_service.judgement.methods import METHODS
 from daq_service.web.answers.json_answer import rfc3339, rfc3339_of_hours
 from daq_service.web.tables.choice import Columns, last_inside
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import Waveform
 
 MOST_SETS = 100_000
 """Rows that are looked at before anybody knows how long a record is."""
@@ -167,13 +167,10 @@ def _waveforms(
     for row in sets.values():
         assert row.file is not None, "only such sets are asked for"
         try:
-            stored = archive.read_set(SetReference(row.file), skip_damaged=True)
+            records = archive.read_position(SetReference(row.file), position)
         except ArchiveError:
             continue  # its records stay in the slice as not readable
-        taken: list[Shot | PulseEchoRecord] = [*stored.shots, *stored.echoes]
-        for record in taken:
-            if record.key.position == position:
-                yield record.sequence, record.waveform
+        yield from ((record.sequence, record.waveform) for record in records)
 
 
 def _refuse_other(position: str, first: Waveform, other: Waveform) -> None:
