@@ -506,8 +506,13 @@ def chosen(statement: Select[Any], table: Table, filters: Filters) -> Select[Any
     if "set_index" in table.c and table is not events and "set_index" not in given:
         given.setdefault("purpose", "planned")
     in_hours = _HOURS_BESIDE if given.get("purpose", "planned") != "planned" else {}
+    ends = given.keys() & {"last_h", "last_set"}
     for name, value in given.items():
         condition = in_hours.get(name) or _CONDITIONS.get(name)
+        if name == "purpose" and value == "planned" and ends:
+            # A sum is in no index: the range that is asked for ends the search, and not that of the plan.
+            statement = statement.where(table.c.set_index + 0 < PLANNED_SETS)
+            continue
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
     # Indices begin with what is asked for and go on with the set: so a page needs no sorting.
     of_a_test = given.keys() <= {"scope", "purpose"} and given.get("purpose") != "confirmation"

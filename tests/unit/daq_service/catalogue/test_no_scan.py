@@ -223,3 +223,20 @@ def test_nothing_that_is_asked_every_day_reads_every_row(tmp_path):
             # Only what is few is sorted: open orders, standing alarms, a position's resets, a set's shots.
             few = "topic = " in sql or "FROM commands" in sql or "FROM alarms" in sql or "FROM shots" in sql
             assert step != "USE TEMP B-TREE FOR ORDER BY" or few, (sql, values, steps)
+
+
+@pytest.mark.parametrize("kind", [SetRow, FeatureRow, VerdictRow])
+@pytest.mark.parametrize("ended", [{"last_h": 1.0}, {"last_set": 1}])
+def test_a_range_s_end_ends_the_search_beside_that_of_the_plan(tmp_path, kind, ended):
+    with random_catalogue(tmp_path, 0) as catalogue:
+        steps = []
+
+        @event.listens_for(catalogue._engine, "before_cursor_execute")
+        def count(connection, *_rest):
+            connection.connection.driver_connection.set_progress_handler(lambda: steps.append(1), 1)
+
+        assert catalogue.rows(kind, purpose="planned", **ended)
+        of_the_range = len(steps)
+        assert catalogue.rows(kind, purpose="planned")
+    # Two of 30 sets; a search costs some steps of its own.
+    assert of_the_range < (len(steps) - of_the_range) / 4
