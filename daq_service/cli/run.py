@@ -115,6 +115,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
             on_message=on_message,
+            without_recorder=guarded_drive(settings, folder),
         )
         code = supervisor.run(stop, stay=not no_web)
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
@@ -231,6 +232,13 @@ def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the process of the drive so that it outlives this one, with the settings that this one has."""
     command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
+
+
+def guarded_drive(settings: Settings, folder: Path) -> Callable[[], None]:
+    """Tell what to call while no recorder is there to look after the process of the drive."""
+    from daq_service.corrosion_drive.guard import DriveGuard
+
+    return DriveGuard(folder, partial(start_drive, settings, folder)).look
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:

@@ -111,6 +111,8 @@ class Supervisor:
         Wait before each restart of a child that keeps failing.
     leave_within_s
         What children that are told to leave have before they are killed.
+    without_recorder
+        Called at every look while the recorder has ended for good and the others go on.
     start, read_beat, mono_ns
         How a program is started, the heartbeat of a folder read, the machine's monotonic time told.
     """
@@ -125,6 +127,7 @@ class Supervisor:
         program: Sequence[str] = (sys.executable, "-m", "daq_service.cli"),
         restart_delays_s: Sequence[float] = RESTART_DELAYS_S,
         leave_within_s: float = LEAVE_WITHIN_S,
+        without_recorder: Callable[[], None] = lambda: None,
         start: Starter = start_process,
         read_beat: Callable[[Path], Beat | None] = read_heartbeat,
         mono_ns: Callable[[], int] = time.monotonic_ns,
@@ -138,6 +141,7 @@ class Supervisor:
         self._program = program
         self._restart_delays_s = restart_delays_s
         self._leave_within_s = leave_within_s
+        self._without_recorder = without_recorder
         self._start_process = start
         self._read_beat = read_beat
         self._mono_ns = mono_ns
@@ -155,8 +159,10 @@ class Supervisor:
                         return code
                 self._pass_messages_on()
                 recorders = [child for child in self._children if child.plan.watched]
-                if recorders and all(child.finished for child in recorders) and not stay:
-                    return max(child.exit_code for child in recorders)
+                if recorders and all(child.finished for child in recorders):
+                    if not stay:
+                        return max(child.exit_code for child in recorders)
+                    self._without_recorder()
                 stop.wait(LOOK_EVERY_S)
             codes = (child.exit_code for child in self._children)
             return max((code for code in codes if code != EXIT_INTERRUPTED), default=EXIT_OK)

@@ -26,6 +26,7 @@ from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
 from daq_service.cli.run import start_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
+from daq_service.corrosion_drive.guard import LOOK_EVERY_S, DriveGuard
 from daq_service.corrosion_drive.kept import look_at_drive
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.errors import RigError, StorageError
@@ -305,6 +306,30 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
         test.order("supply_off")
         until(lambda: not test.instruments.supply.on, "the order")
     assert test.switchings() == [True, False]
+
+
+def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_switches_off(
+    test: Test,
+) -> None:
+    assert test.run(test.settings(off_at_end=False), after={1: lambda: test.order("supply_on")})
+    os.kill(test.drive(), signal.SIGKILL)
+    until(test.drive_has_left, "the kill")
+    started: list[subprocess.Popen[bytes]] = []
+    sooner = test.settings(off_at_end=False, unwatched_s=UNWATCHED_S)
+
+    def start() -> subprocess.Popen[bytes]:
+        started.append(start_drive(sooner, test.folder))
+        return started[-1]
+
+    now_s = [0.0]
+    guard = DriveGuard(test.folder, start, mono_s=lambda: now_s[0])
+    guard.look()
+    assert len(started) == 1
+    test.is_switched_off_unwatched()
+    ended(started[0], "the drive")
+    now_s[0] += LOOK_EVERY_S
+    guard.look()
+    assert len(started) == 1, "it was left off"
 
 
 def test_a_recorder_that_comes_back_in_time_goes_on_with_the_same_drive(test: Test) -> None:
