@@ -28,6 +28,7 @@ SOURCE = Path(__file__).with_suffix(".c")
 MODELS = ("kill", "nothing", "torn", "pages")
 PAGES_BYTES = (512, 4096)
 MARK = "k"
+OF_CACHES = 8
 REBUILT = ("-shm",)
 """Shared memory of SQLite, which the first connection empties: mapped, no call tells what is in it."""
 _HEAD = struct.Struct("<cIIq")
@@ -234,7 +235,12 @@ def _folder_of(path: str) -> str:
 
 
 def states(
-    calls: list[Call], *, seed: int = 1, models: tuple[str, ...] = MODELS, some: int | None = None
+    calls: list[Call],
+    *,
+    seed: int = 1,
+    models: tuple[str, ...] = MODELS,
+    some: int | None = None,
+    caches: tuple[str, ...] = (),
 ) -> Iterator[tuple[str, State, list[int]]]:
     """What a crash leaves: its name (boundary and model), the folder, the marks before it; each state once.
 
@@ -242,14 +248,20 @@ def states(
     ----------
     some
         So many by chance instead of all: one model each, in turn.
+    caches
+        How paths begin that can be lost: a crash comes behind one in `OF_CACHES` calls on these.
     """
-    disk, chance, seen = Disk(), random.Random(seed), set[bytes]()
+    disk, chance, seen, of_caches = Disk(), random.Random(seed), set[bytes](), 0
     chosen = None if some is None else set(chance.sample(range(len(calls)), some))
     for number, call in enumerate(calls):
         if not disk.take(call) and chosen is None:
             continue
         if chosen is not None and number not in chosen:
             continue
+        if call.path.startswith(caches):
+            of_caches += 1
+            if of_caches % OF_CACHES:
+                continue
         told = models if chosen is None else (models[len(seen) % len(models)],)
         for model in told:
             state = disk.left(model, chance)
