@@ -24,6 +24,8 @@ from daq_service.processes.executors import opened_executor, usable_cores
 FEW_FILES = 8
 """Fewer are judged in this process: another one takes a second to begin."""
 FILES_A_TASK = 8
+LONGEST_RUN = 1e9
+"""Sets from one false alarm to the next; far beyond, the equation of the chart's limit has no digits."""
 
 
 def run_assess(
@@ -55,6 +57,11 @@ def run_assess(
         baseline_where=where,
     )
     design = Budget(alarms_per_year=budget, sets_per_day=sets_per_day)
+    if not 1.0 < design.run_length <= LONGEST_RUN:
+        raise UsageError(
+            f"--budget {budget:g} at {sets_per_day:g} sets a day is an alarm in {design.run_length:.3g} "
+            f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
+        )
     with _mapped(tables) as mapped:
         one = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
         found: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(one, tables))

@@ -32,6 +32,8 @@ from daq_service.errors import UsageError
 
 MANY_RECORDS = 2_000
 """More take longer than a second, so that progress is told."""
+LARGEST_V = 1e100
+"""Beyond, a record's energy is no number."""
 LOOKED_AT = 50
 """Records of a file, evenly spread, that say how wide its waves are."""
 
@@ -170,8 +172,8 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
-    if not np.isfinite(record.volts_v).all():
-        return graded(ShotFeatures(), {DISTURBED})  # samples are missing
+    if not (np.abs(record.volts_v) < LARGEST_V).all():
+        return graded(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
         return extract_from_volts(
             record.volts_v,

@@ -220,6 +220,14 @@ def test_arguments_that_say_no_baseline_are_refused(tables):
     assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
 
 
+@pytest.mark.parametrize("budget", ["8766", "1e-9", "nan"])
+def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
+    assert f"--budget {float(budget):g} at 24 sets" in refused(
+        tables[".csv"], "--baseline-rows", 40, "--budget", budget
+    )
+    assert told(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
+
+
 def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):
     random, paths = np.random.default_rng(8), []
     for k in range(24):

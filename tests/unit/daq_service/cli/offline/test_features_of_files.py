@@ -122,9 +122,10 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     assert rows[5]["tof_mf_s"] is None
 
 
-def test_samples_that_are_missing_cost_their_record_only(tmp_path):
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200])
+def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
     values = volts()
-    values[3, 700:1200] = np.nan
+    values[3, 700:1200] = value
     rows = told(saved(tmp_path, values))
     assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
