@@ -199,9 +199,16 @@ def _tdms(path: Path, told: Told) -> RecordFile:
         sample_rate_hz=told.rate_hz,
         coefficients_v=() if told.volts_per_count is None else (0.0, told.volts_per_count),
     )
-    channels = channel_records(
-        path, mapping, pretrigger_s=told.pretrigger_s, rails_told=told.rails is not None
-    )
+    try:
+        channels = channel_records(
+            path,
+            mapping,
+            pretrigger_s=told.pretrigger_s,
+            rails_told=told.rails is not None,
+            unitless_are_volts=True,
+        )
+    except ConfigurationError as error:
+        raise UsageError(f"{error} (--rate-hz, --pretrigger-s, --volts-per-count, --rail-counts)") from error
 
     def each() -> Iterator[Record]:
         for one in channels:

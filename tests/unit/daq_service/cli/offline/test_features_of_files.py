@@ -210,6 +210,25 @@ def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, conte
     assert words in refused(tmp_path / name)
 
 
+def written_tdms(path, properties):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(path) as writer:
+        for k, record in enumerate(volts(n=3)):
+            writer.write_segment([nptdms.ChannelObject("A", f"shot {k}", record, properties)])
+    return path
+
+
+def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
+    wave = {"wf_increment": 1.0 / SCENE.rate_hz}
+    options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
+    rows = told(written_tdms(tmp_path / "a.tdms", wave), *options)
+    assert [row["tof_mf_s"] for row in rows] == [
+        row["tof_mf_s"] for row in told(saved(tmp_path, volts(n=3)), *options)
+    ]
+    assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
+    assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
+
+
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     for name in ("no.npy", "no.csv", "no.h5", "no.tdms"):
         assert name in refused(tmp_path / name)
