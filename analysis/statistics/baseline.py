@@ -88,8 +88,13 @@ def _read_only(values: FloatArray) -> FloatArray:
     return copy
 
 
-def whitening_matrix(correlation: FloatArray) -> FloatArray:
+def whitening_matrix(correlation: FloatArray, feature_names: Sequence[str] = ()) -> FloatArray:
     """Symmetric inverse root C^(-1/2) of a correlation matrix, shape (p, p).
+
+    Parameters
+    ----------
+    feature_names
+        For the error's words; none: their numbers.
 
     Raises
     ------
@@ -98,9 +103,13 @@ def whitening_matrix(correlation: FloatArray) -> FloatArray:
     """
     values, vectors = np.linalg.eigh(correlation)
     if not values[0] > SMALLEST_EIGENVALUE:
+        weights = np.abs(vectors[:, 0])
+        names = feature_names or [str(k) for k in range(len(weights))]
+        dependent = [names[k] for k in np.flatnonzero(weights > 0.1 * weights.max()).tolist()]
         raise SingularCovarianceError(
-            f"smallest eigenvalue of the baseline's correlation matrix is {values[0]:.2g}, it must exceed "
-            f"{SMALLEST_EIGENVALUE:g}: a feature is a combination of others; switch the scatter on or drop it"
+            f"{', '.join(dependent)}: one is a combination of the others in the baseline, so no distance "
+            f"exists (smallest eigenvalue of the correlation matrix {values[0]:.2g}, it must exceed "
+            f"{SMALLEST_EIGENVALUE:g}): leave one out"
         )
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
@@ -155,7 +164,7 @@ def fit_baseline(
             f"{', '.join(constant)} constant in all {n} baseline sets, so no distance exists: "
             "switch the scatter on, or check that the sensor is connected"
         )
-    whitened = ((x - mean) / sd) @ whitening_matrix(covariance / np.outer(sd, sd))
+    whitened = ((x - mean) / sd) @ whitening_matrix(covariance / np.outer(sd, sd), feature_names)
     distances = (whitened**2).sum(axis=1)
     limit = phase_one_limit(n, p)
     suspects = tuple(int(i) for i, d in zip(set_indices, distances, strict=True) if d > limit)

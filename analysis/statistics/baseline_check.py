@@ -108,7 +108,7 @@ def _least_determinant(x: FloatArray) -> np.ndarray:
 def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
     """All sets in units of the core's scatter, shape (n, p)."""
     mean = x[core].mean(axis=0)
-    root = np.linalg.cholesky(np.cov(x[core], rowvar=False))
+    root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 

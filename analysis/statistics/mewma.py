@@ -18,8 +18,11 @@ from analysis.waves.record_reduction import FloatArray
 
 WEIGHT = 0.1
 """Lambda: a slow change, some hundred sets long, is seen soonest."""
-NODES = 40
-"""Of the integral equation; 20 are not enough for run lengths of tens of thousands."""
+NODES, NODES_PER_SD = 40, 3.0
+"""Of the integral equation, at least, and in its length; 20 are not enough for run lengths of tens of
+thousands, nor 40 for a hundred features."""
+LONGEST = 1e12
+"""Average run length beyond which the equation is singular to rounding."""
 REFERENCE = 1.0
 """k of Crosier's MCUSUM: it is made for shifts of 2."""
 
@@ -37,19 +40,36 @@ def average_run_length(limit: float, p: int, weight: float = WEIGHT) -> float:
             f"limit {limit}, p {p}, weight {weight}: they must be above 0, at least 1, and within (0, 1]"
         )
     radius = math.sqrt(limit * weight / (2.0 - weight))
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    nodes, weights = np.polynomial.legendre.leggauss(max(NODES, math.ceil(NODES_PER_SD * radius / weight)))
     r = 0.5 * radius * (nodes + 1.0)
     w = 0.5 * radius * weights * 2.0 * r / weight**2
     x, stay = r / weight, (1.0 - weight) / weight
 
     def density(start: FloatArray) -> FloatArray:
-        """Of non-central chi-square, p degrees of freedom, in terms of roots; shape (starts, NODES)."""
-        root = np.maximum(stay * start, 1e-12)[:, None]
-        bessel = scipy.special.ive(0.5 * p - 1.0, root * x)
-        return np.asarray(0.5 * np.exp(-0.5 * (x - root) ** 2) * (x / root) ** (0.5 * p - 1.0) * bessel)
+        """Of non-central chi-square, p degrees of freedom, in terms of roots; shape (starts, nodes)."""
+        root, order = np.maximum(stay * start, 1e-12)[:, None], 0.5 * p - 1.0
+        powers = order * np.log(x / root) + _log_bessel(order, root * x)
+        return np.asarray(0.5 * np.exp(powers - 0.5 * (x - root) ** 2))
 
-    lengths = np.linalg.solve(np.eye(NODES) - density(r) * w, np.ones(NODES))
-    return float(1.0 + ((density(np.zeros(1)) * w) @ lengths)[0])
+    lengths = np.linalg.solve(np.eye(r.size) - density(r) * w, np.ones(r.size))
+    average = float(1.0 + ((density(np.zeros(1)) * w) @ lengths)[0])
+    return average if 1.0 <= average < LONGEST else LONGEST
+
+
+def _log_bessel(order: float, z: FloatArray) -> FloatArray:
+    """Logarithm of exp(-z) I_order(z), also where the function is too small for a number (many features).
+
+    There by its uniform expansion for large orders, Abramowitz and Stegun (1964), 9.7.7.
+    """
+    bessel = scipy.special.ive(order, z)
+    small = bessel == 0.0
+    result = np.log(np.where(small, 1.0, bessel))
+    t = z[small] / order
+    s = 1.0 / np.sqrt(1.0 + t**2)
+    eta = 1.0 / s + np.log(t / (1.0 + 1.0 / s))
+    first = np.log1p((3.0 * s - 5.0 * s**3) / (24.0 * order))
+    result[small] = order * (eta - t) - 0.5 * np.log(2.0 * math.pi * order / s) + first
+    return np.asarray(result)
 
 
 @lru_cache(maxsize=64)

@@ -22,6 +22,8 @@ from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, LIMITS, P
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.waves.record_reduction import FloatArray
 
+FARTHEST = 1e100
+"""Of a value, in the baseline's size: beyond, squares would overflow."""
 SMALLEST_SD = 1e-9
 """Of a feature, as part of its size: one that scatters less is constant and has no distance."""
 
@@ -108,7 +110,7 @@ def assess(
         Memory of the features that is known from sensors like this one; a number, or one for each.
     """
     x, healthy = np.asarray(vectors, dtype=np.float64), np.asarray(in_baseline, dtype=bool)
-    x = np.where(np.isfinite(x), x, np.nan)
+    x = _scaled(np.where(np.isfinite(x), x, np.nan), healthy)
     if healthy.sum() < MINIMUM_SETS:
         return Assessed(refused=_too_few(int(healthy.sum()), "rows"))
     varies = _varies(x[healthy])
@@ -121,6 +123,14 @@ def assess(
         return _judged(x[:, varies], healthy, names, dropped, budget, least, textbooks=textbooks)
     except AnalysisError as error:
         return Assessed(refused=str(error), features_dropped=dropped)
+
+
+def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
+    """Columns over powers of two near their size: no digit of an answer changes, and no square overflows."""
+    size = np.abs(np.where(healthy[:, None] & np.isfinite(x), x, 0.0)).max(axis=0, initial=0.0)
+    _, exponent = np.frexp(size)
+    with np.errstate(over="ignore"):  # a set that is so far off stays far off
+        return np.asarray(np.clip(np.ldexp(x, -exponent), -FARTHEST, FARTHEST))
 
 
 def _too_few(n: int, what: str) -> str:

@@ -9,9 +9,11 @@ from functools import lru_cache
 import numpy as np
 
 from analysis.waves.record_reduction import (
+    MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
     ReducedRecord,
+    least_after_isw_s,
     median,
     moving_mean,
     odd,
@@ -21,6 +23,8 @@ __all__ = ["ExtractionSettings", "Pulse", "Pulses", "find_pulses"]
 
 LATEST_ISW_PER_FWHM = 2.0
 """After the trigger: a wave that fires it itself peaks within one width."""
+STANDS_OUT = 6.0
+"""Standard deviations: the highest of a thousand values of noise stays below 4.5."""
 FLANK_SMOOTHING_S = 5e-6
 """Moving mean in which the half-height crossings are read: too short to widen the pulse."""
 
@@ -89,10 +93,10 @@ class Pulses:
 def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
     """Find ISW, PSW and SSW.
 
-    The ISW is the first maximum of the matched filter above half of its largest; it must leave room in
-    the record for the PSW's window, and rise ``missed_below_snr`` above the noise. The PSW is the first
-    maximum, ``psw_earliest_s`` to ``psw_latest_s`` later, of at least half the highest there; the SSW the
-    highest one a set time after the PSW.
+    The ISW is the first maximum of the matched filter above half of its largest; it must rise
+    ``missed_below_snr`` above the noise and, where no PSW is found, leave room for one in the record. The
+    PSW is the first maximum, ``psw_earliest_s`` to ``psw_latest_s`` later, of at least half the highest
+    there; the SSW the highest one a set time after the PSW.
 
     Parameters
     ----------
@@ -126,6 +130,8 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         settings.psw_leading_fraction,
         max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
     )
+    if psw is None and not _leaves_room(record, isw, settings):
+        return Pulses()  # nobody could tell a hole from a wave that came too late
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)
@@ -144,7 +150,10 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
 
 
 def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
-    """Width of a record's highest pulse before anything else is known of it; NaN where it has no flanks."""
+    """Width of a record's highest pulse before anything else is known of it.
+
+    NaN where it has no flanks, or is no more than noise makes.
+    """
     block = max(1, math.floor(1e-6 * sample_rate_hz))
     whole = samples_v.size // block
     if not whole:
@@ -155,6 +164,8 @@ def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_sample
         odd(FLANK_SMOOTHING_S * sample_rate_hz / block),
     )
     peak = int(flanks.argmax())
+    if flanks[peak] < STANDS_OUT * MAD_TO_SD * median(np.abs(flanks - median(flanks))):
+        return math.nan
     return _width_at(flanks, peak, 0.5 * float(flanks[peak])) * block / sample_rate_hz
 
 
@@ -187,20 +198,20 @@ def _find_isw(
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
-    left_s = record.end_s - record.time_s(first)
-    # In a record too short for all of the window the wave must at least be early.
-    needed_s = min(
-        settings.psw_latest_s + settings.window_half_width_s,
-        record.end_s - LATEST_ISW_PER_FWHM * settings.isw_fwhm_s,
-    )
-    if left_s < needed_s:
-        return None
     pulse = _measure(record, first)
     if pulse is None or pulse.amplitude_v < settings.missed_below_snr * record.noise_rms_v:
         return None
     if pulse.fwhm_s < settings.spike_width_ratio * settings.isw_fwhm_s:
         return None
     return pulse
+
+
+def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
+    """Whether a reflected wave would be in the record; in one too short for its window, a sound wall's."""
+    window_s = settings.psw_latest_s + settings.window_half_width_s
+    if record.end_s < window_s + LATEST_ISW_PER_FWHM * settings.isw_fwhm_s:
+        window_s = min(window_s, least_after_isw_s(settings))
+    return record.end_s - isw.matched_time_s >= window_s
 
 
 def _maxima(values: FloatArray) -> list[int]:

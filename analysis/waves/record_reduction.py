@@ -25,6 +25,8 @@ MAD_TO_SD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation."""
 TOP_SMOOTHING_S = 11e-6
 """Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
+FEWEST_BLOCKS = 16
+"""In a wave's width at half height, for its least-squares fit and matched filter."""
 COARSEST_MEDIAN_BIN = 16
 """In a lower bin of the noise's histogram, one bin would be more than 6 % of the median."""
 
@@ -320,6 +322,11 @@ def reduce_record(
     )
 
 
+def least_after_isw_s(settings: ExtractionSettings) -> float:
+    """Give what a sound wall's reflected wave needs; a record's end decides how much later one is sought."""
+    return settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
+
+
 def _check_record(
     n_samples: int,
     sample_rate_hz: float,
@@ -334,13 +341,13 @@ def _check_record(
             f"pretrigger_samples is {pretrigger_samples} of {n_samples}; the quiet level is read before the "
             "trigger: record at least 100 us of pre-trigger"
         )
-    if settings.isw_fwhm_s / step_s < 16.0:
+    if settings.isw_fwhm_s / step_s < FEWEST_BLOCKS:
         raise RecordError(
             f"an ISW of {settings.isw_fwhm_s * 1e6:.1f} us spans {settings.isw_fwhm_s / step_s:.1f} samples, "
-            f"at least 16 are needed: sample at {16.0 / settings.isw_fwhm_s:.3g} Hz or more"
+            f"at least {FEWEST_BLOCKS} are needed: sample at {FEWEST_BLOCKS / settings.isw_fwhm_s:.3g} Hz "
+            "or more"
         )
-    # The reflected wave of a sound wall must fit in; how much later one is sought, the record decides.
-    needed_s = settings.psw_earliest_s + 2.0 * (settings.window_half_width_s + settings.isw_fwhm_s)
+    needed_s = least_after_isw_s(settings)
     after_s = (n_samples - pretrigger_samples) / sample_rate_hz
     if after_s < needed_s:
         raise RecordError(

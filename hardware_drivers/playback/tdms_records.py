@@ -61,7 +61,12 @@ class ChannelRecords:
 
 
 def channel_records(
-    path: Path, mapping: TdmsMapping, *, pretrigger_s: float | None, rails_told: bool
+    path: Path,
+    mapping: TdmsMapping,
+    *,
+    pretrigger_s: float | None,
+    rails_told: bool,
+    unitless_are_volts: bool = False,
 ) -> list[ChannelRecords]:
     """Find the channels of numbers.
 
@@ -71,6 +76,8 @@ def channel_records(
         Whatever the file says; None: as it says.
     rails_told
         Somebody else sees clipping: 32-bit codes need not tell their resolution.
+    unitless_are_volts
+        Scaled values are volts where the file does not tell their unit.
 
     Raises
     ------
@@ -85,6 +92,9 @@ def channel_records(
         own = mapping
         if rails_told and channel.dtype == np.int32:
             own = replace(own, resolution_bits=32)
+        unit = str(channel.properties.get(mapping.unit_property, "")).strip()
+        if unitless_are_volts and channel.dtype.kind == "f" and not unit:
+            own = replace(own, volts_per_unit=1.0)
         written = channel.number(mapping.samples_property)
         if written is not None and 0 < written < channel.n_samples:
             own = replace(own, appended=True)

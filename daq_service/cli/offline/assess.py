@@ -16,7 +16,7 @@ import click
 from analysis.statistics.design import Budget
 from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.fleet import Map, Read, fleet_in_words, judge_fleet
-from daq_service.cli.offline.table_file import read_table
+from daq_service.cli.offline.table_file import NoTableError, read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
 from daq_service.processes.executors import opened_executor, usable_cores
@@ -24,6 +24,8 @@ from daq_service.processes.executors import opened_executor, usable_cores
 FEW_FILES = 8
 """Fewer are judged in this process: another one takes a second to begin."""
 FILES_A_TASK = 8
+LONGEST_RUN = 1e9
+"""Sets from one false alarm to the next; far beyond, the equation of the chart's limit has no digits."""
 
 
 def run_assess(
@@ -50,24 +52,34 @@ def run_assess(
         where = (column, value)
     read = partial(
         read_table,
-        features=tuple(name for name in (features or "").split(",") if name),
+        features=tuple(name.strip() for name in (features or "").split(",") if name.strip()),
         baseline_rows=baseline_rows,
         baseline_where=where,
     )
     design = Budget(alarms_per_year=budget, sets_per_day=sets_per_day)
+    if not 1.0 < design.run_length <= LONGEST_RUN:
+        raise UsageError(
+            f"--budget {budget:g} at {sets_per_day:g} sets a day is an alarm in {design.run_length:.3g} "
+            f"sets; charts are designed for more than 1 and at most {LONGEST_RUN:.0e}"
+        )
     with _mapped(tables) as mapped:
-        one = partial(sensor, read=read, budget=design, with_rows=as_json and not no_rows)
-        answer: dict[str, Any] = {"sensors": list(mapped(one, tables))}
-        if fleet:
-            alone = [told["alarm"]["rows"] for told in answer["sensors"]]
-            answer["fleet"] = judge_fleet(tables, read, mapped, design, false_discovery_rate, alone)
+        one = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
+        found: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(one, tables))
+        answer: dict[str, Any] = {"sensors": [told for told, _ in found]}
+        readable = {path: told for path, (told, error) in zip(tables, found, strict=True) if error is None}
+        if fleet and readable:
+            alone = [told["alarm"]["rows"] for told in readable.values()]
+            answer["fleet"] = judge_fleet([*readable], read, mapped, design, false_discovery_rate, alone)
     if as_json:
         click.echo(json.dumps(answer, allow_nan=False))
-        return
-    for told in answer["sensors"]:
-        click.echo(in_words(told, budget, sets_per_day))
-    if fleet:
-        click.echo(fleet_in_words(answer["fleet"]))
+    else:
+        for told in answer["sensors"]:
+            click.echo(in_words(told, budget, sets_per_day))
+        if "fleet" in answer:
+            click.echo(fleet_in_words(answer["fleet"]))
+    for _, error in found:
+        if error is not None and not isinstance(error, NoTableError):
+            raise error  # no fault of a file's content: the line asked for what is not there
 
 
 @contextmanager
@@ -87,6 +99,17 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
                 yield found
 
         yield spread
+
+
+def answered(
+    path: Path, *, read: Read, budget: Budget, with_rows: bool
+) -> tuple[dict[str, Any], UsageError | None]:
+    """Judge one table, or tell it as refused with the error of reading it: others have answers too."""
+    try:
+        return sensor(path, read=read, budget=budget, with_rows=with_rows), None
+    except UsageError as error:
+        told = {"file": str(path), "refused": str(error), "features_dropped": []}
+        return told | _nothing(with_rows=with_rows), error
 
 
 def sensor(

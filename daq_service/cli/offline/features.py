@@ -23,7 +23,7 @@ from analysis.waves.features import (
 )
 from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
-from analysis.waves.record_reduction import ExtractionSettings
+from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compared_with_others, learnt
 from daq_service.cli.offline.record_file import Record, RecordFile, Told, open_records
 from daq_service.cli.sweep.progress import Progress
@@ -32,6 +32,8 @@ from daq_service.errors import UsageError
 
 MANY_RECORDS = 2_000
 """More take longer than a second, so that progress is told."""
+LARGEST_V = 1e100
+"""Beyond, a record's energy is no number."""
 LOOKED_AT = 50
 """Records of a file, evenly spread, that say how wide its waves are."""
 
@@ -69,16 +71,26 @@ def run_features(
         isw_amplitude_v=isw_amplitude_v,
         psw_window_s=_pair("--psw-window-s", "FROM,TO", psw_window_s),
     )
-    rows = [
-        {"file": str(path), "index": index, **told_of(shot)}
-        for path in files
-        for index, shot in enumerate(features_of_file(path, told, own))
-    ]
+    rows: list[dict[str, Any]] = []
+    refused: list[tuple[Path, UsageError]] = []
+    for path in files:
+        try:
+            shots = features_of_file(path, told, own)
+        except UsageError as error:
+            refused.append((path, error))
+            continue
+        rows += [{"file": str(path), "index": index, **told_of(shot)} for index, shot in enumerate(shots)]
     if as_json:
-        click.echo(json.dumps({"extractor_version": EXTRACTOR_VERSION, "records": rows}, allow_nan=False))
-        return
-    for path in dict.fromkeys(map(str, files)):
-        _show(path, [row for row in rows if row["file"] == path])
+        answer = {"extractor_version": EXTRACTOR_VERSION, "records": rows}
+        answer["refused"] = [{"file": str(path), "reason": str(error)} for path, error in refused]
+        click.echo(json.dumps(answer, allow_nan=False))
+    else:
+        for name in dict.fromkeys(row["file"] for row in rows):
+            _show(name, [row for row in rows if row["file"] == name])
+    for _, further in refused[1:]:
+        click.echo(f"solimon: {further}", err=True)
+    if refused:
+        raise refused[0][1]  # after the others' answers
 
 
 def _pair(option: str, form: str, text: str | None) -> tuple[float, float] | None:
@@ -105,12 +117,19 @@ def features_of_file(path: Path, told: Told, own: Own) -> list[ShotFeatures]:
     settings = _settings(path, file, own)
     progress = Progress(file.n, 0, what="records") if file.n >= MANY_RECORDS else None
     shots, of_position = [], defaultdict(list)
+    failed: list[UsageError] = []
     for index, record in enumerate(file.records(1)):
         own_settings = settings.get(record.position) or next(iter(settings.values()))
-        shots.append(_extracted(f"{path}, record {index}", record, own_settings))
+        try:
+            shots.append(_extracted(f"{path}, record {index}", record, own_settings))
+        except UsageError as error:
+            failed.append(error)
+            shots.append(graded(ShotFeatures(), {DISTURBED}))  # shorter than the others of its file
         of_position[record.position].append(index)
         if progress is not None:
             progress.advance(1)
+    if len(failed) == len(shots):
+        raise failed[0]
     for position, indices in of_position.items():
         template = _template(own, learnt([shots[index] for index in indices]))
         if template is not None:
@@ -128,7 +147,10 @@ def _settings(path: Path, file: RecordFile, own: Own) -> dict[str, ExtractionSet
     for record in file.records(-(-file.n // LOOKED_AT)):
         found = widths_s[record.position]
         if own.isw_fwhm_s is None:
-            found.append(first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples))
+            width_s = first_fwhm_s(record.volts_v, record.rate_hz, record.pretrigger_samples)
+            # That of a spike would refuse every record.
+            narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
+            found.append(width_s if width_s >= narrowest_s else math.nan)
     windows = (
         {}
         if own.psw_window_s is None
@@ -150,8 +172,8 @@ def _median(values: Sequence[float]) -> float | None:
 
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
-    if not np.isfinite(record.volts_v).all():
-        return graded(ShotFeatures(), {DISTURBED})  # samples are missing
+    if not (np.abs(record.volts_v) < LARGEST_V).all():
+        return graded(ShotFeatures(), {DISTURBED})  # samples are missing, or no volts
     try:
         return extract_from_volts(
             record.volts_v,

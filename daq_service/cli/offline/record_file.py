@@ -122,10 +122,9 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
     def records(every: int) -> Iterator[Record]:
         for number, line in list(enumerate(lines))[::every]:
-            try:
-                values = np.array([float(cell) if cell.strip() else np.nan for cell in _cells(line)])
-            except ValueError as error:
-                raise UsageError(f"{path}, record {number}: {error}; a row is a record of numbers") from error
+            values = np.array([float(cell) if _is_number(cell) else np.nan for cell in _cells(line)])
+            if np.isnan(values).all():
+                raise UsageError(f"{path}, record {number}: {line[:40]!r}; a row is a record of numbers")
             yield scaled(values)
 
     return RecordFile(n=len(lines), records=records)
@@ -133,7 +132,8 @@ def _csv(path: Path, told: Told) -> RecordFile:
 
 def _cells(line: str) -> list[str]:
     separator = next((one for one in SEPARATORS if one in line.strip()), ",")
-    return line.strip().split(None if separator == " " else separator)
+    cells = line.strip().split(None if separator == " " else separator)
+    return [cell.replace(",", ".") for cell in cells] if separator in ";\t" else cells
 
 
 def _is_number(cell: str) -> bool:
@@ -199,9 +199,16 @@ def _tdms(path: Path, told: Told) -> RecordFile:
         sample_rate_hz=told.rate_hz,
         coefficients_v=() if told.volts_per_count is None else (0.0, told.volts_per_count),
     )
-    channels = channel_records(
-        path, mapping, pretrigger_s=told.pretrigger_s, rails_told=told.rails is not None
-    )
+    try:
+        channels = channel_records(
+            path,
+            mapping,
+            pretrigger_s=told.pretrigger_s,
+            rails_told=told.rails is not None,
+            unitless_are_volts=True,
+        )
+    except ConfigurationError as error:
+        raise UsageError(f"{error} (--rate-hz, --pretrigger-s, --volts-per-count, --rail-counts)") from error
 
     def each() -> Iterator[Record]:
         for one in channels:

@@ -16,6 +16,15 @@ from daq_service.shared_file import read_shared
 
 MOST_ROWS = 5_000_000
 """Of a table: 40 MB a feature."""
+SEPARATORS = ";\t,"
+"""Of a CSV file: the first of these in its first line, for beside the others a comma may be decimal."""
+MISSING = frozenset({"", "na", "n/a", "nan", "nil", "null", "none", "-"})
+"""What stands in a cell without a value, in small letters."""
+NAMES_SHOWN = 12
+
+
+class NoTableError(UsageError):
+    """A file is there, but what it holds is no table: an answer of its own beside those of other files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,8 +60,10 @@ def read_table(
 
     Raises
     ------
+    NoTableError
+        The file holds no table.
     UsageError
-        The file is no such table, or has no such column; with what it has.
+        There is no such file, or it has no such column; with what it has.
     """
     columns = _columns(path)
     healthy_by = baseline_where[0] if baseline_where else None
@@ -61,7 +72,7 @@ def read_table(
     missing = [name for name in features if name not in columns]
     if missing:
         raise UsageError(f"{path}: no column {_listed(missing)}; it has {_listed(columns)}")
-    chosen = list(features) or [name for name in columns if name != healthy_by]
+    chosen = list(features) or [name for name in columns if name not in ("", healthy_by)]
     numbers = {name: _numbers(columns[name]) for name in chosen}
     if features:
         for name, column in numbers.items():
@@ -69,7 +80,7 @@ def read_table(
                 raise UsageError(f"{path}: column {name!r} holds {_no_number(columns[name])!r}, no number")
     kept = {name: column for name, column in numbers.items() if column is not None}
     if not kept:
-        raise UsageError(f"{path}: no column of numbers; it has {_listed(columns)}")
+        raise NoTableError(f"{path}: no column of numbers; it has {_listed(columns)}")
     vectors = np.stack(list(kept.values()), axis=1)
     if baseline_where is None:
         healthy = np.arange(len(vectors)) < (baseline_rows or 0)
@@ -91,26 +102,32 @@ def _columns(path: Path) -> dict[str, Any]:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1 or not 0 < max(lengths) <= MOST_ROWS:
         rows = max(lengths, default=0)
-        raise UsageError(f"{path}: {rows} rows; a table has a row a set, at most {MOST_ROWS:,}")
+        raise NoTableError(f"{path}: {rows} rows; a table has a row a set, at most {MOST_ROWS:,}")
     return columns
 
 
 def _of_csv(path: Path) -> dict[str, Any]:
     try:
-        lines = list(csv.reader(read_shared(path).decode("utf-8-sig").splitlines()))
+        lines = [line for line in read_shared(path).decode("utf-8-sig").splitlines() if line.strip()]
+        separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
+        rows = list(csv.reader(lines, delimiter=separator, skipinitialspace=True))
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path} is no CSV file in UTF-8: {error}") from error
-    rows = [row for row in lines if row]
+        raise NoTableError(f"{path} is no CSV file in UTF-8: {error}") from error
     if not rows:
-        raise UsageError(f"{path} is empty; its first line names the columns")
-    header, *body = rows
-    if len(set(header)) < len(header) or all(_is_number(cell) for cell in header):
-        raise UsageError(
+        raise NoTableError(f"{path} is empty; its first line names the columns")
+    if separator != ",":
+        rows = [rows[0], *([cell.replace(",", ".") for cell in row] for row in rows[1:])]
+    header, body = [cell.strip() for cell in rows[0]], rows[1:]
+    numbered = [str(k) for k in range(len(header))]
+    if header != numbered and all(_is_number(cell.replace(",", ".")) for cell in header):
+        header, body = numbered, [[cell.replace(",", ".") for cell in header], *body]  # no names
+    if len({*header} - {""}) < len(header) - header.count(""):
+        raise NoTableError(
             f"{path}: the first line must name each column once; it is {','.join(header)[:80]!r}"
         )
     for number, row in enumerate(body):
         if len(row) != len(header):
-            raise UsageError(f"{path}: row {number} has {len(row)} cells, the first line {len(header)}")
+            raise NoTableError(f"{path}: row {number} has {len(row)} cells, the first line {len(header)}")
     return {name: [row[k] for row in body] for k, name in enumerate(header)}
 
 
@@ -123,48 +140,63 @@ def _of_parquet(path: Path) -> dict[str, Any]:
     try:
         table = parquet.read_table(path)
     except arrow.ArrowInvalid as error:
-        raise UsageError(f"{path} is no Parquet file: {error}") from error
-    return {name: table[name].to_pylist() for name in table.column_names}
+        raise NoTableError(f"{path} is no Parquet file: {error}") from error
+    numbers = (arrow.types.is_floating, arrow.types.is_integer)
+    return {
+        name: column.to_numpy() if any(kind(column.type) for kind in numbers) else column.to_pylist()
+        for name, column in zip(table.column_names, table.columns, strict=True)
+    }
 
 
 def _of_npy(path: Path) -> dict[str, Any]:
     try:
         array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
-        raise UsageError(f"{path} is no .npy file of numbers: {error}") from error
-    if array.ndim != 2 or array.dtype.kind not in "fiu":
-        raise UsageError(f"{path}: {array.dtype} of shape {array.shape}; it must be numbers, rows x features")
+    except (ValueError, EOFError) as error:  # numpy's words would advise to unpickle it
+        raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
+    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
+        what = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+        raise NoTableError(f"{path}: {what}; it must be numbers, rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}
 
 
 def _numbers(column: Any) -> NDArray[np.float64] | None:
-    """Column as numbers, NaN where it is empty; None where something else stands in it."""
+    """Column as numbers, NaN where there is none; None where most of what stands in it is no number."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64)
-    if any(isinstance(cell, bool) for cell in column):
+    told = [None if isinstance(cell, str) and cell.strip().lower() in MISSING else cell for cell in column]
+    values = [_number(cell) for cell in told]
+    strange = sum(value is None and cell is not None for value, cell in zip(values, told, strict=True))
+    if 2 * strange > len(told) - told.count(None):
+        return None
+    return np.array([np.nan if value is None else value for value in values])
+
+
+def _number(cell: Any) -> float | None:
+    if isinstance(cell, bool):
         return None
     try:
-        return np.array([np.nan if cell is None or cell == "" else float(cell) for cell in column])
+        return float(cell)
     except (TypeError, ValueError):
         return None
 
 
 def _is_number(cell: str) -> bool:
-    return _numbers([cell]) is not None
+    return _number(cell) is not None
 
 
 def _no_number(column: Sequence[Any]) -> Any:
-    return next(cell for cell in column if isinstance(cell, bool) or _numbers([cell]) is None)
+    return next(cell for cell in column if cell is not None and _number(cell) is None)
 
 
 def _equal(column: Any, value: str) -> NDArray[np.bool_]:
     """Rows whose cell is a value, as text or as a number."""
     wanted = _numbers([value])
     numbers = _numbers(column)
-    if numbers is not None and wanted is not None:
+    if numbers is not None and wanted is not None and np.isfinite(wanted[0]):
         return np.asarray(numbers == wanted[0])
     return np.array([str(cell) == value or str(cell).lower() == value.lower() for cell in column], dtype=bool)
 
 
 def _listed(names: Any) -> str:
-    return ", ".join(map(str, names))
+    told = list(map(str, names))
+    return ", ".join(told[:NAMES_SHOWN]) + (f" ... ({len(told)})" if len(told) > NAMES_SHOWN else "")

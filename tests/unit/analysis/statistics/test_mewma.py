@@ -17,6 +17,21 @@ def test_limits_are_the_published_ones(p, weight, run_length, limit):
     assert average_run_length(known_limit(p, run_length, weight), p, weight) == pytest.approx(run_length)
 
 
+@pytest.mark.parametrize(
+    # Rigdon's equation with 300 nodes and another program's non-central chi-square.
+    ("p", "limit"),
+    [(1, 17.029972), (10, 38.385367), (48, 97.650261), (100, 167.070536)],
+)
+def test_limits_of_few_and_of_many_features(p, limit):
+    assert known_limit(p, 43830.0) == pytest.approx(limit, rel=1e-6)
+
+
+def test_with_a_thousand_features_the_equation_still_has_an_answer():
+    # By the law of large numbers the statistic nears its mean, p (1 - .9^(2t)): passed at once below it.
+    assert average_run_length(0.1 * 1500, 1500) == pytest.approx(1.0, abs=1e-6)
+    assert 1500 < known_limit(1500, 500.0) < known_limit(1500, 43830.0) < 2000
+
+
 def test_without_memory_it_is_the_chi_square_chart():
     # weight 1: the statistic is the set's own squared distance, 9.488 its 5 % point at p = 4.
     assert average_run_length(9.487729, 4, 1.0) == pytest.approx(20.0, rel=1e-4)

@@ -313,6 +313,24 @@ def test_record_that_stays_below_the_quiet_level_after_the_isw_has_no_psw():
     assert shot.flags == ("no_psw",)
 
 
+@pytest.mark.parametrize("isw_time_s", [20e-6, 160e-6, 250e-6, 320e-6, 400e-6])
+def test_a_short_record_needs_no_early_wave(isw_time_s):
+    """1 ms in all, 100 us of it before the trigger, which may be the striker's contact."""
+    scene = CLEAN.with_(
+        n_samples=10_000,
+        pretrigger_samples=1_000,
+        isw_time_s=isw_time_s,
+        ssw_fraction=0.0,
+        noise_fraction=0.03,
+    )
+    shot = features_of(scene)
+    assert shot.flags == ()
+    assert shot.tof_mf_s == pytest.approx(scene.tof_s, abs=1e-6)  # 3 % of noise: .12 us
+    lost = features_of(scene.with_(amplitude_ratio=0.0))
+    # What a sound wall's wave needs, 510 us, is no longer there for the last one: nobody can tell.
+    assert lost.flags == (("no_psw",) if isw_time_s < 390e-6 else ("missed",))
+
+
 def test_wave_too_late_for_its_reflection_to_be_seen_is_missed_and_no_hole():
     # 1.2 ms after the trigger end 800 us after this ISW: a PSW could lie beyond.
     shot = features_of(NOISY.with_(isw_time_s=400e-6, amplitude_ratio=0.0, ssw_fraction=0.0))

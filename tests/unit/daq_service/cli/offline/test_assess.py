@@ -82,7 +82,7 @@ def test_chosen_features_a_number_as_the_mark_and_no_rows(tmp_path, vectors):
     lines = [f"{int(row < 40)},{a},{b},7" for row, (a, b, *_) in enumerate(vectors.tolist())]
     path.write_text("\n".join(["healthy,a,b,c", *lines]), encoding="utf-8")
     (all_of_them,) = told(path, "--baseline-where", "healthy=1", "--no-rows")
-    (some,) = told(path, "--baseline-where", "healthy=1", "--features", "b,a", "--no-rows")
+    (some,) = told(path, "--baseline-where", "healthy=1", "--features", "b, a", "--no-rows")
     assert all_of_them["features_dropped"] == ["c"]
     assert some["features_dropped"] == []
     assert "rows" not in some
@@ -137,21 +137,22 @@ def test_people_are_told_in_words(tables):
     ("name", "content", "words"),
     [
         ("a.csv", "", "empty"),
-        ("a.csv", "1,2\n3,4", "first line must name"),
+        ("a.csv", "a,b", "0 rows"),
         ("a.csv", "a,a\n3,4", "name each column once"),
         ("a.csv", "a,b\n3", "row 0 has 1 cells, the first line 2"),
         ("a.csv", "a,b\nx,y", "no column of numbers"),
         ("a.csv", b"a,b\n\xff\xfe,1", "no CSV file in UTF-8"),
         ("a.npy", "no array", "no .npy file"),
         ("a.parquet", "no table", "no Parquet file"),
-        ("a.txt", "1", "not .txt"),
-        ("a", "1", "one without ending"),
     ],
 )
-def test_a_strangers_file_is_refused_with_what_it_is(tmp_path, name, content, words):
+def test_a_file_that_is_no_table_is_refused_beside_the_others(tmp_path, tables, name, content, words):
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    assert words in refused(path, "--baseline-rows", 20)
+    bad, good = told(path, tables[".npy"], "--baseline-rows", 40)
+    assert words in bad["refused"]
+    assert set(bad) == set(good) - {"default_because"}
+    assert good["refused"] is None
 
 
 @pytest.mark.parametrize(
@@ -159,15 +160,57 @@ def test_a_strangers_file_is_refused_with_what_it_is(tmp_path, name, content, wo
 )
 def test_an_array_that_is_no_table_is_refused(tmp_path, array):
     np.save(tmp_path / "a.npy", array)
-    assert "a.npy" in refused(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    assert "a.npy" in bad["refused"]
 
 
 def test_objects_are_not_unpickled(tmp_path):
     np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    assert "no .npy file of numbers" in refused(tmp_path / "a.npy", "--baseline-rows", 20)
+    (bad,) = told(tmp_path / "a.npy", "--baseline-rows", 20)
+    assert bad["refused"].endswith("no .npy file of numbers, rows x features")
 
 
-def test_arguments_that_say_no_baseline_are_refused(tmp_path, tables):
+@pytest.mark.parametrize(("name", "words"), [("a.txt", "not .txt"), ("a", "one without ending")])
+def test_a_file_of_another_kind_is_the_wrong_thing_to_ask_for(tmp_path, name, words):
+    (tmp_path / name).write_text("1", encoding="utf-8")
+    assert words in refused(tmp_path / name, "--baseline-rows", 20)
+
+
+def test_a_file_that_is_not_there_ends_with_an_error_after_the_others_answers(tmp_path, tables):
+    answer = CliRunner().invoke(
+        cli, ["assess", str(tmp_path / "none.csv"), str(tables[".npy"]), "--baseline-rows", "40", "--json"]
+    )
+    absent, good = json.loads(answer.stdout)["sensors"]
+    assert "cannot read" in absent["refused"]
+    assert good["refused"] is None
+    assert isinstance(answer.exception, UsageError)
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal", "named"),
+    [(";", ",", True), ("\t", ".", True), (", ", ".", True), (",", ".", False), (";", ",", False)],
+)
+def test_csv_of_other_programs_says_the_same(tmp_path, tables, vectors, separator, decimal, named):
+    (expected,) = told(tables[".npy"], "--baseline-rows", 40)
+    lines = [separator.join(repr(v).replace(".", decimal) for v in row) for row in vectors.tolist()]
+    text = "\r\n".join([separator.join("01234"), *lines] if named else lines)
+    (tmp_path / "other.csv").write_text(text, encoding="utf-8-sig")
+    (found,) = told(tmp_path / "other.csv", "--baseline-rows", 40)
+    assert {**found, "file": ""} == {**expected, "file": ""}
+
+
+def test_words_for_nothing_are_missing_values_and_columns_without_a_name_are_none(tmp_path, vectors):
+    cells = {3: "NA", 50: " ", 60: "null", 70: "-inf", 80: "broken"}
+    lines = [f"{row},{a},{cells.get(row, b)}," for row, (a, b, *_) in enumerate(vectors.tolist())]
+    (tmp_path / "a.csv").write_text("\n".join([",a,b,", *lines]), encoding="utf-8")
+    (found,) = told(tmp_path / "a.csv", "--baseline-rows", 40)
+    assert found["n"] == 39
+    assert found["features_dropped"] == []
+    assert [one["row"] for one in found["left_out"]] == [*cells]
+    assert "trend" not in [one["kind"] for one in found["named"]]
+
+
+def test_arguments_that_say_no_baseline_are_refused(tables):
     path = tables[".csv"]
     assert "say what is the baseline" in refused(path)
     assert "say what is the baseline" in refused(path, "--baseline-rows", 3, "--baseline-where", "a=b")
@@ -175,7 +218,14 @@ def test_arguments_that_say_no_baseline_are_refused(tmp_path, tables):
     assert "no column 'hour'" in refused(path, "--baseline-where", "hour=3")
     assert "no column x; it has part" in refused(path, "--baseline-rows", 20, "--features", "x")
     assert "holds 'healthy', no number" in refused(path, "--baseline-rows", 20, "--features", "part")
-    assert "cannot read" in refused(tmp_path / "none.csv", "--baseline-rows", 20)
+
+
+@pytest.mark.parametrize("budget", ["8766", "1e-9", "nan"])
+def test_a_budget_that_no_chart_can_keep_is_refused(tables, budget):
+    assert f"--budget {float(budget):g} at 24 sets" in refused(
+        tables[".csv"], "--baseline-rows", 40, "--budget", budget
+    )
+    assert told(tables[".npy"], "--baseline-rows", 40, "--budget", "1e-5")[0]["refused"] is None
 
 
 def test_a_fleet_is_raised_beside_its_median_and_told_what_it_shares(tmp_path):

@@ -122,12 +122,44 @@ def test_a_weak_strike_is_found_by_the_others_of_its_file(tmp_path):
     assert rows[5]["tof_mf_s"] is None
 
 
-def test_samples_that_are_missing_cost_their_record_only(tmp_path):
+@pytest.mark.parametrize("value", [np.nan, -np.inf, 1e200])
+def test_samples_that_are_missing_cost_their_record_only(tmp_path, value):
     values = volts()
-    values[3, 700:1200] = np.nan
+    values[3, 700:1200] = value
     rows = told(saved(tmp_path, values))
     assert [row["flags"] for row in rows] == [["disturbed"] if k == 3 else [] for k in range(N)]
     assert all(rows[3][name] is None for name in ALL_FEATURE_NAMES)
+
+
+def test_cells_that_are_no_number_and_a_row_that_breaks_off_cost_their_record_only(tmp_path):
+    lines = [";".join(f"{value:.6f}".replace(".", ",") for value in row) for row in volts()]
+    lines[2] = lines[2].replace(";0,", ";broken;0,", 1)
+    lines[7] = lines[7][:3000]
+    (tmp_path / "records.csv").write_text("\n".join(lines), encoding="utf-8")
+    rows = told(tmp_path / "records.csv")
+    assert [row["flags"] for row in rows] == [["disturbed"] if k in (2, 7) else [] for k in range(N)]
+    assert rows[7]["tof_mf_s"] is None
+
+
+def test_a_file_that_cannot_be_read_takes_no_other_s_answers_away(tmp_path):
+    bad = tmp_path / "bad.npy"
+    bad.write_bytes(b"hello")
+    good = saved(tmp_path, volts(n=2))
+    answer = CliRunner().invoke(cli, ["features", str(bad), str(good), str(tmp_path / "no.npy"), "--json"])
+    found = json.loads(answer.stdout)
+    assert [row["file"] for row in found["records"]] == [str(good)] * 2
+    assert [one["file"] for one in found["refused"]] == [str(bad), str(tmp_path / "no.npy")]
+    assert "no .npy file" in found["refused"][0]["reason"]
+    assert isinstance(answer.exception, UsageError)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_records_of_noise_alone_teach_no_width_and_are_missed_strikes(tmp_path, seed):
+    noise = 1e-3 * np.random.default_rng(seed).standard_normal((N, 13_000))
+    rows = told(saved(tmp_path, noise))
+    assert [row["flags"] for row in rows] == [["missed"]] * N
+    noise[:, 5000] += 0.5  # a spike is no wave either
+    assert all(row["quality"] == "bad" for row in told(saved(tmp_path, noise)))
 
 
 def test_one_record_alone_is_a_file_too(tmp_path):
@@ -167,7 +199,7 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
         ("records.npy", b"hello", "no .npy file"),
         ("records.csv", b"", "holds no record"),
         ("records.csv", b"\xff\xfe\x00", "UTF-8"),
-        ("records.csv", b"0.5,1.5\n0.5,many", "record 1: could not convert string to float: 'many'"),
+        ("records.csv", b"0.5,1.5\nso,many", "record 1: 'so,many'; a row is a record of numbers"),
         ("records.csv", b"5,1\n0,1", "--volts-per-count"),
         ("records.h5", b"hello", "records.h5"),
         ("records.tdms", b"hello", "records.tdms"),
@@ -176,6 +208,25 @@ def test_what_is_no_record_is_refused_with_the_remedy(tmp_path, values, options,
 def test_a_file_of_something_else_is_refused_with_its_name(tmp_path, name, content, words):
     (tmp_path / name).write_bytes(content)
     assert words in refused(tmp_path / name)
+
+
+def written_tdms(path, properties):
+    nptdms = pytest.importorskip("nptdms")
+    with nptdms.TdmsWriter(path) as writer:
+        for k, record in enumerate(volts(n=3)):
+            writer.write_segment([nptdms.ChannelObject("A", f"shot {k}", record, properties)])
+    return path
+
+
+def test_scaled_values_of_labview_are_volts_unless_it_says_otherwise(tmp_path):
+    wave = {"wf_increment": 1.0 / SCENE.rate_hz}
+    options = ("--pretrigger-s", SCENE.pretrigger_samples / SCENE.rate_hz)
+    rows = told(written_tdms(tmp_path / "a.tdms", wave), *options)
+    assert [row["tof_mf_s"] for row in rows] == [
+        row["tof_mf_s"] for row in told(saved(tmp_path, volts(n=3)), *options)
+    ]
+    assert "'mbar'" in refused(written_tdms(tmp_path / "b.tdms", {**wave, "unit_string": "mbar"}), *options)
+    assert "--rate-hz" in refused(written_tdms(tmp_path / "c.tdms", {}), *options)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
