@@ -198,7 +198,7 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, ope
     until(lambda: shown(page)["ready"] and "from_wf_us" in query(page), "both axes are zoomed")
     told = shown(page)
     assert told["hours"][1] - told["hours"][0] < 14.0
-    assert page.evaluate("window.solimonDashboard.charts.tof.span") == told["hours"]
+    assert dashboard(page, "charts.tof.span") == told["hours"]
     whole = told["header"]["whole_s"]
     assert told["seconds"][1] - told["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
     page.get_by_label("Values of the waterfall").select_option("difference")

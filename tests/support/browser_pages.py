@@ -83,6 +83,7 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
         page.on("console", lambda message: message.type in {"error", "warning"} and complain(message.text))
         page.on("pageerror", lambda error: complain(str(error)))
         page.goto(url)
+        wait_for_scripts(page)
         return page
 
     yield open_
@@ -91,8 +92,15 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
     assert complaints == [], complaints
 
 
+def wait_for_scripts(page: Any) -> None:
+    """Of the dashboard: they come when its tiles are drawn, and no page waits for them to be loaded."""
+    there = "!document.getElementById('later') || Boolean(window.solimonDashboard)"
+    until(lambda: page.evaluate(there), "the page's scripts are there")
+
+
 def dashboard(page: Any, what: str) -> Any:
     """What the dashboard tells of itself, e.g. ``charts.tof.x``."""
+    wait_for_scripts(page)
     return page.evaluate(f"window.solimonDashboard.{what}")
 
 

@@ -141,7 +141,7 @@ export class Tiles {
       el("div", { class: "tile-figure" }, el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }), el("span", { class: "figure-note", text: note })),
       gauge(ratio),
       list([
-        ...(verdict?.cause ? [["Cause", causeOf(verdict)]] : []),
+        ...(verdict?.cause ? [/** @type {[string, string]} */ (["Cause", causeOf(verdict)])] : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],
