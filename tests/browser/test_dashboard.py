@@ -433,7 +433,7 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     assert "/healthz" not in asked
 
 
-def test_lost_service_is_said_and_found_again(filled, open_page):
+def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, open_page):
     app = create_app(filled.settings, filled.folder)
     with served_app(app) as first:
         port = int(first.netloc.rpartition(":")[2])
@@ -441,8 +441,19 @@ def test_lost_service_is_said_and_found_again(filled, open_page):
         wait_for_sets(page, N_SETS)
     expect(page.locator("#connection")).to_have_text("Connection lost, retrying")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
+    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
+    filled.recorder_ends()
+    again = FilledFolder(filled.folder, SETTINGS, begun=True)
+    again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
+    again.add_alarm("B", N_SETS)
     with served(filled.settings, filled.folder, port=port):
         expect(page.locator("#connection")).to_have_text("Live")
         wait_for_sets(page, N_SETS + 1)
+        until(lambda: dashboard(page, "alarms"), "the alarm of meanwhile is told")
+        again.add_set(N_SETS + 1, stored=False)
+        wait_for_sets(page, N_SETS + 2)
+        newest = again.catalogue.last_event_id()
+        until(lambda: dashboard(page, "lastEventId") == newest, "it has heard all events")
         expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
+    again.close()

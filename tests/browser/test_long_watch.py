@@ -30,7 +30,7 @@ def filled(tmp_path):
 
 
 def n_drawn(page):
-    return page.evaluate("window.solimonDashboard.charts.tof?.x.length ?? 0")
+    return dashboard(page, "charts.tof?.x.length ?? 0")
 
 
 def ink(page):
