@@ -8,6 +8,7 @@ import { Tiles } from "./tiles.js";
 export const tiles = new Tiles(byId("tiles"));
 setInterval(() => tiles.tick(), 1000);
 // What is shown stands in the address, which the other scripts read when they come.
+/** @param {string} position */
 tiles.onSelect = (position) => {
   const query = new URLSearchParams(location.search);
   if (query.get("position") === position) return;

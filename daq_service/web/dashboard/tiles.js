@@ -58,9 +58,10 @@ export class Tiles {
 
   /** @param {any} answer of /transducers */
   update(answer) {
+    // What came with the page is told again when the other scripts are there: it ages from its first time on.
+    if (this.asOf !== answer.as_of) this.readAt = performance.now();
     this.states = answer.items;
     this.asOf = answer.as_of;
-    this.readAt = performance.now();
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.position;
     this.root.replaceChildren(...this.states.map((state) => this.tile(state)));
     if (focused) /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-position="${focused}"]`))?.focus();
