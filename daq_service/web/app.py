@@ -35,6 +35,7 @@ from daq_service.web.routes import (
     metrics,
     notifications,
     orders,
+    page,
     record_files,
     report,
     session,
@@ -147,6 +148,7 @@ def application_of_test(**options: Any) -> Service:
     app.include_router(health.probes)
     app.include_router(metrics.probes)
     app.include_router(versioned(RESOURCES))
+    app.include_router(page.router)
     app.include_router(assets.router)
     return app
 

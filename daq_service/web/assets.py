@@ -6,7 +6,7 @@ import gzip
 import hashlib
 import posixpath
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -31,6 +31,7 @@ MEDIA_TYPES = {
 }
 PLACE = "/static/"
 PAGE, FIRST, SCRIPT = "index.html", "first.js", "main.js"
+LATER = b'<template id="later">'
 IMPORTED = re.compile(rb'^(?:import|export)\b[^;"]*"(\.[^"]+)";', re.MULTILINE)
 
 
@@ -51,15 +52,12 @@ def assets() -> dict[str, Asset]:
     for path in sorted(FOLDER.rglob("*")):
         if path.is_file() and path.suffix in MEDIA_TYPES:
             found[path.relative_to(FOLDER).as_posix()] = read_shared(path)
-    # Named in the page, all its modules are asked for at once, not each after whoever imports it was read;
-    # those of the first picture and what these ask for go before the others.
-    soon, needed = [FIRST, *modules(found, FIRST)], modules(found, SCRIPT)
-    links = (
-        f'<link rel="modulepreload" fetchpriority="{priority}" href="{PLACE}{name}">'
-        for priority, names in (("high", soon), ("low", [name for name in needed if name not in soon]))
-        for name in names
-    )
-    found[PAGE] = found[PAGE].replace(b"</head>", "".join([*links, "</head>"]).encode())
+    # Named in the page, modules are asked for at once, not each after whoever imports it was read. Those of
+    # the first picture go alone: the others wait in a template, which a browser does not look into.
+    soon = [FIRST, *modules(found, FIRST)]
+    later = [SCRIPT, *(name for name in modules(found, SCRIPT) if name not in soon)]
+    found[PAGE] = found[PAGE].replace(b"</head>", _preloads(soon) + b"</head>")
+    found[PAGE] = found[PAGE].replace(LATER, LATER + _preloads(later))
     return {
         name: Asset(
             content,
@@ -69,6 +67,10 @@ def assets() -> dict[str, Asset]:
         )
         for name, content in found.items()
     }
+
+
+def _preloads(names: Iterable[str]) -> bytes:
+    return "".join(f'<link rel="modulepreload" href="{PLACE}{name}">' for name in names).encode()
 
 
 def modules(files: Mapping[str, bytes], script: str) -> list[str]:
@@ -82,12 +84,6 @@ def modules(files: Mapping[str, bytes], script: str) -> list[str]:
                 found[imported] = None
                 waiting.append(imported)
     return list(found)[1:]
-
-
-@router.get("/")
-async def get_dashboard(request: Request) -> Response:
-    """Serve the page."""
-    return answer_asset("index.html", request)
 
 
 @router.get("/static/{name:path}")

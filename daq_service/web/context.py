@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from asyncio import to_thread
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -122,6 +123,8 @@ class Context:
         self.waterfall = WaterfallReader(self.archive)
         self.notifications = Notifications(settings, data_folder, self.catalogue_access.get)
         self.open_streams = open_streams or (lambda: self.hub.clients)
+        self.first_answers: tuple[float, Mapping[bytes, bytes]] = (-math.inf, {})
+        """When they were read, by the monotonic clock, and what the page brings along, by path."""
         self._has_data = False
 
     @asynccontextmanager

@@ -2,7 +2,7 @@
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import expect
+from support.browser_pages import dashboard, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -48,7 +48,7 @@ def alarm(page, number):
 
 
 def notes_drawn(page):
-    ranges = page.evaluate("window.solimonDashboard.charts.tof.ranges")
+    ranges = dashboard(page, "charts.tof.ranges")
     return [(one["from_h"], one["to_h"], one["word"]) for one in ranges if one["tone"] == "note"]
 
 

@@ -6,7 +6,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from support.browser_pages import PHONE, expect
+from support.browser_pages import PHONE, dashboard, expect, query
 from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served, served_app
 from support.waiting import until
@@ -60,7 +60,7 @@ def service(filled):
 
 
 def shown(page):
-    return page.evaluate("window.solimonDashboard.charts")
+    return dashboard(page, "charts")
 
 
 def wait_for_sets(page, count):
@@ -134,7 +134,7 @@ def see_the_live_record(filled, page):
     filled.show_set(5)
     sequence = 100 * 5 + 2  # position B's shot of set 5
     expect(page.locator("#waveform")).to_have_attribute("data-sequence", str(sequence))
-    shown_record = page.evaluate("window.solimonDashboard.waveform")
+    shown_record = dashboard(page, "waveform")
     waveform = next(record for record in filled.records(5) if record.sequence == sequence).waveform
     # Two evaluations of the same linear polynomial: rounding only.
     np.testing.assert_allclose(shown_record["volts"], waveform.volts(), rtol=0, atol=1e-12)
@@ -274,9 +274,9 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.locator("#hold")).to_have_text(SENT)
     answer(filled, "hold", {"note": "once more"}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
-    refreshes = page.evaluate("window.solimonDashboard.refreshes")
+    refreshes = dashboard(page, "refreshes")
     filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
-    until(lambda: page.evaluate("window.solimonDashboard.refreshes") > refreshes, "another reading")
+    until(lambda: dashboard(page, "refreshes") > refreshes, "another reading")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     expect(page.locator("#hold")).to_have_text("Hold")
     page.get_by_role("button", name="Hold", exact=True).click()
@@ -409,25 +409,31 @@ def test_page_that_was_opened_first_fills_itself(tmp_path, open_page):
         filled.close()
 
 
-def test_what_is_drawn_first_is_asked_for_before_the_scripts_are_there_and_once(filled, service, open_page):
-    first = ("/api/v1/session", "/healthz", "/api/v1/info", "/api/v1/transducers")
+def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, service, open_page):
     page = open_page("about:blank", name=None)
     asked, held = [], []
     page.on("request", lambda request: asked.append(urlsplit(request.url).path))
 
-    def hold(route):
+    def hold(route):  # Playwright takes no method of a list
         held.append(route)
 
     page.route("**/static/main.js", hold)
-    with page.expect_response("**/api/v1/transducers"):
-        page.goto(service.url, wait_until="commit")
-    with page.expect_request("**/api/v1/trends/B*"):
+    with page.expect_request("**/static/main.js"):
+        page.goto(f"{service.url}?position=B&set=3", wait_until="commit")
+    expect(page.locator('.tile[data-position="B"] .figure')).to_have_text(re.compile(r"\d"))
+    page.locator('.tile[data-position="C"]').click()
+    before = asked.index("/static/main.js")
+    assert not [path for path in asked[:before] if path.startswith("/api")]
+    assert len(asked[:before]) < 15, "page, styles, icon and the tiles' own scripts"
+    with page.expect_request("**/api/v1/trends/C*"):
         held[0].continue_()
-    assert [asked.count(path) for path in first] == [1, 1, 1, 1]
-    assert max(map(asked.index, first)) < asked.index("/api/v1/trends/B")
+    expect(page.locator('.tile[data-position="C"]')).to_have_attribute("aria-checked", "true")
+    assert query(page) == {"position": "C"}
+    assert "/api/v1/session" not in asked
+    assert "/healthz" not in asked
 
 
-def test_lost_service_is_said_and_found_again(filled, open_page):
+def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, open_page):
     app = create_app(filled.settings, filled.folder)
     with served_app(app) as first:
         port = int(first.netloc.rpartition(":")[2])
@@ -435,8 +441,19 @@ def test_lost_service_is_said_and_found_again(filled, open_page):
         wait_for_sets(page, N_SETS)
     expect(page.locator("#connection")).to_have_text("Connection lost, retrying")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
+    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
+    filled.recorder_ends()
+    again = FilledFolder(filled.folder, SETTINGS, begun=True)
+    again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
+    again.add_alarm("B", N_SETS)
     with served(filled.settings, filled.folder, port=port):
         expect(page.locator("#connection")).to_have_text("Live")
         wait_for_sets(page, N_SETS + 1)
+        until(lambda: dashboard(page, "alarms"), "the alarm of meanwhile is told")
+        again.add_set(N_SETS + 1, stored=False)
+        wait_for_sets(page, N_SETS + 2)
+        newest = again.catalogue.last_event_id()
+        until(lambda: dashboard(page, "lastEventId") == newest, "it has heard all events")
         expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
+    again.close()

@@ -10,7 +10,7 @@ import threading
 
 import httpx
 import pytest
-from support.browser_pages import expect
+from support.browser_pages import dashboard, expect
 from support.waiting import until
 
 pytestmark = [
@@ -147,7 +147,7 @@ def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledge
             points = sum(value is not None for value in column)
             assert points > 10, "of two sets an hour, but those held"
             expect(page.locator(chart)).to_have_attribute("data-points", str(points))
-        charts = page.evaluate("window.solimonDashboard.charts")
+        charts = dashboard(page, "charts")
         in_us = [None if value is None else value * 1e6 for value in trend["tof_pp_s"]]
         assert charts["tof"]["y"]["tof_pp_us"] == in_us
         assert charts["distance"]["y"]["distance_squared"] == trend["distance_squared"]

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from support.browser_pages import DESK, PHONE, expect
+from support.browser_pages import DESK, PHONE, dashboard, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -42,13 +42,13 @@ def page(service, browser):
     page = context.new_page()
     page.goto(f"{service.url}?{ZOOM}&position=B&compare=C&feature=isw_fwhm_s&set={LAST}")
     until(lambda: "isw_fwhm_s C" in charts(page)["feature"]["y"], "the charts are drawn")
-    until(lambda: page.evaluate("window.solimonDashboard.set?.volts.length"), "the set is drawn")
+    until(lambda: dashboard(page, "set?.volts.length"), "the set is drawn")
     yield page
     context.close()
 
 
 def charts(page):
-    return page.evaluate("window.solimonDashboard.charts")
+    return dashboard(page, "charts")
 
 
 def opened(page, of):
@@ -117,7 +117,7 @@ def test_the_copied_python_of_the_test_has_every_position(page):
 
 def test_the_copied_python_has_the_records_of_the_opened_set(page):
     waves = run_copied(page, "records of the set")["waves"]
-    drawn = page.evaluate("window.solimonDashboard.set")
+    drawn = dashboard(page, "set")
     by_label = dict(zip(drawn["labels"], drawn["volts"], strict=True))
     for shot in range(SHOTS):
         # The same linear polynomial, evaluated twice: rounding only.

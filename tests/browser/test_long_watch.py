@@ -1,7 +1,7 @@
 """A page that somebody leaves open: through a whole test, asleep, and on paper."""
 
 import pytest
-from support.browser_pages import DESK, expect
+from support.browser_pages import DESK, dashboard, expect
 from support.filled_folder import FilledFolder
 from support.served_web import served
 from support.waiting import until
@@ -30,7 +30,7 @@ def filled(tmp_path):
 
 
 def n_drawn(page):
-    return page.evaluate("window.solimonDashboard.charts.tof?.x.length ?? 0")
+    return dashboard(page, "charts.tof?.x.length ?? 0")
 
 
 def ink(page):
@@ -72,7 +72,7 @@ def test_a_tab_that_slept_shows_what_came_meanwhile(filled, browser):
             filled.add_set(index, stored=False)
         life.send("Page.setWebLifecycleState", {"state": "active"})
         until(lambda: n_drawn(page) == N_SETS + 5, "all sets are drawn")
-        drawn = page.evaluate("window.solimonDashboard.charts.tof.opens")
+        drawn = dashboard(page, "charts.tof.opens")
         assert drawn == list(range(N_SETS + 5))
         expect(page.locator("#connection")).to_have_text("Live")
 

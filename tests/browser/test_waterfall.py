@@ -198,7 +198,7 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(filled, service, ope
     until(lambda: shown(page)["ready"] and "from_wf_us" in query(page), "both axes are zoomed")
     told = shown(page)
     assert told["hours"][1] - told["hours"][0] < 14.0
-    assert page.evaluate("window.solimonDashboard.charts.tof.span") == told["hours"]
+    assert dashboard(page, "charts.tof.span") == told["hours"]
     whole = told["header"]["whole_s"]
     assert told["seconds"][1] - told["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
     page.get_by_label("Values of the waterfall").select_option("difference")
@@ -245,9 +245,9 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
     over = page.locator(".waterfall-over").bounding_box()
     screen = page.context.new_cdp_session(page)
 
-    def touch(kind, *places):
+    def touch(kind, *places, area=over):
         points = [
-            {"x": over["x"] + x * over["width"], "y": over["y"] + y * over["height"], "id": k}
+            {"x": area["x"] + x * area["width"], "y": area["y"] + y * area["height"], "id": k}
             for k, (x, y) in enumerate(places)
         ]
         screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
@@ -273,6 +273,15 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
     told = drawn(page)
     assert told["hours"][1] - told["hours"][0] == pytest.approx(4.0 / 3.0)
     assert told["seconds"][1] - told["seconds"][0] == pytest.approx(np.ptp(told["header"]["whole_s"]) / 3.0)
+    # On a chart alike, and the waterfall follows.
+    page.locator("#tof .u-over").scroll_into_view_if_needed()
+    chart = page.locator("#tof .u-over").bounding_box()
+    for kind, part in (("touchStart", 0.4), ("touchMove", 0.2)):
+        touch(kind, (part, 0.5), (1.0 - part, 0.5), area=chart)
+    touch("touchEnd")
+    until(lambda: np.ptp(shown(page)["hours"]) == pytest.approx(4.0 / 9.0, rel=1e-3), "both are zoomed")
+    page.locator("#waterfall .plot").scroll_into_view_if_needed()
+    over = page.locator(".waterfall-over").bounding_box()
     hour, _ = under(0.5, 0.5)
     page.touchscreen.tap(over["x"] + 0.5 * over["width"], over["y"] + 0.5 * over["height"])
     newest = max(index for index in range(N_SETS) if filled.due[index].due_h <= hour)

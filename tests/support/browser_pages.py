@@ -56,7 +56,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open pages; at the end none of them may have complained."""
+    """Open pages; at the end none of them may have complained, or asked for anything elsewhere."""
     contexts: list[Any] = []
     complaints: list[str] = []
 
@@ -82,7 +82,16 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
 
         page.on("console", lambda message: message.type in {"error", "warning"} and complain(message.text))
         page.on("pageerror", lambda error: complain(str(error)))
+        # Data within the page have no host.
+        page.on(
+            "request",
+            lambda request: (
+                urlsplit(request.url).hostname in {None, "127.0.0.1", "localhost"}
+                or complaints.append(f"asked elsewhere: {request.url}")
+            ),
+        )
         page.goto(url)
+        wait_for_scripts(page)
         return page
 
     yield open_
@@ -91,8 +100,15 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
     assert complaints == [], complaints
 
 
+def wait_for_scripts(page: Any) -> None:
+    """Of the dashboard: they come when its tiles are drawn, and no page waits for them to be loaded."""
+    there = "!document.getElementById('later') || Boolean(window.solimonDashboard)"
+    until(lambda: page.evaluate(there), "the page's scripts are there")
+
+
 def dashboard(page: Any, what: str) -> Any:
     """What the dashboard tells of itself, e.g. ``charts.tof.x``."""
+    wait_for_scripts(page)
     return page.evaluate(f"window.solimonDashboard.{what}")
 
 

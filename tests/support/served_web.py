@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import httpx
 from fastapi import FastAPI
@@ -36,6 +37,14 @@ class Served:
     def client(self, **headers: str) -> httpx.Client:
         # Nothing is encrypted: reading all certificates would take longer than most tests.
         return httpx.Client(base_url=self.url, timeout=DEADLINE_S, headers=headers, verify=False)
+
+
+def brought(page: str) -> dict[str, Any]:
+    """Answers that a page of the dashboard brings along, by path."""
+    _, begun, rest = page.partition('<script type="application/json" id="answers">')
+    assert begun
+    answers: dict[str, Any] = json.loads(rest.partition("</script>")[0])
+    return answers
 
 
 @contextmanager

@@ -40,21 +40,19 @@ async function ask(address, request, read) {
   }
 }
 
-/** Answers that were asked for before anybody needed them, by address. @type {Map<string, Promise<any>>} */
-const early = new Map();
+/** Answers that came with the page, by address: whoever asks first has them. @type {Map<string, any>} */
+const brought = new Map(Object.entries(JSON.parse(document.getElementById("answers")?.textContent ?? "{}")).map(([path, answered]) => [BASE + path, answered]));
 
-/** Ask now for what is needed soon: whoever asks first has this answer. @param {string} path of the test @returns {Promise<any>} */
-export function ahead(path) {
-  const asked = json(BASE + path);
-  early.set(BASE + path, asked);
-  return asked;
+/** What came with the page and nobody has asked for yet. @param {string} path of the test */
+export function broughtAlong(path) {
+  return brought.get(BASE + path);
 }
 
 /** @param {string} address @returns {Promise<any>} */
-function json(address) {
-  const asked = early.get(address);
-  early.delete(address);
-  return asked ?? ask(address, { headers: { Accept: "application/json" } }, answer);
+async function json(address) {
+  const answered = brought.get(address);
+  brought.delete(address);
+  return answered ?? ask(address, { headers: { Accept: "application/json" } }, answer);
 }
 
 /** @param {string} path below /api/v1 @param {string} [base] of another test; empty: the service @returns {Promise<any>} */

@@ -60,9 +60,11 @@ const panel = /** @type {SolimonSet} */ (byId("set"));
 const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, toldAt: 0 };
 
 const address = new Address(become);
+/** @type {Reading} */
 const reading = new Reading({ drawn: () => board.drawn(address.view, charted()).all, onBegin, onRead, onColumns, onDetails: showColumns, onWaiting: notice, onTrouble: (error) => failing.fail(error, reading.readAt) });
 const failing = new Failing(byId("failing"));
 const others = new Others(onOthers);
+/** @type {Board} */
 const board = new Board(
   reading,
   others,

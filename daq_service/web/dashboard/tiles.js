@@ -58,9 +58,10 @@ export class Tiles {
 
   /** @param {any} answer of /transducers */
   update(answer) {
+    // What came with the page is told again when the other scripts are there: it ages from its first time on.
+    if (this.asOf !== answer.as_of) this.readAt = performance.now();
     this.states = answer.items;
     this.asOf = answer.as_of;
-    this.readAt = performance.now();
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.position;
     this.root.replaceChildren(...this.states.map((state) => this.tile(state)));
     if (focused) /** @type {HTMLElement | null} */ (this.root.querySelector(`[data-position="${focused}"]`))?.focus();
@@ -141,7 +142,7 @@ export class Tiles {
       el("div", { class: "tile-figure" }, el("span", { class: "figure", text: ratio === null ? NONE : significant(ratio) }), el("span", { class: "figure-note", text: note })),
       gauge(ratio),
       list([
-        ...(verdict?.cause ? [["Cause", causeOf(verdict)]] : []),
+        ...(verdict?.cause ? [/** @type {[string, string]} */ (["Cause", causeOf(verdict)])] : []),
         ["Time of flight", quantity(feature?.tof_pp_s, 1e6, 2, "µs")],
         ["Amplitude ratio", fixed(feature?.amplitude_ratio, 3)],
         ["Quality", feature ? `${feature.quality}, n = ${feature.n_valid}` : NONE],

@@ -47,16 +47,21 @@ class BelowNames:
         self._application.state.answer_times = times
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Open the test for as long as the answer lasts; its page needs no data."""
+        """Open the test for as long as the answer lasts; its page is there without one, too."""
         async with AsyncExitStack() as used:
             try:
                 test = self._tests.named(scope["path_params"]["test"])
-                path = scope["path"].removeprefix(f"/tests/{test.name}")
-                if path != "/" and not path.startswith(PAGE_FILES):
-                    scope["state"]["test"] = await used.enter_async_context(self._tests.opened(test))
             except Problem as problem:
                 await problem_response(scope, problem)(scope, receive, send)
                 return
+            path = scope["path"].removeprefix(f"/tests/{test.name}")
+            try:
+                if not path.startswith(PAGE_FILES) and (path != "/" or scope["state"]["person"]):
+                    scope["state"]["test"] = await used.enter_async_context(self._tests.opened(test))
+            except Problem as problem:
+                if path != "/":
+                    await problem_response(scope, problem)(scope, receive, send)
+                    return
             await self._application(scope, receive, send)
 
 

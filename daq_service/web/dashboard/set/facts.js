@@ -66,7 +66,7 @@ export function distance({ verdict }, limits) {
       ["Limit of outliers", `${significant(limit)} (${verdict.limit_name === "paper_mean_3sd" ? "paper's mean + 3 SD" : verdict.limit_name === "f_predictive" ? `predictive F, ${significant(100 * limits.false_alarm_rate)} % false alarms` : verdict.limit_name})`],
       ["Times the limit", limit && verdict.distance_squared !== null ? significant(verdict.distance_squared / limit) : NONE],
       ["Verdict", word],
-      ...(verdict.cause ? [["Cause", causeOf(verdict)], ["What is seen", verdict.cause_told.sentence], ["What to do", verdict.cause_told.action]] : []),
+      .../** @type {[string, string][]} */ (verdict.cause ? [["Cause", causeOf(verdict)], ["What is seen", verdict.cause_told.sentence], ["What to do", verdict.cause_told.action]] : []),
     ]),
     ...(verdict.limits ? [named(verdict, limits.named)] : []),
   );

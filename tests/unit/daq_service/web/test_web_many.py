@@ -10,7 +10,7 @@ import httpx
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from support.filled_folder import FilledFolder
-from support.served_web import Served, served, served_app, stream_events, take
+from support.served_web import Served, brought, served, served_app, stream_events, take
 from support.told_alarms import notifying
 from support.waiting import until
 
@@ -100,7 +100,9 @@ def test_each_test_has_the_whole_interface_below_its_name(several):
             alone.client() as of_one,
             several.service.client() as of_many,
         ):
-            assert several.client.get(row["page"]).text == of_one.get("/").text
+            pages = (of_one.get("/"), several.client.get(row["page"]))
+            infos = [brought(page.text)["/api/v1/info"] for page in pages]
+            assert infos[0]["name"] == infos[1]["name"] == row["name"]
             for path in ("sets", "features?position=B", "trends/B", "alarms", "waveforms/B/0/0?format=npy"):
                 one, many = of_one.get(f"/api/v1/{path}"), of_many.get(f"{row['api']}/{path}")
                 assert one.status_code == many.status_code == 200
@@ -236,6 +238,7 @@ def test_what_cannot_be_shown_is_listed_with_its_remedy_and_hinders_nobody(tmp_p
             assert row["detail"]
             answer = client.get(f"{row['api']}/info")
             assert answer.status_code == 503
+            assert brought(client.get(row["page"]).text).keys() == {"/api/v1/session"}
             assert (answer.json()["detail"], answer.json()["hint"]) == (row["detail"], row["remedy"])
         assert client.get(f"{rows[-1]['api']}/info").json()["name"] == TWIN.name
         assert client.get("/readyz").json() == {"status": "ok", "data": True, "tests": 7, "shown": 1}
@@ -306,9 +309,9 @@ def test_a_test_is_open_while_it_is_used_and_a_few_of_the_last_ones_stay(several
         client.get("/api/v1/tests")
         client.get("/metrics")
         assert opened() == [], "neither the list nor the metrics keep a test open"
+        client.get("/tests/hole-nr-2/static/main.js")
+        assert opened() == [], "nor do the scripts of its page"
         client.get("/tests/hole-nr-2/")
-        assert opened() == [], "nor does its page"
-        client.get("/tests/hole-nr-2/api/v1/info")
         assert opened() == ["hole-nr-2"]
         client.get("/tests/hole-its-twin/api/v1/info")
         assert opened() == ["hole-its-twin"]
@@ -369,6 +372,7 @@ def test_a_test_whose_own_service_asks_for_tokens_is_not_shown_without_any(sever
         assert row["state"] == "locked"
         assert "web.tokens_file" in row["remedy"]
         assert client.get(f"{row['api']}/info").status_code == 503
+        assert brought(client.get(row["page"]).text).keys() == {"/api/v1/session"}
         assert "locked" not in client.get("/metrics").text
     _, text = create_token(tmp_path / "tokens.json", "ada", "viewer")
     with (

@@ -1,0 +1,72 @@
+"""The dashboard's page brings the first answers along: the API's, to whom may read them."""
+
+import math
+
+import pytest
+from support.filled_folder import FilledFolder
+from support.served_web import brought, served
+
+from daq_service.settings.tree import Settings
+from daq_service.web.doors.tokens import create_token
+from daq_service.web.routes import page
+
+FIRST = ["/api/v1/session", "/healthz", "/api/v1/info", "/api/v1/transducers"]
+LABEL = "</script><!-- <script>alert(1)</script> &lt; \u2028"
+PLACES = {
+    position: place.model_copy(update={"label": LABEL}) for position, place in Settings().positions.items()
+}
+
+
+@pytest.fixture
+def filled(tmp_path):
+    folder = FilledFolder(tmp_path, Settings(positions=PLACES))
+    folder.add_set(0, stored=False)
+    yield folder
+    folder.close()
+
+
+def without_ages(told):
+    """Drop what grows between two answers."""
+    if isinstance(told, list):
+        return [without_ages(one) for one in told]
+    if not isinstance(told, dict):
+        return told
+    return {key: without_ages(value) for key, value in told.items() if key not in {"as_of", "age_h", "stale"}}
+
+
+def test_it_brings_what_the_api_answers_whatever_names_hold(filled):
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        answer = api.get("/")
+        found = brought(answer.text)
+        assert list(found) == FIRST
+        for path in FIRST:
+            assert without_ages(found[path]) == without_ages(api.get(path).json())
+    assert found["/api/v1/info"]["positions"][0]["label"] == LABEL
+    assert answer.text.count("</script>") == answer.text.count("<script ") == 2
+    assert answer.headers["cache-control"] == "no-store"
+
+
+def test_where_a_token_is_asked_for_it_brings_nothing_of_the_test_without_one(filled):
+    _, text = create_token(filled.folder / "tokens.json", "ann", "viewer")
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        for headers in ({}, {"Authorization": "Bearer wrong"}):
+            found = brought(api.get("/", headers=headers).text)
+            assert found == {"/api/v1/session": {"token_needed": True, "name": None, "role": None, "may": []}}
+        found = brought(api.get("/", headers={"Authorization": f"Bearer {text}"}).text)
+        assert list(found) == FIRST
+        assert found["/api/v1/session"]["name"] == "ann"
+
+
+def test_pages_share_answers_for_a_while(filled, monkeypatch):
+    with served(filled.settings, filled.folder) as service, service.client() as api:
+        kept_s = {"hour": math.inf, "moment": -1.0}
+
+        def last_set(kept):
+            monkeypatch.setattr(page, "KEPT_S", kept_s[kept])
+            places = brought(api.get("/").text)["/api/v1/transducers"]["items"]
+            return places[0]["last_set"]["set_index"]
+
+        assert last_set("moment") == 0
+        filled.add_set(1, stored=False)
+        assert last_set("hour") == 0
+        assert last_set("moment") == 1
