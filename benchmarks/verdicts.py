@@ -200,13 +200,14 @@ def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
     raw = np.exp(logs[:, :5])
     baseline = fit_baseline(raw[:BASELINE], range(BASELINE), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
+    beyond = distance_squared(raw, baseline) > limit
     memory, state = Recollection(), AlarmState()
     calls: Counter[str] = Counter()
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
         memory = recollected(memory, design.mean, logs[index], index)
-        state = next_alarm_state(state, bool(distance_squared(raw[index], baseline) > limit), RULE)
+        state = next_alarm_state(state, bool(beyond[index]), RULE)
         told = verdict_of(memory, design, suspicious=state.active)
         memory = remembering(memory, told)
         if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
