@@ -200,13 +200,13 @@ def predictive_counts(outcomes: Sequence[Outcome], *, draws: int = 4000) -> tupl
 
 
 def all_runs(
-    seeds: Sequence[int], scales: Sequence[float], hours: float, nuisance: str, why: bool
+    seeds: Sequence[int], scales: Sequence[float], hours: float, nuisance: str, why: bool, positions: str
 ) -> list[Run]:
     runs = [
         Run(position=position, seed=seed, scale=scale, drift=True, hours=hours, nuisance=nuisance, why=why)
         for scale in scales
         for seed in seeds
-        for position in "BCD"
+        for position in positions
     ]
     if nuisance != "none":
         return runs  # not even without the drift are sets independent and normal
@@ -256,10 +256,18 @@ def main() -> int:
     parser.add_argument("--nuisance", default="none", help="level of nuisance of the twin")
     parser.add_argument("--why", action="store_true", help="also what charts designed otherwise would say")
     parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes")
+    parser.add_argument("--positions", default="BCD")
     parser.add_argument("--only-d", action="store_true", help="only D with the drift off")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    runs = all_runs(range(1, options.seeds + 1), options.scales, options.hours, options.nuisance, options.why)
+    runs = all_runs(
+        range(1, options.seeds + 1),
+        options.scales,
+        options.hours,
+        options.nuisance,
+        options.why,
+        options.positions,
+    )
     if options.only_d:
         runs = [run for run in runs if not run.drift]
     outcomes = []

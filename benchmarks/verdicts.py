@@ -193,20 +193,21 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
     return struck[0], struck[1], depth
 
 
-def run(case: Case, level: str, model: str, seed: int) -> dict[str, Any]:
-    """Judge one run; depths and sets are None where it was never called so."""
+def run(case: Case, level: str, model: str, seed: int, baseline_sets: int = BASELINE) -> dict[str, Any]:
+    """Judge one run by the last sets before `BASELINE`; depths are None where it was never called so."""
     logs, beside, depths = sets_of(case, level, model, seed)
-    design = cause_design(logs[:BASELINE])
+    design = cause_design(logs[BASELINE - baseline_sets : BASELINE], BASELINE - baseline_sets)
     raw = np.exp(logs[:, :5])
-    baseline = fit_baseline(raw[:BASELINE], range(BASELINE), name="b")
+    baseline = fit_baseline(raw[BASELINE - baseline_sets : BASELINE], range(baseline_sets), name="b")
     limit = f_predictive_limit(baseline.n, baseline.p, NOMINAL_RATE)
+    beyond = distance_squared(raw, baseline) > limit
     memory, state = Recollection(), AlarmState()
     calls: Counter[str] = Counter()
     first: dict[str, float | None] = {"wall": None, "f": None}
     confirmed_at = -CONFIRMED_FOR
     for index in range(BASELINE, BASELINE + AFTER):
         memory = recollected(memory, design.mean, logs[index], index)
-        state = next_alarm_state(state, bool(distance_squared(raw[index], baseline) > limit), RULE)
+        state = next_alarm_state(state, bool(beyond[index]), RULE)
         told = verdict_of(memory, design, suspicious=state.active)
         memory = remembering(memory, told)
         if told.cause not in (OK, COUPLING) and index - confirmed_at >= CONFIRMED_FOR:
@@ -270,6 +271,7 @@ def main() -> None:
     parser.add_argument("--levels", default=",".join(NUISANCE))
     parser.add_argument("--models", default=",".join(MODELS))
     parser.add_argument("--only", default=",".join(CASES), help=f"of {', '.join(CASES)}")
+    parser.add_argument("--baseline-sets", type=int, default=BASELINE, help="the last ones of 200")
     parser.add_argument("--workers", type=int, default=1, help="processes")
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
     options = parser.parse_args()
@@ -278,7 +280,7 @@ def main() -> None:
         judged(model)
     electronic_sd()
     todo = [
-        (CASES[case], level, models[k % len(models)], options.first_seed + k)
+        (CASES[case], level, models[k % len(models)], options.first_seed + k, options.baseline_sets)
         for level in options.levels.split(",")
         for case in options.only.split(",")
         for k in range(options.runs)

@@ -10,20 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from analysis.causes.hypotheses import PRIOR, Hypothesis, hypotheses
+from analysis.causes.noise import ends_of, variances_of
 from analysis.causes.slopes import COMPONENTS
 from analysis.errors import InvalidInputError, SingularCovarianceError
 from analysis.statistics.baseline import whitening_matrix
-from analysis.statistics.chart import widened_phi
-from analysis.statistics.memory import guarded_phi
 from analysis.waves.record_reduction import FloatArray
 
 STEPS = np.unique(np.round(np.geomspace(1.0, 250.0, 100)))
 """Sets since a step. Finely, or a gross step between two of them would fit a growth better."""
-GROWTHS = np.round(np.geomspace(32.0, 512.0, 8))
-"""Sets since a growth began: no wall is lost in a day of sets, and faster ones hardly differ from a step."""
+GROWTHS = np.round(np.geomspace(64.0, 512.0, 7))
+"""Sets since a growth began, or all since the baseline where these are fewer: no wall is lost in a day of
+sets, and faster ones hardly differ from a step."""
+FEWEST_GROWN = 32
+"""Sets since the baseline without which nothing is said to grow."""
 POWERS = (1.0, 2.0)
 """Of a growth in time: even, or ever faster, as the time of flight over an even loss of wall."""
-BLOCKS = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,10 +37,12 @@ class CauseDesign:
         Of the seven logarithms, shape (7,).
     whitening
         Turns a change of the logarithms, shape (7,), into one with covariance 1: row @ whitening.
-    phi
-        Memory from set to set, of all components together.
-    slow_variance
-        Of the difference between the baseline's mean and the transducer's slow mean, in units of a set's.
+    n, last_index
+        Complete sets of the baseline, and the index of the last one.
+    variances_in_time
+        Of each part that varies in time (`noise.MEMORIES_SETS`), shape (7,).
+    ends
+        Averages of the changes when the baseline ended, shape (2, 7).
     rows
         Which hypotheses stand for a cause.
     weights
@@ -54,8 +57,10 @@ class CauseDesign:
 
     mean: FloatArray
     whitening: FloatArray
-    phi: float
-    slow_variance: float
+    n: int
+    last_index: int
+    variances_in_time: FloatArray
+    ends: FloatArray
     rows: Mapping[str, list[int]]
     weights: FloatArray
     abrupt: NDArray[np.intp]
@@ -71,13 +76,15 @@ def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
     return np.log(known) if len(known) == len(found) else None
 
 
-def cause_design(history: ArrayLike) -> CauseDesign:
+def cause_design(history: ArrayLike, first_index: int = 0) -> CauseDesign:
     """Design from the baseline's sets.
 
     Parameters
     ----------
     history
         Logarithms in the order of time, shape (n, 7); rows of NaN are gaps and keep their place.
+    first_index
+        Of the first one in the plan.
 
     Raises
     ------
@@ -87,9 +94,10 @@ def cause_design(history: ArrayLike) -> CauseDesign:
     x = np.asarray(history, dtype=np.float64)
     if x.ndim != 2 or x.shape[1] != len(COMPONENTS):
         raise InvalidInputError(f"history has shape {x.shape}; it must be (n, {len(COMPONENTS)})")
-    complete = x[np.isfinite(x).all(axis=1)]
+    indices = np.flatnonzero(np.isfinite(x).all(axis=1))
+    complete = x[indices]
     n, p = complete.shape
-    mean, phi = complete.mean(axis=0), float(widened_phi(guarded_phi(x), n).mean())
+    mean = complete.mean(axis=0)
     # Inverse of a covariance estimated from few sets is too large by this.
     covariance = np.cov(complete, rowvar=False) * (n - 1.0) / (n - p - 2.0)
     sd = np.sqrt(np.diag(covariance))
@@ -102,8 +110,10 @@ def cause_design(history: ArrayLike) -> CauseDesign:
     return CauseDesign(
         mean=mean,
         whitening=whitening,
-        phi=phi,
-        slow_variance=_slow_variance((complete - mean) @ whitening, phi),
+        n=n,
+        last_index=first_index + int(indices[-1]),
+        variances_in_time=variances_of((complete - mean) @ whitening, indices),
+        ends=ends_of(complete - mean),
         rows={cause: [k for k, one in enumerate(known) if one.cause == cause] for cause in PRIOR},
         weights=np.array([_weights(one) for one in known]),
         abrupt=np.flatnonzero([one.abrupt > 0.0 for one in known]),
@@ -111,15 +121,6 @@ def cause_design(history: ArrayLike) -> CauseDesign:
         directions=directions,
         means=np.einsum("hi,hij->hj", np.array([one.mean for one in known]) @ whitening, directions),
     )
-
-
-def _slow_variance(whitened: FloatArray, phi: float) -> float:
-    """Variance of means of a tenth of the baseline, at least that of the baseline's own mean."""
-    n = len(whitened)
-    length = max(1, n // BLOCKS)
-    blocks = n // length
-    means = whitened[: blocks * length].reshape(blocks, length, -1).mean(axis=1)
-    return max(float((means**2).mean()), (1.0 + phi) / (1.0 - phi) / n)
 
 
 def _weights(one: Hypothesis) -> FloatArray:

@@ -36,9 +36,10 @@ RE_SEATS = 0.9
 """Part of what happens to contacts that comes from one set to the next; the others age, dry or get dirty."""
 
 MISMATCH = 0.2
-"""SD of the part by which a real wall or contact changes a feature more or less than the model's: the solid
-plate, a wet face and other dashpots differ so (`benchmarks/verdicts.py`). What is 0 is 0 on all: no wall
-acts on the incident wave, no gain on a time."""
+"""SD of the part by which a real contact changes a feature more or less than the model's, and a real wall all
+of them alike. What is 0 is 0 on all: no wall acts on the incident wave, no gain on a time."""
+WALL_MISMATCH = 0.1
+"""The same of a wall, each feature alone: what no other depth explains (assumption)."""
 SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of each source's usual size below, to either side."""
 
@@ -125,7 +126,7 @@ def _walls() -> Iterator[Signature]:
         curve = np.vstack([np.zeros(len(patch[0])), patch])
         for depth in TRIED_DEPTHS:
             change = np.array([np.interp(depth, (0.0, *DEPTHS), column) for column in curve.T])
-            yield change, np.diag((MISMATCH * change) ** 2)
+            yield change, MISMATCH**2 * np.outer(change, change) + np.diag((WALL_MISMATCH * change) ** 2)
 
 
 def _spread(covariances: Sequence[FloatArray]) -> Iterator[Signature]:

@@ -34,6 +34,8 @@ class Recollection:
         Sets judged so far, or since a re-seat was named.
     wall
         A wall was named, and the transducer was not healthy since.
+    likely
+        The last set, or its confirmation, was sure of a wall: the next one that is names it.
     changes
         Averages of the change from the baseline's mean, one for each of `RATES`; shape (3, 7).
     index
@@ -49,6 +51,7 @@ class Recollection:
 
     n: int = 0
     wall: bool = False
+    likely: bool = False
     changes: tuple[tuple[float, ...], ...] = NOTHING
     index: int | None = None
     gap: int = 0
@@ -95,6 +98,7 @@ def recollected(before: Recollection, mean: FloatArray, logs: FloatArray, index:
     return Recollection(
         n=n,
         wall=before.wall,
+        likely=before.likely,
         changes=tuple(tuple(one.tolist()) for one in averages),
         index=index,
         gap=gap,
@@ -121,7 +125,7 @@ def with_confirmation(memory: Recollection, mean: FloatArray, logs: FloatArray) 
 
 def begun_anew(memory: Recollection, moved: tuple[float, ...]) -> Recollection:
     """Begin again from where the transducer sits now; empty: as in its baseline."""
-    return replace(memory, n=0, changes=NOTHING, gap=0, gap_ago=0, beside=(), beside_ago=0, moved=moved)
+    return Recollection(wall=memory.wall, index=memory.index, moved=moved)
 
 
 def weights(n: int, beside_ago: int | None = None) -> FloatArray:

@@ -15,16 +15,16 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.causes.design import GROWTHS, POWERS, STEPS, CauseDesign
+from analysis.causes.design import FEWEST_GROWN, GROWTHS, POWERS, STEPS, CauseDesign
 from analysis.causes.hypotheses import COUPLING, OK, WALL
 from analysis.causes.memory import (
     MOST_AVERAGED,
     SETTLING,
     Recollection,
     begun_anew,
-    covariance_of_averages,
     weights,
 )
+from analysis.causes.noise import covariances
 from analysis.causes.slopes import COMPONENTS
 from analysis.waves.record_reduction import FloatArray
 
@@ -33,6 +33,8 @@ STATED = 0.9
 """Least probability of a cause that is named."""
 FEWEST_AVERAGED = 10
 """Sets: the three averages of one or two are copies of each other."""
+MOST_REMEMBERED = 2000
+"""Sets after which even the slowest wander has nothing in common with the baseline's."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,6 +86,8 @@ def verdict_of(memory: Recollection, design: CauseDesign, *, suspicious: bool = 
     # A wall does not heal: nothing but a healthy transducer takes it back.
     contact &= not memory.wall
     unsure = (likeliest == COUPLING and not contact) or (memory.wall and likeliest != WALL)
+    # Of many healthy sets one may look like a wall; two running, a confirmation counting, hardly ever do.
+    unsure |= likeliest == WALL and not (memory.wall or memory.likely)
     if moved and likeliest == OK:
         # As it has been since its contact moved, whatever a chart says that knows nothing of that.
         named = likeliest = COUPLING
@@ -116,7 +120,11 @@ def remembering(memory: Recollection, verdict: CauseVerdict) -> Recollection:
     if verdict.reseated:
         return begun_anew(memory, memory.beside)
     healthy = verdict.cause in (OK, COUPLING)
-    memory = replace(memory, wall=verdict.cause == WALL or (memory.wall and not healthy))
+    memory = replace(
+        memory,
+        wall=verdict.cause == WALL or (memory.wall and not healthy),
+        likely=verdict.probabilities[WALL] >= STATED,
+    )
     return begun_anew(memory, ()) if verdict.returned else memory
 
 
@@ -124,11 +132,9 @@ def _posterior(
     memory: Recollection, design: CauseDesign, *, from_moved: bool
 ) -> tuple[dict[str, float], float]:
     """Probability of each cause, and of a step, of what changed since the baseline or since a re-seat."""
-    averages, noise = memory.averages(from_moved=from_moved), _noise(memory, design, from_moved=from_moved)
+    seen, noise, course = _seen(memory, design, from_moved=from_moved)
     whole = np.linalg.inv(np.linalg.cholesky(noise))
-    seen = whole @ averages @ design.whitening
-    n, beside_ago = min(max(memory.n, 1), MOST_AVERAGED), memory.beside_ago if memory.beside else None
-    course = _courses(n, memory.gap, memory.gap_ago, beside_ago) @ whole.T
+    seen, course = whole @ seen @ design.whitening, course @ whole.T
     length = np.sqrt((course**2).sum(axis=1))
     along = (course / length[:, None]) @ seen
     steps = _log_densities(design, design.abrupt, along[: len(STEPS)], length[: len(STEPS)])
@@ -136,7 +142,7 @@ def _posterior(
     log = np.full(design.weights.shape, -np.inf)
     log[design.abrupt, : len(STEPS)], log[:, len(STEPS) :] = steps, growths
     beforehand = design.weights.copy()
-    if memory.n + memory.gap < GROWTHS[0]:
+    if memory.n + memory.gap < FEWEST_GROWN:
         beforehand[:, len(STEPS) :] = 0.0
     share = np.exp(log - log.max()) * beforehand
     share /= share.sum()
@@ -177,17 +183,25 @@ def _courses(n: int, gap: int, gap_ago: int, beside_ago: int | None) -> FloatArr
     return np.asarray(course @ weights(n, beside_ago).T)
 
 
-def _noise(memory: Recollection, design: CauseDesign, *, from_moved: bool) -> FloatArray:
-    """Covariance of what a healthy transducer's memory holds, in units of a set's; shape (r, r).
+def _seen(
+    memory: Recollection, design: CauseDesign, *, from_moved: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Give what the memory holds, its covariance while nothing changes (a set's is 1), and the courses in it.
 
-    The slow mean adds to all, to a confirmation's too, and where it sits since a re-seat is learnt from sets.
+    Where the wander stood when the baseline ended tells where it may be now, until a re-seat.
+
+    Returns
+    -------
+    seen, noise, course
+        Shapes (r, 7), (r, r), (s, r).
     """
-    n = min(max(memory.n, FEWEST_AVERAGED), MOST_AVERAGED)
-    noise = _of_averages(n, design.phi, memory.beside_ago if memory.beside else None)
-    slow = design.slow_variance
+    n, beside_ago = min(max(memory.n, 1), MOST_AVERAGED), memory.beside_ago if memory.beside else None
+    averaged, reference = max(n, FEWEST_AVERAGED), min(n, SETTLING) if from_moved else design.n
+    since = memory.n if from_moved or memory.index is None else memory.index - design.last_index
+    parts = covariances(averaged, min(max(since, averaged), MOST_REMEMBERED), beside_ago, reference)
+    seen, noise = memory.averages(from_moved=from_moved), np.tensordot(design.variances_in_time, parts, 1)
+    course = _courses(n, memory.gap, memory.gap_ago, beside_ago)
+    ends = len(design.ends)
     if from_moved:
-        slow += (1.0 + design.phi) / (1.0 - design.phi) / min(max(memory.n, 1), SETTLING)
-    return np.asarray(noise + slow)
-
-
-_of_averages = lru_cache(maxsize=512)(covariance_of_averages)
+        return seen, noise[ends:, ends:], course
+    return np.vstack([design.ends, seen]), noise, np.hstack([np.zeros((len(course), ends)), course])

@@ -34,7 +34,7 @@ class Guidance:
 
 GUIDANCE: Mapping[str, Guidance] = {
     "wall_change": Guidance(
-        says="sets here are no longer like the baseline: by the chart, or 3 of the last 5 judged ones",
+        says="sets here are no longer like the baseline: by chart or cause, or 3 of the last 5 judged ones",
         does_not_say="that it is corrosion, nor how deep",
         look_first=(
             "the control position: does it move, too?",

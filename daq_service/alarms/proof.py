@@ -97,17 +97,25 @@ def _what_it_rests_on(proof: Proof) -> Iterator[str]:
 
 
 def _by_chart(proof: Proof) -> Iterator[str]:
+    by_cause = proof.get("raised_by") == "cause"
     if told := _known(proof, "set_index", "chart", "limit"):
         set_index, chart, limit = told
+        lasted = "" if by_cause else "; it averages over sets, so the change has lasted"
         yield (
             f"With set {set_index} the chart stands at {_number(chart)}, {_number(chart / limit)} times its "
-            f"limit of {_number(limit)}; it averages over sets, so the change has lasted."
+            f"limit of {_number(limit)}{lasted}."
+        )
+    if by_cause:
+        yield (
+            "It is not the chart that raised the alarm: two sets running, a confirmation counting as one, "
+            "told the wall apart from every other cause. No rate of false alarms is promised for that; "
+            "it was tried on the twin only."
         )
     if told := _known(proof, "contributions"):
         yield from _contributions(told[0], to="the chart")
-    if told := _known(proof.get("rule") or {}, "false_alarms_per_sensor_year"):
+    if (told := _known(proof.get("rule") or {}, "false_alarms_per_sensor_year")) and not by_cause:
         yield f"The limit is made for {told[0]:g} false alarms of a healthy sensor a year."
-    if told := _known(proof, "why_not_guaranteed"):
+    if (told := _known(proof, "why_not_guaranteed")) and not by_cause:
         yield f"That rate is not promised here: {told[0]}."
     if told := _known(proof, "distance_squared"):
         yield f"The set alone has a squared distance of {_number(told[0])} from the baseline (equation 16)."

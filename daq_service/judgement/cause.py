@@ -56,7 +56,7 @@ def averages_of(memory: Recollection) -> dict[str, list[float]]:
     changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
     index = -1 if memory.index is None else memory.index
     found = {
-        _COUNT: [float(memory.n), float(memory.wall)],
+        _COUNT: [float(memory.n), float(memory.wall), float(memory.likely)],
         **changes,
         _PLACE: [float(number) for number in (index, memory.gap, memory.gap_ago, memory.beside_ago)],
     }
@@ -73,11 +73,12 @@ def recollection_of(averages: Mapping[str, Sequence[float]]) -> Recollection | N
     """Give back what `averages_of` gave; None: an earlier version kept none."""
     if _COUNT not in averages:
         return None
-    n, wall = averages[_COUNT]
+    n, wall, *likely = averages[_COUNT]  # an earlier version kept two
     index, gap, gap_ago, beside_ago = (int(number) for number in averages.get(_PLACE, (-1, 0, 0, 0)))
     return Recollection(
         n=int(n),
         wall=bool(wall),
+        likely=likely == [1.0],
         changes=tuple(tuple(averages[name]) for name in _NAMES),
         index=None if index < 0 else index,
         gap=gap,
@@ -98,7 +99,7 @@ def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> CauseDesign | Non
     for index, found in logs:
         history[index - first] = found
     try:
-        return cause_design(history)
+        return cause_design(history, first)
     except SingularCovarianceError:
         return None
 

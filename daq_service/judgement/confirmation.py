@@ -81,14 +81,15 @@ def suspicion(before: State, after: State, verdict: Verdict, rules: Rules) -> st
     """
     if verdict.in_baseline or verdict.outlier is None:
         return ""
-    if _alarms(after, rules) and not _alarms(before, rules):
+    if alarms(after, rules) and not alarms(before, rules):
         return ALARM
     return STEP if verdict.outlier and not any(before.alarm.recent) else ""
 
 
-def _alarms(state: State, rules: Rules) -> bool:
+def alarms(state: State, rules: Rules) -> bool:
+    """Tell whether something has changed for good: by the chart or a wall that is named, or by k of n."""
     if rules.decides_by == "chart" and state.memory is not None:
-        return state.memory.alarming
+        return state.memory.alarming or state.recollection.wall
     return state.alarm.active
 
 

@@ -1,7 +1,7 @@
 """What a transducer's verdicts say of `wall_change` and `transducer_change`: in which words, with what proof.
 
-The chart decides, or k of n sets beyond a limit, as the configuration says. Where a baseline has no chart,
-k of n decides in any case.
+The chart decides, and beside it a cause that was named the wall; or k of n sets beyond a limit, as the
+configuration says. Where a baseline has no chart, k of n decides in any case.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from analysis.statistics.design import Design, Memory, parts_of
+from analysis.statistics.design import Design, parts_of
 from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
 from daq_service.catalogue.rows import VerdictRow
 from daq_service.judgement.cause import NOT_THE_WALL, said
+from daq_service.judgement.confirmation import alarms
 from daq_service.judgement.solitary_wave_step import Rules, State
 from daq_service.judgement.stored_limits import limits_by_name, statistic_of
 
@@ -25,6 +26,8 @@ CHART_FORMULA = (
     "T = (2 - w)/w |z|^2, z = w u + (1 - w) z of the set before, w = 0.1; u: what is new in the set, "
     "whitened, cut back to the F limit of 1 %"
 )
+CAUSE = "cause"
+"""What raised an alarm that the chart did not."""
 REMEDY = "wall or transducer has changed; inspect"
 
 
@@ -36,7 +39,7 @@ def wall_conditions(position: str, state: State, rules: Rules, verdict: VerdictR
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
-        present, times_limit, message, proof = _by_chart(position, design, state.memory, rules, verdict)
+        present, times_limit, message, proof = _by_chart(position, design, state, rules, verdict)
     else:
         present, times_limit, message, proof = _by_k_of_n(position, state, rules, verdict)
     message += said(verdict.cause, verdict.cause_probability, verdict.cause_told) or REMEDY
@@ -78,7 +81,9 @@ def promise(design: Design, budget: float) -> str:
 Said = tuple[bool, float | None, str, dict[str, Any]]
 
 
-def _by_chart(position: str, design: Design, memory: Memory, rules: Rules, verdict: VerdictRow) -> Said:
+def _by_chart(position: str, design: Design, state: State, rules: Rules, verdict: VerdictRow) -> Said:
+    memory = state.memory
+    assert memory is not None, "the caller has looked"
     limit, average = design.limits[CHART], np.array(memory.averages[CHART])
     parts = parts_of(average)
     statistic = float(parts.sum())
@@ -86,10 +91,14 @@ def _by_chart(position: str, design: Design, memory: Memory, rules: Rules, verdi
     told = (
         f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
         f"({promise(design, budget)}): "
+        if memory.alarming
+        else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
+        f"below its limit of {limit:.1f}: "
     )
     proof = {
         "formula": CHART_FORMULA,
         "rule": {"false_alarms_per_sensor_year": budget},
+        "raised_by": CHART if memory.alarming else CAUSE,
         "chart": statistic,
         "limit_name": CHART,
         "limit": limit,
@@ -97,7 +106,7 @@ def _by_chart(position: str, design: Design, memory: Memory, rules: Rules, verdi
         "rate_guaranteed": not design.why_not_guaranteed,
         "why_not_guaranteed": design.why_not_guaranteed or None,
     }
-    return memory.alarming, statistic / limit, told, proof
+    return alarms(state, rules), statistic / limit, told, proof
 
 
 def _by_k_of_n(position: str, state: State, rules: Rules, verdict: VerdictRow) -> Said:

@@ -168,6 +168,9 @@ class AlarmProof(BaseModel):
     set_index: int | None = Field(default=None, description="Set that decided")
     distance_squared: float | None = Field(default=None, description="Squared distance of that set")
     limit_name: str | None = Field(default=None, description="The limit that decides")
+    raised_by: str | None = Field(
+        default=None, description="Where the chart decides: `chart`, or `cause`, a wall that is named"
+    )
     chart: float | None = Field(default=None, description="Statistic of the chart, where it decides")
     limit: float | None = Field(default=None, description="That limit")
     rate_guaranteed: bool | None = Field(default=None, description="The chart keeps to its budget")

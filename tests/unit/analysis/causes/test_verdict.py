@@ -28,7 +28,7 @@ from analysis.causes.slopes import (
     TILT,
     WALL_B,
 )
-from analysis.causes.verdict import CANNOT_TELL, CauseVerdict, remembering, verdict_of
+from analysis.causes.verdict import CANNOT_TELL, STATED, CauseVerdict, remembering, verdict_of
 from analysis.errors import InvalidInputError
 from analysis.waves.record_reduction import FloatArray
 
@@ -150,10 +150,46 @@ def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_tol
         cause_design(healthy(1)[:200, :5])
 
 
-def test_few_sets_make_a_design_too_and_know_their_means_less_well() -> None:
+def test_few_sets_make_a_design_too_and_tell_less_of_a_small_change() -> None:
     few, many = (cause_design(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, CauseDesign)
-    assert few.slow_variance > 3.0 * many.slow_variance
+    change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
+    told = [verdict_of(Recollection(n=60, index=300, changes=change), one) for one in (few, many)]
+    assert told[0].probabilities[OK] > 0.9 > 0.5 > told[1].probabilities[OK]
+
+
+def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began() -> None:
+    history = healthy(6)[:BASELINE]
+    change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
+
+    def ok(first_index: int, index: int) -> float:
+        design = cause_design(history, first_index)
+        return verdict_of(Recollection(n=60, index=index, changes=change), design).probabilities[OK]
+
+    assert ok(0, BASELINE + 59) == ok(700, 700 + BASELINE + 59)
+    # Long after the baseline the same change is more often a wander's.
+    assert ok(0, BASELINE + 1500) > ok(0, BASELINE + 59) + 0.05
+
+
+def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> None:
+    logs = healthy(2)
+    logs[BASELINE:] += wall(0.4)
+    design = cause_design(logs[:BASELINE])
+    memory = Recollection()
+    for index in range(BASELINE, BASELINE + AFTER):
+        memory = recollected(memory, design.mean, logs[index], index)
+        verdict = verdict_of(memory, design)
+        if verdict.probabilities[WALL] >= STATED:
+            break
+        memory = remembering(memory, verdict)
+    assert verdict.cause == CANNOT_TELL
+    memory = remembering(memory, verdict)
+    following = recollected(memory, design.mean, logs[index + 1], index + 1)
+    assert verdict_of(following, design).cause == WALL
+    beside = with_confirmation(memory, design.mean, logs[index + 1])
+    assert verdict_of(beside, design).cause == WALL
+    healthy_again = remembering(memory, verdict_of(Recollection(), design))
+    assert not healthy_again.likely
 
 
 def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
@@ -196,8 +232,10 @@ def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
     memory = Recollection()
     for index in (*range(BASELINE, BASELINE + 5), *range(BASELINE + 110, BASELINE + 114)):
         memory = recollected(memory, design.mean, logs[index], index)
+        verdict = verdict_of(memory, design)
+        memory = remembering(memory, verdict)
     assert (memory.gap, memory.gap_ago) == (105, 4)
-    assert verdict_of(memory, design).cause == WALL
+    assert verdict.cause == WALL
     # Had the plan been without a gap, it would have come at once.
     assert verdict_of(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
 

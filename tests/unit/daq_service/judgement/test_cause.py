@@ -117,6 +117,32 @@ def test_what_cannot_be_told_is_an_alarm_of_the_wall():
     assert wall.message.endswith("wall or transducer has changed; inspect")
 
 
+def test_a_wall_that_is_named_is_an_alarm_where_the_chart_sees_nothing_yet_and_says_so():
+    chart = replace(RULES, decides_by="chart")
+    state, verdict = run(CHANGES[OK])
+    quiet = replace(state.memory, alarming=False)
+    healthy, row = replace(state, memory=quiet), row_of(verdict)
+    named = replace(healthy, recollection=replace(state.recollection, wall=True))
+    told = replace(row, cause=WALL, cause_probability=0.97)
+    assert not wall_conditions("B", healthy, chart, row)[0].present
+    wall, transducer = wall_conditions("B", named, chart, told)
+    assert (wall.present, transducer.present) == (True, False)
+    assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
+    assert wall.proof["raised_by"] == "cause"
+    assert any(
+        "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
+    )
+    # What is not sure any more does not take it back, only health does.
+    unsure = replace(told, cause=CANNOT_TELL)
+    assert wall_conditions("B", named, chart, unsure)[0].present
+    # Where k of n sets decide, they alone do.
+    assert not wall_conditions("B", named, RULES, told)[0].present
+    alarming = replace(named, memory=replace(quiet, alarming=True))
+    by_chart = wall_conditions("B", alarming, chart, told)[0]
+    assert by_chart.proof["raised_by"] == "chart"
+    assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
+
+
 def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
     change = CHANGES[WALL]
     state, whole = run(change)
@@ -129,6 +155,9 @@ def test_a_restart_goes_on_with_what_a_stored_verdict_keeps():
     assert verdict.cause == whole.cause
     assert resumed.recollection == state.recollection
     assert recollection_of({"average": [0.0]}) is None
+    # An earlier version kept no word on whether the last set was sure of a wall.
+    earlier = recollection_of(kept | {"changes_count": kept["changes_count"][:2]})
+    assert earlier == replace(before.recollection, likely=False)
 
 
 def test_a_set_without_an_incident_wave_s_width_leaves_what_is_remembered():
