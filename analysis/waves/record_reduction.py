@@ -26,7 +26,9 @@ MAD_TO_SD = 1.4826
 TOP_SMOOTHING_S = 11e-6
 """Moving mean that says where a pulse's top begins and ends, and finds maxima; it lowers 65 us by 1 %."""
 COARSEST_MEDIAN_BIN = 16
-"""In a lower bin of the noise's histogram, one bin would be more than 6 % of the median."""
+"""In a lower bin of the noise's differences, one bin would be more than 6 % of the median."""
+USUAL_MEDIAN_BIN = 54
+"""Of normal noise: 64 x .6745 / .7979."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -240,9 +242,9 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> tuple[FloatArra
 def noise_rms(samples_v: FloatArray) -> float:
     """White noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum and offset.
 
-    The median is read from a histogram in bins of 1/64 of the mean, linearly inside a bin, at a third of
-    a partition's cost. Where few large differences make the mean, the bins are too wide and the
-    median is taken exactly.
+    The median is sought in bins of 1/64 of the mean, linearly inside a bin, from where it usually lies: a few
+    counts cost a sixth of a partition. Where few large differences make the mean, the bins are too wide and
+    the median is taken exactly.
     """
     difference = samples_v[1:] - samples_v[:-1]
     np.abs(difference, out=difference)
@@ -250,15 +252,16 @@ def noise_rms(samples_v: FloatArray) -> float:
     if mean == 0.0:
         return 0.0
     bins = difference * (64.0 / mean)
-    # The median is at most twice the mean, bin 128: whatever lies beyond bin 255 need not be told apart.
-    np.minimum(bins, 255.0, out=bins)
-    histogram = np.bincount(bins.astype(np.intp))
-    below = np.cumsum(histogram)
     middle = 0.5 * difference.size
-    k = int(np.searchsorted(below, middle))
+    k = USUAL_MEDIAN_BIN
+    below, within = (int(np.count_nonzero(bins < edge)) for edge in (k, k + 1))
+    while within < middle and k < 128:  # it is at most twice the mean
+        k, below, within = k + 1, within, int(np.count_nonzero(bins < k + 2))
+    while below >= middle:
+        k, below, within = k - 1, int(np.count_nonzero(bins < k - 1)), below
     if k < COARSEST_MEDIAN_BIN:
         return MAD_TO_SD * median(difference) / math.sqrt(2.0)
-    inside = (middle - (float(below[k]) - float(histogram[k]))) / float(histogram[k])
+    inside = (middle - below) / (within - below)
     return MAD_TO_SD * (k + inside) * mean / 64.0 / math.sqrt(2.0)
 
 
