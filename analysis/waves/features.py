@@ -140,10 +140,17 @@ class ShotFeatures:
 
 def graded(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
     """Give a shot its flags, in the order of `FLAGS`, and what follows from them."""
+    return replace(shot, **_grade(found))
+
+
+def _grade(found: Collection[str]) -> dict[str, Any]:
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
-    quality: Quality = "bad" if not valid else "suspect" if flags else "good"
-    return replace(shot, flags=flags, valid=valid, quality=quality)
+    return {
+        "flags": flags,
+        "valid": valid,
+        "quality": "bad" if not valid else "suspect" if flags else "good",
+    }
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,13 +196,27 @@ def extract_features(waveform: Waveform, settings: ExtractionSettings = Extracti
     RecordError
         The record is too short, too coarse or has no pre-trigger (a poor shot is flagged instead).
     """
-    return extract_from_volts(
-        waveform.volts(),
-        waveform.sample_rate_hz,
-        waveform.pretrigger_samples,
-        clipped=waveform.clipped,
-        settings=settings,
-    )
+    return extract_all([waveform], settings)[0]
+
+
+def extract_all(
+    waveforms: Sequence[Waveform],
+    settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
+) -> list[ShotFeatures]:
+    """Features of each of many shots, to the last bit those that it has alone.
+
+    One step after the other for all of them costs less than one shot after the other: a processor that
+    repeats itself has at hand what it needs.
+
+    Raises
+    ------
+    RecordError
+        As for `extract_features`, where any record asks for it.
+    """
+    given = [
+        _Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms
+    ]
+    return _extracted(given, settings)
 
 
 def extract_from_average(
@@ -247,30 +268,61 @@ def extract_from_volts(
         Also tell the standard deviation of each (`analysis.waves.uncertainty`).
     """
     samples = np.asarray(volts_v, dtype=np.float64)
-    if samples.ndim != 1 or not np.isfinite(samples.sum()):
-        raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
-    record = reduce_record(samples, sample_rate_hz, pretrigger_samples, settings)
-    pulses = find_pulses(record, settings)
-    found = {"clipped"} if clipped else set()
-    pull, pulled = math.nan, False
-    if pulses.isw is not None:
-        psw_time_s = None if pulses.psw is None else pulses.psw.time_s
-        pull, pulled = deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
-    found |= _flags(record, pulses, settings, sample_rate_hz, pulled=pulled)
-    flags = tuple(flag for flag in FLAGS if flag in found)
-    valid = INVALIDATING_FLAGS.isdisjoint(flags)
+    if samples.ndim != 1:
+        raise RecordError(f"volts_v must be of shape (n_samples,), got {samples.shape}")
+    given = _Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
+    return _extracted([given], settings, with_sd=with_sd)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """A record in volts, shape (n_samples,)."""
+
+    samples_v: FloatArray
+    sample_rate_hz: float
+    pretrigger_samples: int
+    clipped: bool
+
+
+def _extracted(
+    given: Sequence[_Given], settings: ExtractionSettings, *, with_sd: bool = False
+) -> list[ShotFeatures]:
+    if not all(np.isfinite(one.samples_v.sum()) for one in given):
+        raise RecordError("volts_v must be finite numbers")
+    records = [
+        reduce_record(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
+    ]
+    pulses = [find_pulses(record, settings) for record in records]
+    pulls = [_pull(record, found) for record, found in zip(records, pulses, strict=True)]
+    flags = [
+        _flags(record, found, settings, one, pulled=pulled)
+        for record, found, one, (_, pulled) in zip(records, pulses, given, pulls, strict=True)
+    ]
     # What something else started looks like a wave at times: nothing is measured of it.
-    measured: dict[str, Any] = {} if "false_trigger" in found else _measured(record, pulses, settings)
-    return ShotFeatures(
-        **measured,
-        noise_rms_v=record.noise_rms_v,
-        pull_fraction=pull,
-        outline=_outline(record, pulses),
-        sd=standard_deviations(record, pulses, measured, settings) if with_sd else {},
-        flags=flags,
-        valid=valid,
-        quality="bad" if not valid else "suspect" if flags else "good",
-    )
+    measured: list[dict[str, Any]] = [
+        {} if "false_trigger" in flagged else _measured(record, found, settings)
+        for record, found, flagged in zip(records, pulses, flags, strict=True)
+    ]
+    return [
+        ShotFeatures(
+            **values,
+            **_grade(flagged),
+            noise_rms_v=record.noise_rms_v,
+            pull_fraction=pull,
+            outline=_outline(record, found),
+            sd=standard_deviations(record, found, values, settings) if with_sd else {},
+        )
+        for record, found, (pull, _), flagged, values in zip(
+            records, pulses, pulls, flags, measured, strict=True
+        )
+    ]
+
+
+def _pull(record: ReducedRecord, pulses: Pulses) -> tuple[float, bool]:
+    if pulses.isw is None:
+        return math.nan, False
+    psw_time_s = None if pulses.psw is None else pulses.psw.time_s
+    return deepest_pull(record, pulses.isw.amplitude_v, psw_time_s)
 
 
 def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
@@ -279,6 +331,13 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: _Given, *, pulled: bool
+) -> set[str]:
+    flags = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz, pulled=pulled)
+    return flags | {"clipped"} if given.clipped else flags
+
+
+def _flags_of_pulses(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float, *, pulled: bool
 ) -> set[str]:
     spiked, stirred = _at_trigger(record)
