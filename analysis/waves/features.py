@@ -21,8 +21,10 @@ extractor in one baseline.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -81,6 +83,7 @@ OTHER_FEATURE_NAMES = (
     "noise_rms_v",
 )
 ALL_FEATURE_NAMES = FEATURE_NAMES + OTHER_FEATURE_NAMES
+_EVERY_FEATURE = attrgetter(*ALL_FEATURE_NAMES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,7 +134,7 @@ class ShotFeatures:
 
     def values(self) -> dict[str, float]:
         """Every feature by name, in the order of `ALL_FEATURE_NAMES`."""
-        return {name: getattr(self, name) for name in ALL_FEATURE_NAMES}
+        return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
         """Return the five features of the Mahalanobis vector, shape (5,)."""
@@ -396,17 +399,17 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
     after = record.samples_v[trigger : trigger + front] - record.offset_v
     if before.size == 0 or after.size == 0:
         return False, False
-    height = _farthest(after, before)
+    height = max(_farthest(after), _farthest(before))
     stirred = height > STIRRED_SNR * record.noise_rms_v
     if not stirred:
         return False, False
     risen = _farthest(after[: jump + 1] - before.sum() / before.size)
-    return risen >= JUMP_PART * max(height, _farthest(record.blocks_v)), True
+    return risen >= JUMP_PART * height and risen >= JUMP_PART * _farthest(record.blocks_v), True
 
 
-def _farthest(*values: FloatArray) -> float:
+def _farthest(values: FloatArray) -> float:
     """Largest distance from zero."""
-    return max(max(float(part.max()), -float(part.min())) for part in values)
+    return max(float(values.max()), -float(values.min()))
 
 
 def _baseline_drifts(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings) -> bool:
@@ -522,8 +525,8 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
         raise InvalidInputError(f"minimum_valid is {minimum_valid}; it must be at least 1")
     valid = [shot for shot in shots if shot.valid]
     n_valid = len(valid)
-    counts = {flag: sum(flag in shot.flags for shot in shots) for flag in FLAGS}
-    listed = ", ".join(f"{flag} in {count}" for flag, count in counts.items() if count)
+    counts = Counter(flag for shot in shots for flag in shot.flags)
+    listed = ", ".join(f"{flag} in {counts[flag]}" for flag in FLAGS if flag in counts)
     missing = dict.fromkeys(ALL_FEATURE_NAMES, math.nan)
     if n_valid < minimum_valid:
         reason = f"{n_valid} of {len(shots)} shots valid, {minimum_valid} needed"
@@ -535,7 +538,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
             quality="bad",
             reason=f"{reason} ({listed})" if listed else reason,
         )
-    table = np.array([[getattr(shot, name) for name in ALL_FEATURE_NAMES] for shot in valid])
+    table = np.array([_EVERY_FEATURE(shot) for shot in valid])
     if n_valid >= FEWEST_FOR_FAR:
         table = _without_far(table)
     mean, sd = _column_statistics(table)
@@ -559,10 +562,16 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
 def _without_far(table: FloatArray) -> FloatArray:
     """Put NaN in the place of values far from their column's others."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
-    distance = np.abs(known - np.median(known, axis=0))
-    middle = np.median(distance, axis=0)
+    distance = np.abs(known - _medians(known))
+    middle = _medians(distance)
     # More than half alike have no scatter to compare with.
     return np.where((distance > FAR_APART * MAD_TO_SD * middle) & (middle > 0.0), np.nan, table)
+
+
+def _medians(table: FloatArray) -> FloatArray:
+    """Median of each column: NumPy's digits without its search for NaN."""
+    ordered, upper = np.sort(table, axis=0), len(table) // 2
+    return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
 def _column_statistics(table: FloatArray) -> tuple[list[float], list[float]]:

@@ -104,12 +104,14 @@ def add_noise(
         Weights of four points of that grid in each sample of a step, shape (4, samples per step).
     """
     n, per_step = volts.shape[0], cubic.shape[1]
+    w0, w1, w2, w3 = cubic[0], cubic[1], cubic[2], cubic[3]
     for step in range(-(-n // per_step)):
         c0, c1, c2, c3 = coarse[step], coarse[step + 1], coarse[step + 2], coarse[step + 3]
-        first = step * per_step
-        for k in range(min(per_step, n - first)):
-            slow = c0 * cubic[0, k] + c1 * cubic[1, k] + c2 * cubic[2, k] + c3 * cubic[3, k]
-            volts[first + k] += white[first + k] * white_rms + slow_rms * slow
+        # Slices: numbers counted from their beginning can be vectors.
+        here, noise = volts[step * per_step :], white[step * per_step :]
+        for k in range(min(per_step, here.shape[0])):
+            slow = c0 * w0[k] + c1 * w1[k] + c2 * w2[k] + c3 * w3[k]
+            here[k] += noise[k] * white_rms + slow_rms * slow
 
 
 @compiled(error_model="numpy")
