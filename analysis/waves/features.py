@@ -32,7 +32,7 @@ from numpy.fft import irfft, rfft
 
 from analysis.errors import InvalidInputError, RecordError
 from analysis.waves.disturbance import deepest_pull, has_edge, is_cut, is_flat_topped, stretch_alike
-from analysis.waves.fft_length import fast_length
+from analysis.waves.fft_length import fast_length, together
 from analysis.waves.outline import Outline, outline
 from analysis.waves.pulses import Pulse, Pulses, find_pulses, parabola_peak
 from analysis.waves.quality_gate import DISTURBED, FLAGS, INVALIDATING_FLAGS, MINIMUM_VALID_SHOTS
@@ -40,9 +40,10 @@ from analysis.waves.record_reduction import (
     MAD_TO_SD,
     ExtractionSettings,
     FloatArray,
+    Given,
     ReducedRecord,
     mean_weights,
-    reduce_record,
+    reduce_records,
 )
 from analysis.waves.uncertainty import standard_deviations
 from hardware_drivers.measurement import Waveform
@@ -216,9 +217,7 @@ def extract_all(
     RecordError
         As for `extract_features`, where any record asks for it.
     """
-    given = [
-        _Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms
-    ]
+    given = [Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms]
     return _extracted(given, settings)
 
 
@@ -273,28 +272,16 @@ def extract_from_volts(
     samples = np.asarray(volts_v, dtype=np.float64)
     if samples.ndim != 1:
         raise RecordError(f"volts_v must be of shape (n_samples,), got {samples.shape}")
-    given = _Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
+    given = Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
     return _extracted([given], settings, with_sd=with_sd)[0]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Given:
-    """A record in volts, shape (n_samples,)."""
-
-    samples_v: FloatArray
-    sample_rate_hz: float
-    pretrigger_samples: int
-    clipped: bool
-
-
 def _extracted(
-    given: Sequence[_Given], settings: ExtractionSettings, *, with_sd: bool = False
+    given: Sequence[Given], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
     if not all(np.isfinite(one.samples_v.sum()) for one in given):
         raise RecordError("volts_v must be finite numbers")
-    records = [
-        reduce_record(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
-    ]
+    records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     pulls = [_pull(record, found) for record, found in zip(records, pulses, strict=True)]
     flags = [
@@ -306,6 +293,7 @@ def _extracted(
         {} if "false_trigger" in flagged else _measured(record, found, settings)
         for record, found, flagged in zip(records, pulses, flags, strict=True)
     ]
+    _autocorrelate(records, pulses, measured, settings)
     return [
         ShotFeatures(
             **values,
@@ -334,7 +322,7 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: _Given, *, pulled: bool
+    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: Given, *, pulled: bool
 ) -> set[str]:
     flags = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz, pulled=pulled)
     return flags | {"clipped"} if given.clipped else flags
@@ -442,15 +430,14 @@ def _measured(record: ReducedRecord, pulses: Pulses, settings: ExtractionSetting
         values.update(ssw_time_s=ssw.time_s, ssw_amplitude_v=ssw.amplitude_v)
     if psw is None:
         return values
-    tof_ac, coefficient = _autocorrelation(record, isw, psw, settings)
     psw_area = _area(record, psw.time_s, settings.window_half_width_s)
     isw_area = _area(record, isw.time_s, settings.window_half_width_s)
     values.update(
         tof_pp_s=psw.time_s - isw.time_s,
         tof_mf_s=psw.matched_time_s - isw.matched_time_s,
-        tof_ac_s=tof_ac,
+        tof_ac_s=math.nan,
+        autocorrelation_coefficient=math.nan,
         amplitude_ratio=psw.amplitude_v / isw.amplitude_v,
-        autocorrelation_coefficient=coefficient,
         psw_area_v_s=psw_area,
         psw_isw_area_ratio=psw_area / isw_area if isw_area > 0.0 else math.nan,
         psw_time_s=psw.time_s,
@@ -473,10 +460,43 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
     return total * record.step_s
 
 
-def _autocorrelation(
-    record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
-) -> tuple[float, float]:
-    """Time of flight and coefficient of the gated, smoothed autocorrelation (module docstring).
+def _autocorrelate(
+    records: Sequence[ReducedRecord],
+    pulses: Sequence[Pulses],
+    measured: Sequence[dict[str, float]],
+    settings: ExtractionSettings,
+) -> None:
+    """Add time of flight and coefficient by autocorrelation to what has both waves."""
+    gates: dict[int, _Gate] = {}
+    for k, (record, found, values) in enumerate(zip(records, pulses, measured, strict=True)):
+        if "tof_pp_s" in values and found.isw is not None and found.psw is not None:
+            gate = _gated(record, found.isw, found.psw, settings)
+            if gate is not None:
+                gates[k] = gate
+    lengths = [fast_length(gate.smooth_v.size + gate.high + 2) for gate in gates.values()]
+    correlations = together([gate.smooth_v for gate in gates.values()], lengths, _correlation)
+    for (k, gate), correlation in zip(gates.items(), correlations, strict=True):
+        measured[k].update(_highest(gate, correlation, records[k]))
+
+
+def _correlation(rows: FloatArray, n_fft: int) -> FloatArray:
+    """Autocorrelation of each row, shape (..., n_fft)."""
+    spectrum = rfft(rows, n_fft)
+    return np.asarray(irfft(spectrum.real**2 + spectrum.imag**2, n_fft))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Gate:
+    """Smoothed record around ISW and PSW, its R(0) at the full rate, and the lags to look at."""
+
+    smooth_v: FloatArray
+    power: float
+    low: int
+    high: int
+
+
+def _gated(record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings) -> _Gate | None:
+    """Gate and smooth a record for its autocorrelation (module docstring); None: nothing stands out.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add.
@@ -492,20 +512,23 @@ def _autocorrelation(
     low = max(1, math.ceil(tof - search))
     high = min(gate.size - 2, math.floor(tof + search))
     if power <= 0.0 or high <= low:
-        return math.nan, math.nan
+        return None
     width = max(1, round(0.5 * settings.autocorrelation_triangle_s / record.step_s))
-    smooth = np.correlate(gate, mean_weights(width), "full")
-    n_fft = fast_length(smooth.size + high + 2)
-    spectrum = rfft(smooth, n_fft)
-    correlation = irfft(spectrum.real**2 + spectrum.imag**2, n_fft)[: high + 2]
-    peak = low + int(correlation[low : high + 1].argmax())
-    before, centre, after = (float(v) for v in correlation[peak - 1 : peak + 2])
+    return _Gate(np.correlate(gate, mean_weights(width), "full"), power, low, high)
+
+
+def _highest(gate: _Gate, correlation: FloatArray, record: ReducedRecord) -> dict[str, float]:
+    """Read lag and coefficient off the highest value; nothing where it lies at the edge of the lags."""
+    peak = gate.low + int(correlation[gate.low : gate.high + 1].argmax())
+    before, centre, after = correlation[peak - 1 : peak + 2].tolist()
     if not before <= centre >= after:
-        # The highest value lies on the edge of the search window: it is no maximum, so not the PSW's.
-        return math.nan, math.nan
+        return {}  # no maximum, so not the PSW's
     shift = parabola_peak(before, centre, after)
     height = centre - 0.25 * (before - after) * shift
-    return (peak + shift) * record.step_s, height * record.block_samples / power
+    return {
+        "tof_ac_s": (peak + shift) * record.step_s,
+        "autocorrelation_coefficient": height * record.block_samples / gate.power,
+    }
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:

@@ -20,13 +20,13 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
     A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
     ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S one, two and three steps ago; what
     the step's own I and S add is left out of y and made up for, turned, in the next step. Instead of y
-    its sum with ``b' I1 + c' I2``, ``c' = c / t`` and ``b' = (b + c') / t``, is kept, to which ``(a + b') I1``
-    is all that I adds; and of the imaginary part, ``g = im sin(omega h) + re (1 - cos(omega h))``, so that
+    its sum with ``b' I1 + c' I2``, ``c' = c / t`` and ``b' = (b + c') / t``, is kept, to which I adds
+    ``(a + b') I1`` alone; and of the imaginary part, ``g = im sin(omega h) + re (1 - cos(omega h))``, so that
     turning is ``g += m re; re += g`` with ``m = -4 sin^2(omega h / 2)``.
 
     The rows of a block are: m; what I and S one step ago add to re and g; omega / phi; the real parts of what
     this step's own I and S add, and of b' and c': they lead back to y; and what g, re, I now, one and two
-    steps ago and S now add to the mode's speed. The last block is filled up with zeros, modes that never move.
+    steps ago and S now add to the mode's speed. Zeros fill up the last block, modes that never move.
 
     Parameters
     ----------
