@@ -24,7 +24,7 @@ def record(tof_s=350e-6, psw_v=1.2, samples=13_000, pretrigger=1000, seed=1):
 
 
 def test_shots_of_all_kinds_have_their_own_features_in_company():
-    # Other gates of the autocorrelation, a record of another length, one without a reflected wave, none at all.
+    # Another gate of the autocorrelation, another length, no reflected wave, another trigger.
     shots = [
         record(seed=1),
         record(seed=2, tof_s=352e-6),
