@@ -217,6 +217,8 @@ def extract_all(
     RecordError
         As for `extract_features`, where any record asks for it.
     """
+    if not all(np.isfinite(w.calibration.coefficients_v).all() for w in waveforms):
+        raise RecordError("a calibration's coefficients must be finite")
     given = [Given(w.volts(), w.sample_rate_hz, w.pretrigger_samples, clipped=w.clipped) for w in waveforms]
     return _extracted(given, settings)
 
@@ -270,8 +272,8 @@ def extract_from_volts(
         Also tell the standard deviation of each (`analysis.waves.uncertainty`).
     """
     samples = np.asarray(volts_v, dtype=np.float64)
-    if samples.ndim != 1:
-        raise RecordError(f"volts_v must be of shape (n_samples,), got {samples.shape}")
+    if samples.ndim != 1 or not np.isfinite(samples.sum()):
+        raise RecordError(f"volts_v must be finite numbers of shape (n_samples,), got shape {samples.shape}")
     given = Given(samples, sample_rate_hz, pretrigger_samples, clipped=clipped)
     return _extracted([given], settings, with_sd=with_sd)[0]
 
@@ -279,8 +281,6 @@ def extract_from_volts(
 def _extracted(
     given: Sequence[Given], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    if not all(np.isfinite(one.samples_v.sum()) for one in given):
-        raise RecordError("volts_v must be finite numbers")
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     pulls = [_pull(record, found) for record, found in zip(records, pulses, strict=True)]
